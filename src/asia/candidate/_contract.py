@@ -1,0 +1,62 @@
+"""What a candidate is given and what it gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from asia.problem import Array, Physics, Signal, Trajectory
+
+
+def _no_log(step: float, loss: float) -> None:
+    del step, loss
+
+
+@dataclass(frozen=True)
+class Context:
+    """All a candidate may know beside its training trajectories.
+
+    sampling_time in seconds; n_past_u, n_past_y: samples in the past window; horizon: samples to
+    simulate, None for the whole record; deadline: `time.monotonic()` value after which the worker
+    is killed; log(step, loss): two numbers for the training curve. One seed per search, fold and
+    repeat, the same for every candidate.
+    """
+
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    sampling_time: float
+    n_past_u: int
+    n_past_y: int
+    horizon: int | None = None
+    metric: str = "rmse"
+    physics: Physics | None = None
+    seed: int = 0
+    deadline: float = float("inf")
+    threads: int = 1
+    log: Callable[[float, float], None] = field(default=_no_log, compare=False)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+
+class Model(Protocol):
+    """A fitted model."""
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Open-loop simulation in physical units.
+
+        past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> y_hat (B, H, ny).
+        `u[:, k]` and `y_hat[:, k]` are the same sample; `past_*[:, -1]` is the one before.
+        """
+        ...
+
+
+Fit = Callable[[Sequence[Trajectory], Context], Model]

@@ -1,0 +1,85 @@
+"""What can go wrong, kept apart by who can mend it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Reason(StrEnum):
+    """Why a candidate has no score. `advice` says what its author can do."""
+
+    SYNTAX = "syntax"
+    CONTRACT = "contract"
+    CRASH = "crash"
+    EXITED = "exited"
+    FIT_TIMEOUT = "fit_timeout"
+    SIMULATE_TIMEOUT = "simulate_timeout"
+    MEMORY = "memory"
+    NOT_FINITE = "not_finite"
+    WRONG_LENGTH = "wrong_length"
+    UNSOLICITED = "unsolicited"
+    MODEL_SIZE = "model_size"
+    NOT_REPRODUCIBLE = "not_reproducible"
+
+    @property
+    def status(self) -> str:
+        """`crash`, `timeout` or `invalid`: the word for the ledger."""
+        if self in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT):
+            return "timeout"
+        if self in (Reason.CRASH, Reason.EXITED, Reason.MEMORY):
+            return "crash"
+        return "invalid"
+
+    @property
+    def advice(self) -> str:
+        """One sentence: what happened and what to do."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    Reason.SYNTAX: "the source does not parse: mend the line named",
+    Reason.CONTRACT: "the candidate breaks the contract: "
+    "define fit(trajectories, context) that returns a model with simulate(past_u, past_y, u)",
+    Reason.CRASH: "the candidate raised an exception: read the last lines of its traceback",
+    Reason.EXITED: "the worker process ended before it answered: "
+    "do not call exit, and look for a crash in compiled code",
+    Reason.FIT_TIMEOUT: "fit exceeded its time: "
+    "lower the model size or the iterations, or raise budget.fit_seconds",
+    Reason.SIMULATE_TIMEOUT: "simulate exceeded its time: "
+    "compile the loop over time, or raise budget.fit_seconds",
+    Reason.MEMORY: "the worker ran out of memory: "
+    "lower the model or batch size, or raise budget.memory_mb",
+    Reason.NOT_FINITE: "the simulation diverged to NaN or infinity: "
+    "constrain stability, bound the states or lower the learning rate",
+    Reason.WRONG_LENGTH: "the reply has the wrong size: "
+    "simulate must return an array (B, H, ny), one row for each input row",
+    Reason.UNSOLICITED: "the worker sent bytes nobody had asked for: leave the result pipe alone",
+    Reason.MODEL_SIZE: "the fitted model is too large to keep: lower the number of parameters",
+    Reason.NOT_REPRODUCIBLE: "the model reloaded in a fresh process simulates differently: "
+    "keep everything simulate needs inside the model",
+}
+
+
+class AsiaError(Exception):
+    """Root of all errors raised on purpose."""
+
+
+class UserError(AsiaError):
+    """The user can mend it; the command line prints the sentence alone and exits with 2."""
+
+
+class CandidateError(AsiaError):
+    """The candidate's own failure; becomes a `Failure` in the ledger."""
+
+    def __init__(self, reason: Reason, detail: str = "") -> None:
+        super().__init__(f"{reason.value}: {detail}" if detail else reason.value)
+        self.reason = reason
+        self.detail = detail
+
+
+class SandboxError(AsiaError):
+    """The sandbox itself failed; says nothing about the candidate."""
+
+
+class InternalError(AsiaError):
+    """A bug in ASIA."""

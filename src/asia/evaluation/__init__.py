@@ -1,0 +1,7 @@
+"""Folds, sandbox and scoring put together. Holds targets and runs candidates, never both at once:
+what goes to a worker is a `Case`, what is scored stays here."""
+
+from asia.evaluation._evaluator import Evaluation, Evaluator, FoldResult, derive_seed
+from asia.evaluation._rungs import Rung, score_rungs
+
+__all__ = ["Evaluation", "Evaluator", "FoldResult", "Rung", "derive_seed", "score_rungs"]

@@ -1,0 +1,186 @@
+"""The one composition: folds -> sandbox -> scoring -> outcome."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from asia.candidate import Context, check_source
+from asia.errors import CandidateError, Reason
+from asia.executor import Executor
+from asia.problem import Array, Budget, ProtocolRule, Trajectory
+from asia.protocol import Block, Fold, whole
+from asia.sandbox import Isolation, Limits, Worker, open_worker
+from asia.scoring import (
+    METRICS,
+    Diagnostics,
+    Failure,
+    FoldScore,
+    Outcome,
+    check_reply,
+    combine,
+    diagnose,
+    score_fold,
+)
+
+
+@dataclass(frozen=True)
+class FoldResult:
+    """What one fold left behind. `model` is opaque; `y_hat` holds one (H, ny) array a held-out
+    block; `curve` (n, 2) is step and loss as logged by the candidate; `seconds` is its fit."""
+
+    score: FoldScore
+    model: bytes
+    y_hat: tuple[Array, ...]
+    curve: Array
+    diagnostics: Diagnostics
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Outcome of one candidate; `folds` is empty after a failure. `output` is what the
+    candidate printed while fitting, capped and stripped."""
+
+    outcome: Outcome
+    folds: tuple[FoldResult, ...] = ()
+    output: str = ""
+
+
+def derive_seed(root: int, *parts: object) -> int:
+    """31-bit seed from the search seed and what it is for, by sha256."""
+    text = ":".join(str(p) for p in (root, *parts))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
+
+
+class Evaluator:
+    """Judges candidates on the folds of one problem, each fold in a fresh sandboxed worker."""
+
+    def __init__(
+        self,
+        folds: Sequence[Fold],
+        records: Sequence[Trajectory],
+        context: Context,
+        rule: ProtocolRule,
+        budget: Budget,
+        isolation: Isolation,
+        executor: Executor,
+    ) -> None:
+        self.folds = tuple(folds)
+        self._records = tuple(records)
+        self._context = context
+        self._rule = rule
+        self._isolation = isolation
+        self._executor = executor
+        self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
+
+    def evaluate(self, source: str) -> Evaluation:
+        """Fit and simulate `source` on every fold. A failed fold fails the candidate."""
+        try:
+            check_source(source)
+        except CandidateError as error:
+            return Evaluation(Failure(error.reason, error.detail))
+        jobs = [partial(self._guarded_fold, source, fold) for fold in self.folds]
+        results = self._executor.run(jobs)
+        for result in results:
+            if isinstance(result, Failure):
+                return Evaluation(result)
+        folds = tuple(r for r in results if not isinstance(r, Failure))
+        output = folds[0][1]
+        fold_results = tuple(r for r, _ in folds)
+        return Evaluation(combine([r.score for r in fold_results]), fold_results, output)
+
+    def reload_differs(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
+        same as the worker that fitted it."""
+
+        def check(fold: Fold, result: FoldResult) -> Failure | None:
+            try:
+                again = self._simulate_model(source, result.model, fold.validation)
+            except CandidateError as error:
+                return Failure(Reason.NOT_REPRODUCIBLE, str(error), fold.index + 1)
+            same = all(a.tobytes() == b.tobytes() for a, b in zip(again, result.y_hat, strict=True))
+            return None if same else Failure(Reason.NOT_REPRODUCIBLE, "", fold.index + 1)
+
+        jobs = [partial(check, f, r) for f, r in zip(self.folds, folds, strict=True)]
+        return next((f for f in self._executor.run(jobs) if f is not None), None)
+
+    def refit(self, source: str) -> bytes:
+        """Fit on all training records; the opaque model. Raises CandidateError."""
+        with self._worker() as worker:
+            worker.fit(source, self._records, self._fold_context("all"))
+            return worker.dump()
+
+    def simulate(
+        self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
+    ) -> list[tuple[Array, ...]]:
+        """Simulate `blocks` with stored models, each in a fresh worker. Raises CandidateError."""
+        jobs = [partial(self._simulate_model, source, model, blocks) for model in models]
+        return self._executor.run(jobs)
+
+    def _worker(self) -> Worker:
+        return open_worker(self._isolation, self._limits)
+
+    def _fold_context(self, fold: object) -> Context:
+        return replace(
+            self._context,
+            seed=derive_seed(self._context.seed, fold, 0),
+            deadline=time.monotonic() + self._limits.fit_seconds,
+        )
+
+    def _guarded_fold(self, source: str, fold: Fold) -> tuple[FoldResult, str] | Failure:
+        try:
+            return self._run_fold(source, fold)
+        except CandidateError as error:
+            return Failure(error.reason, error.detail, fold.index + 1)
+
+    def _run_fold(self, source: str, fold: Fold) -> tuple[FoldResult, str]:
+        metric = self._rule.metric
+        inside = whole(fold.train, self._rule)
+        with self._worker() as worker:
+            reply = worker.fit(source, fold.train, self._fold_context(fold.index))
+            model = worker.dump()
+            y_hat = _simulate(worker, fold.validation)
+            train_y_hat = _simulate(worker, inside)
+        score = score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric)
+        train_y = [b.y for b in inside]
+        train = score_fold(train_y, train_y_hat, fold.scale, metric)
+        evidence = diagnose(
+            [b.case.u for b in inside], train_y, train_y_hat, fold.scale, train.value
+        )
+        result = FoldResult(score, model, y_hat, reply.curve, evidence, reply.seconds)
+        return result, reply.output
+
+    def _simulate_model(
+        self, source: str, model: bytes, blocks: Sequence[Block]
+    ) -> tuple[Array, ...]:
+        with self._worker() as worker:
+            worker.load(source, model, self._fold_context("load"))
+            return _simulate(worker, blocks)
+
+
+def _simulate(worker: Worker, blocks: Sequence[Block]) -> tuple[Array, ...]:
+    """One request a block, in time order: a later past window is an earlier block's answer."""
+    replies: list[Array] = []
+    for block in blocks:
+        case = block.case
+        y_hat = worker.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
+        check_reply(y_hat, block.y.shape)
+        replies.append(y_hat)
+    return tuple(replies)
+
+
+def score_outputs(
+    folds: Sequence[Fold], outputs: Sequence[Sequence[Array]], metric: str
+) -> Outcome:
+    """Score given simulations, one (H, ny) array a held-out block of each fold."""
+    if metric not in METRICS:
+        raise KeyError(metric)
+    scores = [
+        score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric)
+        for fold, y_hat in zip(folds, outputs, strict=True)
+    ]
+    return combine(scores)

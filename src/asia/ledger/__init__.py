@@ -1,0 +1,56 @@
+"""Append-only, hash-chained record of a search; all else is a view of it."""
+
+from asia.ledger._chain import Chain, Line, in_use, read_lines
+from asia.ledger._events import (
+    Evaluated,
+    Event,
+    Extended,
+    FoldRecord,
+    Phase,
+    Proposed,
+    Refitted,
+    RungScored,
+    Started,
+    Status,
+    Stopped,
+    TestRecord,
+    Unsealed,
+)
+from asia.ledger._exports import describe_result, journal, results_table, write_exports
+from asia.ledger._store import Store
+from asia.ledger._verify import Verified, verify
+from asia.ledger._view import Experiment, Run, SearchView, State, find_run, open_run, replay
+
+__all__ = [
+    "Chain",
+    "Evaluated",
+    "Event",
+    "Experiment",
+    "Extended",
+    "FoldRecord",
+    "Line",
+    "Phase",
+    "Proposed",
+    "Refitted",
+    "Run",
+    "RungScored",
+    "SearchView",
+    "Started",
+    "State",
+    "Status",
+    "Stopped",
+    "Store",
+    "TestRecord",
+    "Unsealed",
+    "Verified",
+    "describe_result",
+    "find_run",
+    "in_use",
+    "journal",
+    "open_run",
+    "read_lines",
+    "replay",
+    "results_table",
+    "verify",
+    "write_exports",
+]

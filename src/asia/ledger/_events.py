@@ -1,0 +1,140 @@
+"""What a search records. One dataclass an event; every field is JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter
+
+from asia.scoring import Diagnostics, Outcome, TestScore
+
+Status = Literal["keep", "discard", "crash", "timeout", "invalid"]
+Phase = Literal["baseline", "explore", "refine"]
+
+
+@dataclass(frozen=True)
+class Started:
+    """First event: what is searched, by whom, under which rules. `test_digest` commits the sealed
+    test before experiment 1; it is None when the problem has no test."""
+
+    run: str
+    problem: str
+    agent: str
+    seed: int
+    experiments: int
+    lock_digest: str
+    protocol_digest: str
+    test_digest: str | None
+    isolation: str
+    isolation_notes: tuple[str, ...]
+    environment: dict[str, str]
+    event: Literal["started"] = "started"
+
+
+@dataclass(frozen=True)
+class RungScored:
+    """A trivial reference."""
+
+    name: str
+    outcome: Outcome
+    event: Literal["rung"] = "rung"
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """A candidate about to be evaluated. `source` is the artifact, `digest` its normalised AST."""
+
+    experiment: int
+    parent: int | None
+    phase: Phase
+    family: str
+    title: str
+    hypothesis: str
+    expected: str
+    source: str
+    digest: str
+    event: Literal["proposed"] = "proposed"
+
+
+@dataclass(frozen=True)
+class FoldRecord:
+    """Artifacts and training-side evidence of one fold."""
+
+    model: str
+    y_hat: str
+    curve: str
+    diagnostics: Diagnostics
+    fit_seconds: float
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """What came of a candidate. `duplicate_of` names the experiment whose outcome was reused."""
+
+    experiment: int
+    status: Status
+    outcome: Outcome
+    folds: tuple[FoldRecord, ...]
+    output: str | None
+    seconds: float
+    duplicate_of: int | None = None
+    event: Literal["evaluated"] = "evaluated"
+
+
+@dataclass(frozen=True)
+class Extended:
+    """The budget was raised to `experiments`."""
+
+    experiments: int
+    event: Literal["extended"] = "extended"
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """The search ended."""
+
+    reason: Literal["budget", "saturated", "exhausted", "hours"]
+    event: Literal["stopped"] = "stopped"
+
+
+@dataclass(frozen=True)
+class Refitted:
+    """The winner fitted once more on all training data: `model`, or None when that fit failed."""
+
+    experiment: int
+    model: str | None
+    detail: str
+    event: Literal["refitted"] = "refitted"
+
+
+@dataclass(frozen=True)
+class TestRecord:
+    """One model on the sealed test; `y_hat` is the artifact of its simulation."""
+
+    scores: tuple[TestScore, ...]
+    y_hat: str
+
+
+@dataclass(frozen=True)
+class Unsealed:
+    """The sealed test was opened, once. `ensemble` is the mean of the fold models, `refit` the
+    winner fitted on all training data; `measured` is the artifact of the test outputs, one
+    (lengths[i], ny) array a trajectory, from the first simulated sample on; `skip` of them are left
+    out of the scores."""
+
+    experiment: int
+    test_digest: str
+    channels: tuple[str, ...]
+    trajectories: tuple[str, ...]
+    lengths: tuple[int, ...]
+    skip: int
+    measured: str
+    ensemble: TestRecord
+    refit: TestRecord | None
+    event: Literal["unsealed"] = "unsealed"
+
+
+Event = Started | RungScored | Proposed | Evaluated | Extended | Stopped | Refitted | Unsealed
+
+adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

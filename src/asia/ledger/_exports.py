@@ -1,0 +1,69 @@
+"""results.tsv and search_journal.md, written anew from the view after every event."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from asia.ledger._view import Experiment, SearchView
+
+
+def write_exports(directory: Path, view: SearchView) -> None:
+    """Both files, each replaced in one step."""
+    _replace(directory / "results.tsv", results_table(view))
+    _replace(directory / "search_journal.md", journal(view))
+
+
+def results_table(view: SearchView) -> str:
+    """Tab-separated: experiment, val, status, description. No number stands for a failure."""
+    rows = ["experiment\tval\tstatus\tdescription"]
+    for e in view.finished:
+        assert e.result is not None
+        value = f"{e.score.value:.6f}" if e.score else ""
+        rows.append(f"{e.number}\t{value}\t{e.result.status}\t{e.proposed.title}")
+    return "\n".join(rows) + "\n"
+
+
+def journal(view: SearchView) -> str:
+    """What was tried, why, and what came of it."""
+    start = view.started
+    parts = [
+        f"# Search journal: {start.run}\n\nProblem {start.problem}, agent {start.agent}, "
+        f"seed {start.seed}, isolation {start.isolation}.\n"
+    ]
+    parts += [_entry(view, e, i) for i, e in enumerate(view.finished)]
+    return "\n".join(parts)
+
+
+def _entry(view: SearchView, e: Experiment, position: int) -> str:
+    p, r = e.proposed, e.result
+    assert r is not None
+    origin = f" (from experiment {p.parent})" if p.parent else ""
+    later = view.finished[position + 1 : position + 2]
+    following = later[0].proposed.title if later else "none yet"
+    return (
+        f"## Experiment {e.number}: {p.title}\n\n"
+        f"- **Changed:** {p.family}, {p.phase} phase{origin}\n"
+        f"- **Hypothesis:** {p.hypothesis}\n"
+        f"- **Expected:** {p.expected}\n"
+        f"- **Result:** {describe_result(e)}\n"
+        f"- **Decision:** {r.status}\n"
+        f"- **Next:** {following}\n"
+    )
+
+
+def describe_result(e: Experiment) -> str:
+    """One line: V and its folds, or the failure with advice."""
+    if e.score:
+        folds = ", ".join(f"{f.value:.4f}" for f in e.score.folds)
+        return f"V = {e.score.value:.4f} (folds {folds})"
+    if e.failure:
+        where = f" in fold {e.failure.fold}" if e.failure.fold else ""
+        detail = f" ({e.failure.detail.splitlines()[-1]})" if e.failure.detail.strip() else ""
+        return f"no score{where}: {e.failure.advice}{detail}"
+    return "being evaluated"
+
+
+def _replace(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.new")
+    temporary.write_text(text)
+    temporary.replace(path)

@@ -1,0 +1,135 @@
+"""Training records as the models see them: z-scored, cut into past windows, padded to one shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models._scaling import Scaling
+from asia.problem import Array, Trajectory
+
+
+@dataclass(frozen=True)
+class Record:
+    """One z-scored record: u (T, nu), y (T, ny); weight (T,), 0 where a sample does not count."""
+
+    u: Array
+    y: Array
+    weight: Array
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+
+def past_length(context: Context) -> int:
+    """Samples before the first simulated one."""
+    return max(context.n_past_u, context.n_past_y)
+
+
+def check(trajectories: Sequence[Trajectory], context: Context) -> None:
+    """Raises UserError when there is nothing to simulate or a record has the wrong channels."""
+    if not trajectories:
+        raise UserError("no training records: a model needs at least one trajectory")
+    for t in trajectories:
+        if t.u.shape[1] != context.nu or t.y.shape[1] != context.ny:
+            raise UserError(
+                f"record '{t.name}': {t.u.shape[1]} inputs and {t.y.shape[1]} outputs, "
+                f"expected {context.nu} and {context.ny}"
+            )
+        if len(t) <= past_length(context):
+            raise UserError(
+                f"record '{t.name}': {len(t)} samples leave nothing to simulate after a past "
+                f"window of {past_length(context)}; give a longer record or a shorter window"
+            )
+
+
+def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[Record]:
+    """All samples of each record, z-scored, every sample counting."""
+    return [
+        Record(scaling.inputs(t.u), scaling.outputs(t.y), np.ones(len(t))) for t in trajectories
+    ]
+
+
+def window(past_u: Array, past_y: Array) -> Array:
+    """past_u (B, npu, nu), past_y (B, npy, ny) -> (B, npu*nu + npy*ny), z-scored alike."""
+    batch = past_u.shape[0]
+    return np.concatenate([past_u.reshape(batch, -1), past_y.reshape(batch, -1)], axis=1)
+
+
+def windows(record: Record, context: Context) -> Array:
+    """Past window before each sample from `past_length` on: (T - past_length, d)."""
+    start = past_length(context)
+    rows = np.arange(start, len(record))
+    back_u = rows[:, None] + np.arange(-context.n_past_u, 0)
+    back_y = rows[:, None] + np.arange(-context.n_past_y, 0)
+    return window(record.u[back_u], record.y[back_y])
+
+
+def holdout_masks(records: Sequence[Record], fraction: float, blocks: int = 8) -> list[Array]:
+    """For each record (T,) booleans, True where held out: `blocks` short stretches spread over it.
+
+    A simulated output depends on inputs alone, so a sample whose weight is zero is unseen even
+    though the simulation runs through it.
+    """
+    masks: list[Array] = []
+    for record in records:
+        length = len(record)
+        period = max(length / blocks, 4.0)
+        phase = np.arange(length) % period
+        masks.append(
+            ((phase >= (1 - fraction) / 2 * period) & (phase < (1 + fraction) / 2 * period))
+        )
+    return masks
+
+
+def reweighted(records: Sequence[Record], masks: Sequence[Array], keep: bool) -> list[Record]:
+    """Records whose weight is kept only where the mask equals `keep`."""
+    return [Record(r.u, r.y, r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Records padded to one length, without their past windows.
+
+    window (R, d), u (R, T, nu), y (R, T, ny), weight (R, T): zero in the padding; all windows
+    of all records for starts in mid-record: starts (S, 2) of (record, sample), start_windows
+    (S, d).
+    """
+
+    window: Array
+    u: Array
+    y: Array
+    weight: Array
+    lengths: tuple[int, ...]
+    start_windows: Array
+    starts: Array
+
+
+def batch(records: Sequence[Record], context: Context) -> Batch:
+    """Pads the simulated part of each record to the longest."""
+    skip = past_length(context)
+    lengths = tuple(len(r) - skip for r in records)
+    longest = max(lengths)
+
+    def padded(values: Array) -> Array:
+        part = values[skip:]
+        fill = [(0, longest - len(part))] + [(0, 0)] * (part.ndim - 1)
+        return np.pad(part, fill)
+
+    every = [windows(r, context) for r in records]
+    starts = np.concatenate(
+        [np.stack([np.full(n, i), np.arange(n)], axis=1) for i, n in enumerate(lengths)]
+    )
+    return Batch(
+        window=np.stack([w[0] for w in every]),
+        u=np.stack([padded(r.u) for r in records]),
+        y=np.stack([padded(r.y) for r in records]),
+        weight=np.stack([padded(r.weight) for r in records]),
+        lengths=lengths,
+        start_windows=np.concatenate(every),
+        starts=starts,
+    )

@@ -1,0 +1,30 @@
+"""Records, signals, physics and rules. Light: a sandboxed worker imports it.
+
+Reading problems from disk lives in `asia.problem.load`.
+"""
+
+from asia.problem._types import (
+    Array,
+    Bounds,
+    Budget,
+    FoldRule,
+    ParameterRange,
+    Physics,
+    ProtocolRule,
+    Signal,
+    TestRule,
+    Trajectory,
+)
+
+__all__ = [
+    "Array",
+    "Bounds",
+    "Budget",
+    "FoldRule",
+    "ParameterRange",
+    "Physics",
+    "ProtocolRule",
+    "Signal",
+    "TestRule",
+    "Trajectory",
+]

@@ -1,0 +1,174 @@
+"""The tables of problem.toml and of a run's lock file. Strict: nothing unknown, no guessing."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from asia.problem._types import (
+    Bounds,
+    Budget,
+    FoldRule,
+    ParameterRange,
+    Physics,
+    ProtocolRule,
+    Signal,
+    TestRule,
+)
+
+LEAST_MEMORY_MB = 1600
+
+
+class Table(BaseModel):
+    """One table of the file."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+def _named(value: object) -> object:
+    return {"name": value} if isinstance(value, str) else value
+
+
+def _later(*words: str) -> BeforeValidator:
+    """Refuses what a later version will know with other words than a typing error."""
+
+    def check(value: object) -> object:
+        if value in words:
+            raise ValueError(f"'{value}' is not supported by this version")
+        return value
+
+    return BeforeValidator(check)
+
+
+def _later_key(value: object) -> object:
+    del value
+    raise ValueError("is not supported by this version: leave it out")
+
+
+Later = Annotated[object, BeforeValidator(_later_key)]
+
+
+class SignalTable(Table):
+    name: str = Field(min_length=1)
+    unit: str = ""
+
+    def signal(self) -> Signal:
+        return Signal(self.name, self.unit)
+
+
+SignalEntry = Annotated[SignalTable, BeforeValidator(_named)]
+
+
+class DataTable(Table):
+    train: list[str] = []
+    test: list[str] = []
+    source: str | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
+    groups: Later = None
+
+
+class FoldsTable(Table):
+    kind: Annotated[Literal["contiguous"], _later("leave_one_group_out")] = "contiguous"
+    count: int = Field(default=2, ge=2, le=100)
+
+
+class TestTable(Table):
+    metrics: list[Literal["rmse", "mae"]] = Field(default=["rmse"], min_length=1)
+    skip: int = Field(default=0, ge=0)
+
+
+class ProtocolTable(Table):
+    kind: Annotated[Literal["simulation"], _later("windows")] = "simulation"
+    folds: FoldsTable = FoldsTable()
+    past_inputs: int = Field(default=ProtocolRule.past_inputs, ge=0, le=100_000)
+    past_outputs: int = Field(default=ProtocolRule.past_outputs, ge=0, le=100_000)
+    metric: Literal["rmse", "mae"] = "rmse"
+    early_stopping: Annotated[Literal["inner"], _later("validation")] = "inner"
+    test: TestTable = TestTable()
+    horizon: Later = None
+
+    def rule(self) -> ProtocolRule:
+        return ProtocolRule(
+            kind=self.kind,
+            folds=FoldRule(self.folds.kind, self.folds.count),
+            past_inputs=self.past_inputs,
+            past_outputs=self.past_outputs,
+            metric=self.metric,
+            early_stopping=self.early_stopping,
+            test=TestRule(tuple(self.test.metrics), self.test.skip),
+        )
+
+
+class BudgetTable(Table):
+    experiments: int = Field(default=Budget.experiments, ge=1)
+    fit_seconds: float = Field(default=Budget.fit_seconds, gt=0)
+    memory_mb: int = Field(default=Budget.memory_mb, ge=LEAST_MEMORY_MB)
+    patience: int = Field(default=Budget.patience, ge=1)
+    hours: Annotated[float, Field(gt=0)] | None = None
+
+    def budget(self) -> Budget:
+        return Budget(self.experiments, self.fit_seconds, self.memory_mb, self.patience, self.hours)
+
+
+class RangeTable(Table):
+    min: float
+    max: float
+
+
+class BoundsTable(Table):
+    min: float | None = None
+    max: float | None = None
+
+
+class PhysicsTable(Table):
+    states: list[str] = Field(min_length=1)
+    dynamics: dict[str, str]
+    parameters: dict[str, RangeTable] = {}
+    constants: dict[str, float] = {}
+    definitions: dict[str, str] = {}
+    observation: dict[str, str] = {}
+    bounds: dict[str, BoundsTable] = {}
+
+    def physics(self) -> Physics:
+        return Physics(
+            states=tuple(self.states),
+            dynamics=self.dynamics,
+            parameters={k: ParameterRange(r.min, r.max) for k, r in self.parameters.items()},
+            constants=self.constants,
+            definitions=self.definitions,
+            observation=self.observation,
+            bounds={k: Bounds(b.min, b.max) for k, b in self.bounds.items()},
+        )
+
+
+class ProblemFile(Table):
+    """problem.toml; `description` is a path relative to it."""
+
+    name: Annotated[str, Field(min_length=1)] | None = None
+    description: str | None = None
+    sampling_time: float = Field(gt=0)
+    inputs: list[SignalEntry] = Field(min_length=1)
+    outputs: list[SignalEntry] = Field(min_length=1)
+    data: DataTable
+    protocol: ProtocolTable = ProtocolTable()
+    budget: BudgetTable = BudgetTable()
+    physics: PhysicsTable | None = None
+
+
+class DigestTable(Table):
+    """sha256 of what a search depends on; train records in the order of the file."""
+
+    train: list[str]
+    test: str | None = None
+    description: str
+    baseline: str | None = None
+    physics: str | None = None
+    protocol: str
+
+
+class LockFile(ProblemFile):
+    """A run's problem.lock.toml; `description` and `baseline` are the texts themselves."""
+
+    baseline: str | None = None
+    digests: DigestTable

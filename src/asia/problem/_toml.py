@@ -1,0 +1,153 @@
+"""Reading TOML into tables with one clear sentence for each mistake, and writing it."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from asia.errors import UserError
+from asia.problem._nearest import nearest
+from asia.problem._schema import LEAST_MEMORY_MB
+
+_SHOWN = 3
+_WANTED = {
+    "string_type": "text in quotes",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "list_type": "a list in [ ]",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "finite_number": "a finite number",
+}
+
+T = TypeVar("T", bound=BaseModel)
+
+
+def read_table(path: Path, schema: type[T]) -> T:
+    """`path` checked against `schema`. Raises UserError, at most three sentences."""
+    try:
+        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path} is not valid TOML: {error}") from error
+    try:
+        return schema.model_validate(raw)
+    except ValidationError as error:
+        found = [_sentence(e, schema) for e in error.errors(include_url=False)]
+        more = len(found) - _SHOWN
+        tail = [f"and {more} more"] if more > 0 else []
+        raise UserError(f"{path.name}: " + "; ".join(found[:_SHOWN] + tail)) from error
+
+
+def _sentence(error: ErrorDetails, schema: type[BaseModel]) -> str:
+    *where, key = error["loc"] or ("",)
+    table = _table_name(where)
+    kind = error["type"]
+    if kind == "extra_forbidden":
+        known = _known_keys(schema, where)
+        suggestion = nearest(str(key), known)
+        return f"unknown key '{key}' in {table}, did you mean '{suggestion}'?"
+    if kind == "missing":
+        return f"'{key}' is missing in {table}"
+    name = _path(error["loc"])
+    if kind == "value_error":
+        reason = str(error["ctx"]["error"]) if "ctx" in error else error["msg"]
+        return f"{name} {reason}" if reason.startswith("is ") else f"{name} = {reason}"
+    shown = _shown(error["input"])
+    if name == "budget.memory_mb" and kind == "greater_than_equal":
+        return (
+            f"budget.memory_mb is {shown}: JAX cannot start under {LEAST_MEMORY_MB} MB, "
+            f"set it to {LEAST_MEMORY_MB} or more"
+        )
+    return f"{name} is {shown}, expected {_expected(error)}"
+
+
+def _expected(error: ErrorDetails) -> str:
+    context: Mapping[str, Any] = error.get("ctx", {})
+    match error["type"]:
+        case "greater_than":
+            return f"a number above {context['gt']:g}"
+        case "greater_than_equal":
+            return f"at least {context['ge']:g}"
+        case "less_than" | "less_than_equal":
+            return f"at most {context.get('le', context.get('lt')):g}"
+        case "literal_error":
+            return str(context["expected"])
+        case "too_short" | "string_too_short":
+            return "at least one entry" if error["type"] == "too_short" else "a name"
+        case other:
+            return _WANTED.get(other) or error["msg"].removeprefix("Input should be ")
+
+
+def _shown(value: object) -> str:
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _path(where: Sequence[int | str]) -> str:
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where)
+    return text.removeprefix(".")
+
+
+def _table_name(where: Sequence[int | str]) -> str:
+    return f"[{_path(where)}]" if where else "the top level"
+
+
+def _known_keys(schema: type[BaseModel], where: Sequence[int | str]) -> list[str]:
+    model = schema
+    for part in where:
+        if isinstance(part, str) and part in model.model_fields:
+            model = _inner_model(model.model_fields[part].annotation) or model
+    return list(model.model_fields)
+
+
+def _inner_model(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    found = (_inner_model(argument) for argument in get_args(annotation))
+    return next((model for model in found if model), None)
+
+
+def toml_text(tables: Mapping[str, Any]) -> str:
+    """TOML of nested mappings of str, int, float, bool, lists and mappings; None is left out."""
+    return "\n".join(_lines(tables, ())).lstrip("\n") + "\n"
+
+
+def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
+    present = {k: v for k, v in table.items() if v is not None}
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in present.items() if not isinstance(v, Mapping)]
+    for key, value in present.items():
+        if isinstance(value, Mapping):
+            inner = (*path, _key(key))
+            lines += ["", f"[{'.'.join(inner)}]", *_lines(value, inner)]
+    return lines
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, str):
+        # A JSON string is a TOML string but for the delete character, which TOML wants escaped.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, Mapping):
+        inner = (f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None)
+        return "{ " + ", ".join(inner) + " }"
+    return "[" + ", ".join(_value(v) for v in value) + "]"

@@ -1,0 +1,43 @@
+"""Error measures. Pure numpy; arrays are (samples, channels) in physical units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from asia.problem import Array
+
+
+def rmse(y: Array, y_hat: Array) -> Array:
+    """Root mean square error of each channel, (ny,)."""
+    return np.sqrt(np.mean((y - y_hat) ** 2, axis=0))
+
+
+def mae(y: Array, y_hat: Array) -> Array:
+    """Mean absolute error of each channel, (ny,)."""
+    return np.mean(np.abs(y - y_hat), axis=0)
+
+
+METRICS = {"rmse": rmse, "mae": mae}
+
+
+def fit_index(y: Array, y_hat: Array) -> Array:
+    """100 (1 - |y - y_hat| / |y - mean y|) per channel, in percent (Ljung 1999)."""
+    return 100.0 * (1.0 - np.sqrt(_energy_ratio(y, y_hat)))
+
+
+def r2(y: Array, y_hat: Array) -> Array:
+    """Coefficient of determination of each channel."""
+    return 1.0 - _energy_ratio(y, y_hat)
+
+
+def _energy_ratio(y: Array, y_hat: Array) -> Array:
+    spread = np.sum((y - y.mean(axis=0)) ** 2, axis=0)
+    floor = np.finfo(np.float64).tiny
+    return np.sum((y - y_hat) ** 2, axis=0) / np.maximum(spread, floor)
+
+
+def pooled(parts: Sequence[Array]) -> Array:
+    """All samples of all cases, one below the other."""
+    return np.concatenate(list(parts), axis=0)
