@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Literal
 
 
 class Reason(StrEnum):
@@ -22,7 +23,7 @@ class Reason(StrEnum):
     NOT_REPRODUCIBLE = "not_reproducible"
 
     @property
-    def status(self) -> str:
+    def status(self) -> Literal["crash", "timeout", "invalid"]:
         """`crash`, `timeout` or `invalid`: the word for the ledger."""
         if self in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT):
             return "timeout"

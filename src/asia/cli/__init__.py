@@ -1,1 +1,74 @@
-"""."""
+"""The command line: parse, call the library, exit code. One file a command.
+
+Exit codes: 0 done; 1 a bug or a broken sandbox; 2 something the user can mend; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from asia.cli import _check, _diff, _init, _report, _run, _show, _status, _unseal, _verify
+from asia.errors import SandboxError, UserError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="asia",
+    help="Identify a dynamical system from its records: search, judge by open-loop simulation, "
+    "hand back a model with the evidence for it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+for _module in (_init, _check, _run, _status, _show, _unseal, _report):
+    _module.register(app)
+for _module in (_diff, _verify):
+    _module.register(app)
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    version: bool = typer.Option(False, "--version", help="Print the version and exit."),
+) -> None:
+    if version:
+        from asia import __version__
+
+        print(f"asia {__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Entry point of the `asia` command."""
+    try:
+        app(args=spread(sys.argv[1:]))
+    except UserError as error:
+        sys.exit(_complain(str(error), 2))
+    except SandboxError as error:
+        sys.exit(_complain(f"the sandbox failed: {error}", 1))
+    except KeyboardInterrupt:
+        sys.exit(_complain("interrupted; the same command goes on from here", 130))
+
+
+def spread(words: list[str]) -> list[str]:
+    """`--train a.csv b.csv` -> `--train a.csv --train b.csv`, for the list options of init."""
+    if words[:1] != ["init"]:
+        return words
+    option: str | None = None
+    answer: list[str] = []
+    for word in words:
+        if word.startswith("-"):
+            option = word if word in _init.LISTS else None
+            answer += [] if option else [word]
+        elif option is not None:
+            answer += [option, word]
+        else:
+            answer.append(word)
+    return answer
+
+
+def _complain(message: str, code: int) -> int:
+    print(f"asia: {message}", file=sys.stderr)
+    return code

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,18 +12,20 @@ from asia.problem import Array
 from asia.protocol import Block, Fold
 from asia.scoring import Outcome
 
-LINEAR = '''"""Best linear model: state-space, order chosen inside the training data."""
+LINEAR = '''"""Best linear model: state-space, order and delay chosen inside the training data."""
 
 from asia.models import linear
 from asia.models.methods import LevenbergMarquardt
 
 
 def build_model(context):
-    return linear.build(linear.Config(), context)
+    config = linear.Config(order=None, delay=None)
+    return linear.build(config, context)
 
 
 def train(model, trajectories, context):
-    return linear.train(model, trajectories, context, LevenbergMarquardt(iterations=30))
+    method = LevenbergMarquardt(iterations=30)
+    return linear.train(model, trajectories, context, method)
 
 
 def fit(trajectories, context):
@@ -40,35 +42,37 @@ class Rung:
 
 
 def score_rungs(
-    evaluator: Evaluator, metric: str, truth: Sequence[Array] | None
-) -> tuple[Rung, ...]:
+    evaluator: Evaluator, metric: str, truth: Sequence[Array] | None, known: Set[str]
+) -> Iterator[Rung]:
     """Training mean, last output held, best linear model; for simulated problems also the
-    noise-free truth, whose V is the noise floor. truth: one (T, ny) array a training record."""
+    noise-free truth, whose V is the noise floor. truth: one (T, ny) array a training record.
+    Names in `known` are passed over."""
     folds = evaluator.folds
 
-    def scored(name: str, simulate: Callable[[Fold, Block], Array]) -> Rung:
+    def score(simulate: Callable[[Fold, Block], Array]) -> Outcome:
         outputs = [[simulate(fold, block) for block in fold.validation] for fold in folds]
-        return Rung(name, score_outputs(folds, outputs, metric))
+        return score_outputs(folds, outputs, metric)
 
-    rungs = [
-        scored("training mean", lambda fold, block: _constant(_mean(fold), block)),
-        scored("last output held", lambda _, block: _constant(block.case.past_y[-1:], block)),
-        Rung("linear model", evaluator.evaluate(LINEAR).outcome),
-    ]
+    rungs: dict[str, Callable[[], Outcome]] = {
+        "training mean": lambda: score(_training_mean),
+        "last output held": lambda: score(_last_output),
+        "linear model": lambda: evaluator.evaluate(LINEAR).outcome,
+    }
     if truth is not None:
-        known = truth
-        rungs.append(
-            scored(
-                "simulated truth", lambda _, block: known[block.record][block.start : block.stop]
-            )
+        rungs["simulated truth"] = lambda: score(
+            lambda _, block: truth[block.record][block.start : block.stop]
         )
-    return tuple(rungs)
+    for name, outcome in rungs.items():
+        if name not in known:
+            yield Rung(name, outcome())
 
 
-def _mean(fold: Fold) -> Array:
-    return np.concatenate([t.y for t in fold.train]).mean(axis=0, keepdims=True)
+def _training_mean(fold: Fold, block: Block) -> Array:
+    mean = np.concatenate([t.y for t in fold.train]).mean(axis=0)
+    return np.tile(mean, (len(block.y), 1))
 
 
-def _constant(row: Array, block: Block) -> Array:
-    """`row` (1, ny) held; the training mean where the protocol gives no past output."""
-    return np.repeat(row, len(block.y), axis=0)
+def _last_output(fold: Fold, block: Block) -> Array:
+    """The training mean where the protocol gives no past output."""
+    past = block.case.past_y
+    return np.tile(past[-1], (len(block.y), 1)) if len(past) else _training_mean(fold, block)

@@ -20,9 +20,11 @@ from asia.ledger._exports import describe_result, journal, results_table, write_
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, verify
 from asia.ledger._view import Experiment, Run, SearchView, State, find_run, open_run, replay
+from asia.scoring import Diagnostics
 
 __all__ = [
     "Chain",
+    "Diagnostics",
     "Evaluated",
     "Event",
     "Experiment",

@@ -23,6 +23,7 @@ class Started:
     agent: str
     seed: int
     experiments: int
+    outputs: tuple[str, ...]
     lock_digest: str
     protocol_digest: str
     test_digest: str | None

@@ -91,6 +91,30 @@ def reweighted(records: Sequence[Record], masks: Sequence[Array], keep: bool) ->
     return [Record(r.u, r.y, r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
 
 
+def contiguous_splits(
+    records: Sequence[Record], parts: int, shortest: int
+) -> list[tuple[list[Record], list[Record]]]:
+    """(kept, left out) pairs: whole records left out in turn when there are at least `parts`,
+    else stretches of each record of at least `shortest` samples."""
+    if len(records) >= parts:
+        pieces = list(records)
+        groups = [list(range(i, len(pieces), parts)) for i in range(parts)]
+    else:
+        pieces = []
+        membership: list[int] = []
+        for r in records:
+            count = max(1, min(parts, len(r) // max(shortest, 1)))
+            for i, rows in enumerate(np.array_split(np.arange(len(r)), count)):
+                pieces.append(Record(r.u[rows], r.y[rows], r.weight[rows]))
+                membership.append(i)
+        groups = [[k for k, m in enumerate(membership) if m == i] for i in sorted(set(membership))]
+    if len(groups) < 2:
+        return [(pieces, pieces)]
+    return [
+        ([p for k, p in enumerate(pieces) if k not in g], [pieces[k] for k in g]) for g in groups
+    ]
+
+
 @dataclass(frozen=True)
 class Batch:
     """Records padded to one length, without their past windows.

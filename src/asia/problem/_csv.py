@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ class _File:
     path: Path
     delimiter: str
     columns: tuple[str, ...]
+    header: str
     header_line: int
     body: str
 
@@ -59,6 +61,19 @@ def column_names(path: Path) -> tuple[str, ...]:
     return _open(path, ()).columns
 
 
+def split_csv(path: Path, wanted: Sequence[str], share: float) -> tuple[str, str]:
+    """The file as two texts with its header, all columns kept: the first rows, and the last
+    `share` (0 to 1) of them. Raises UserError when there is no header with data below it."""
+    file = _open(path, wanted)
+    header = file.header
+    rows = [line for line in file.body.split("\n") if line.strip()]
+    keep = len(rows) - round(share * len(rows))
+    return (
+        "\n".join([header, *rows[:keep], ""]),
+        "\n".join([header, *rows[keep:], ""]),
+    )
+
+
 def _open(path: Path, wanted: Sequence[str]) -> _File:
     lines = _text(path).split("\n")
     start = next((i for i, line in enumerate(lines) if line.strip()), None)
@@ -78,7 +93,7 @@ def _open(path: Path, wanted: Sequence[str]) -> _File:
     if end == start + 1:
         raise UserError(f"{path} has a header row and no data below it")
     body = "\n".join(lines[start + 1 : end])
-    return _File(path, delimiter, layouts[delimiter], start + 1, body)
+    return _File(path, delimiter, layouts[delimiter], lines[start], start + 1, body)
 
 
 def _text(path: Path) -> str:
@@ -113,8 +128,7 @@ def _index(file: _File, name: str) -> int:
         raise UserError(f"{file.path}: {count} columns are named '{name}', rename all but one")
     known = [column for column in file.columns if column]
     raise UserError(
-        f"{file.path} has no column '{name}', did you mean '{nearest(name, known)}'? "
-        f"It has: {', '.join(known)}"
+        f"{file.path} has no column '{name}' (it has {', '.join(known)}){nearest(name, known)}"
     )
 
 
@@ -144,8 +158,9 @@ def _is_ragged(file: _File, rows: int) -> bool:
         return any(not _fits(file, cells) for _, cells in _rows(file))
     separators = file.body.count(file.delimiter)
     regular = rows * (len(file.columns) - 1)
-    # One delimiter more at each line's end does no harm.
-    return separators not in (regular, regular + rows)
+    # One delimiter more at a line's end does no harm.
+    trailing = f"{file.body}\n".count(f"{file.delimiter}\n")
+    return separators not in (regular, regular + trailing)
 
 
 def _fits(file: _File, cells: Sequence[str]) -> bool:
@@ -153,30 +168,38 @@ def _fits(file: _File, cells: Sequence[str]) -> bool:
     return extra == 0 or (extra == 1 and not cells[-1])
 
 
-def _rows(file: _File) -> list[tuple[int, tuple[str, ...]]]:
-    lines = file.body.split("\n")
-    first = file.header_line + 1
-    return [(first + i, _cells(s, file.delimiter)) for i, s in enumerate(lines) if s.strip()]
+def _rows(file: _File, first: int = 0) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """Line numbers and cells of the rows that are not blank, from line `first` on."""
+    quoted = '"' in file.body
+    for number, line in enumerate(file.body.split("\n"), file.header_line + 1):
+        if number < first or not line.strip():
+            continue
+        if quoted:
+            yield number, _cells(line, file.delimiter)
+        else:
+            yield number, tuple(cell.strip() for cell in line.split(file.delimiter))
 
 
 def _diagnosis(file: _File, columns: Sequence[int]) -> str:
-    rows = _rows(file)
-    for position, (line, cells) in enumerate(rows):
-        if len(cells) < len(file.columns) or not _fits(file, cells):
+    for line, cells in _rows(file):
+        if not _fits(file, cells):
             return (
                 f"{file.path}, line {line}: {len(cells)} cells where the header has "
                 f"{len(file.columns)} columns; write decimal points, not commas, in a "
                 "comma-separated file and give every row every cell"
             )
         for index in columns:
-            if (doubt := _doubt(cells[index], file.delimiter)) is not None:
-                name = file.columns[index]
-                if all(not later[index] for _, later in rows[position:] if index < len(later)):
-                    return (
-                        f"{file.path}: unequal lengths, column '{name}' ends at line {line - 1} "
-                        f"but the file goes on to line {rows[-1][0]}: cut the file there"
-                    )
-                return f"{file.path}, line {line}, column '{name}': {doubt}"
+            doubt = _doubt(cells[index], file.delimiter)
+            if doubt is None:
+                continue
+            name = file.columns[index]
+            rest = list(_rows(file, line)) if not cells[index] else []
+            if rest and not any(later[index] for _, later in rest if index < len(later)):
+                return (
+                    f"{file.path}: unequal lengths, column '{name}' ends before line {line} "
+                    f"but the file goes on to line {rest[-1][0]}: cut the file there"
+                )
+            return f"{file.path}, line {line}, column '{name}': {doubt}"
     return f"{file.path}: the rows below the header do not read as numbers"
 
 
@@ -188,7 +211,7 @@ def _doubt(cell: str, delimiter: str) -> str | None:
         number = float(text)
     except ValueError:
         return f"'{cell}' is not a number"
-    if not np.isfinite(number):
+    if not isfinite(number):
         return f"the value is missing or infinite ('{cell}'); fill the gap or cut the record there"
     return None
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import SequenceMatcher
+from difflib import get_close_matches
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """The name in `known` most like `word`, empty when there is none to choose from."""
-
-    def likeness(name: str) -> float:
-        return SequenceMatcher(None, word.casefold(), name.casefold()).ratio()
-
-    return max(known, key=likeness, default="")
+    """`; did you mean 'x'?` for the nearest known name, else the list of what is known."""
+    names = {name.casefold(): name for name in known if name}
+    close = get_close_matches(word.casefold(), names, n=1, cutoff=0.5)
+    if close:
+        return f"; did you mean '{names[close[0]]}'?"
+    return f"; known: {', '.join(names.values())}" if names else ""

@@ -60,9 +60,18 @@ class SignalTable(Table):
 SignalEntry = Annotated[SignalTable, BeforeValidator(_named)]
 
 
+def _path(value: object) -> object:
+    if isinstance(value, str) and (not value or "\0" in value):
+        raise ValueError(f"{value!r} is not a file name")
+    return value
+
+
+FileName = Annotated[str, BeforeValidator(_path)]
+
+
 class DataTable(Table):
-    train: list[str] = []
-    test: list[str] = []
+    train: list[FileName] = []
+    test: list[FileName] = []
     source: str | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     groups: Later = None
@@ -142,11 +151,9 @@ class PhysicsTable(Table):
         )
 
 
-class ProblemFile(Table):
-    """problem.toml; `description` is a path relative to it."""
+class ProblemTables(Table):
+    """What problem.toml and the lock have in common."""
 
-    name: Annotated[str, Field(min_length=1)] | None = None
-    description: str | None = None
     sampling_time: float = Field(gt=0)
     inputs: list[SignalEntry] = Field(min_length=1)
     outputs: list[SignalEntry] = Field(min_length=1)
@@ -154,6 +161,13 @@ class ProblemFile(Table):
     protocol: ProtocolTable = ProtocolTable()
     budget: BudgetTable = BudgetTable()
     physics: PhysicsTable | None = None
+
+
+class ProblemFile(ProblemTables):
+    """problem.toml; `description` is a path relative to it."""
+
+    name: Annotated[str, Field(min_length=1)] | None = None
+    description: FileName | None = None
 
 
 class DigestTable(Table):
@@ -167,8 +181,10 @@ class DigestTable(Table):
     protocol: str
 
 
-class LockFile(ProblemFile):
+class LockFile(ProblemTables):
     """A run's problem.lock.toml; `description` and `baseline` are the texts themselves."""
 
+    name: str
+    description: str
     baseline: str | None = None
     digests: DigestTable

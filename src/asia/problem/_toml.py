@@ -57,8 +57,7 @@ def _sentence(error: ErrorDetails, schema: type[BaseModel]) -> str:
     kind = error["type"]
     if kind == "extra_forbidden":
         known = _known_keys(schema, where)
-        suggestion = nearest(str(key), known)
-        return f"unknown key '{key}' in {table}, did you mean '{suggestion}'?"
+        return f"unknown key '{key}' in {table}{nearest(str(key), known)}"
     if kind == "missing":
         return f"'{key}' is missing in {table}"
     name = _path(error["loc"])
@@ -127,7 +126,9 @@ def toml_text(tables: Mapping[str, Any]) -> str:
 
 def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     present = {k: v for k, v in table.items() if v is not None}
-    lines = [f"{_key(k)} = {_value(v)}" for k, v in present.items() if not isinstance(v, Mapping)]
+    lines = [
+        f"{_key(k)} = {toml_value(v)}" for k, v in present.items() if not isinstance(v, Mapping)
+    ]
     for key, value in present.items():
         if isinstance(value, Mapping):
             inner = (*path, _key(key))
@@ -136,10 +137,11 @@ def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
 
 
 def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_value(key)
 
 
-def _value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """One value on one line."""
     if isinstance(value, str):
         # A JSON string is a TOML string but for the delete character, which TOML wants escaped.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -148,6 +150,6 @@ def _value(value: Any) -> str:
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, Mapping):
-        inner = (f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None)
+        inner = (f"{_key(k)} = {toml_value(v)}" for k, v in value.items() if v is not None)
         return "{ " + ", ".join(inner) + " }"
-    return "[" + ", ".join(_value(v) for v in value) + "]"
+    return "[" + ", ".join(toml_value(v) for v in value) + "]"

@@ -61,7 +61,8 @@ class Trajectory:
         object.__setattr__(self, "y", _frozen(self.y, f"outputs of record '{self.name}'"))
         if len(self.u) != len(self.y):
             raise UserError(
-                f"record '{self.name}': {len(self.u)} input samples but {len(self.y)} output samples"
+                f"record '{self.name}': {len(self.u)} input samples but {len(self.y)} output "
+                "samples; both need the same length"
             )
 
     def __len__(self) -> int:

@@ -1,1 +1,39 @@
-"""."""
+"""Pictures of a run and of a problem. Reads ledger views and artifacts; scores nothing.
+
+Importing this package is cheap: matplotlib is loaded when the first picture is drawn.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from asia.report._leaderboard import Entry, leaderboard
+
+if TYPE_CHECKING:
+    from asia.problem.load import Problem
+
+__all__ = ["Entry", "draw_problem", "leaderboard", "write_report"]
+
+
+def write_report(directory: Path) -> tuple[Path, ...]:
+    """Draw the run in `directory` into `<directory>/report`, each picture as PNG and PDF.
+
+    progress: V against experiments. simulation and residuals: the best experiment on its held-out
+    folds, once there is one. test and, for a benchmark with published results, leaderboard: once
+    the test was opened. Returns the paths written. Raises UserError when `directory` is not a run,
+    or its records, artifacts or training data are not what they were.
+    """
+    from asia.report._write import write
+
+    return write(directory)
+
+
+def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
+    """Draw the training records, folds and past windows into `directory/data.png` and `.pdf`.
+
+    Returns the paths written. Raises UserError when the records do not make folds.
+    """
+    from asia.report._write import write_problem
+
+    return write_problem(problem, directory)

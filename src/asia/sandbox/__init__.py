@@ -1,1 +1,7 @@
-"""."""
+"""Run untrusted candidates in worker processes. What comes back is bytes and is never parsed."""
+
+from asia.sandbox._open import open_worker, probe
+from asia.sandbox._types import FitReply, Isolation, Limits, Probe
+from asia.sandbox._worker import Worker
+
+__all__ = ["FitReply", "Isolation", "Limits", "Probe", "Worker", "open_worker", "probe"]

@@ -1,0 +1,56 @@
+"""What an engineer reads off data and training residuals before the next move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from asia.agents._view import Facts, Trial
+from asia.ledger import Diagnostics
+
+
+def plateau_share(facts: Facts) -> float:
+    """Largest share over the outputs of samples within 0.5 % of the range from the maximum: a
+    signal that stays there is limited by the system or by its sensor."""
+    y = np.concatenate([r.y for r in facts.records])
+    reach = y.max(axis=0) - 0.005 * (y.max(axis=0) - y.min(axis=0))
+    return float((y >= reach).mean(axis=0).max())
+
+
+def worst(trial: Trial, read: Callable[[Diagnostics], float]) -> float:
+    """The largest value of a diagnostic over the folds; 0 without evidence."""
+    return max((read(d) for d in trial.diagnostics), default=0.0)
+
+
+def overfit(trial: Trial) -> float:
+    """V over the training error: far above 1 the model has learned its own fold."""
+    train = trial.train_error
+    if trial.value is None or not train:
+        return 1.0
+    return trial.value / train
+
+
+def coloured(trial: Trial) -> bool:
+    """The residual is far from white: dynamics are missing."""
+    return worst(trial, lambda d: d.whiteness) > 0.5
+
+
+def biased(trial: Trial) -> bool:
+    """The mean residual is not small."""
+    return worst(trial, lambda d: d.bias) > 0.03
+
+
+def fails_on_top(trial: Trial) -> bool:
+    """Errors gather where the output is highest."""
+    return worst(trial, lambda d: d.top_error) > 1.3
+
+
+def input_left(trial: Trial) -> bool:
+    """The input still explains part of the residual."""
+    return worst(trial, lambda d: d.input_correlation) > 0.25
+
+
+def curved(trial: Trial) -> bool:
+    """The residual goes with the square of the output: a static nonlinearity is missing."""
+    return worst(trial, lambda d: d.curvature) > 0.25

@@ -1,0 +1,125 @@
+"""The default agent: an engineer's habits, deterministic, no language model.
+
+Explore: one configuration of each family that suits the problem, the cheapest insight first.
+Refine: of all moves on the best trials of the best families, the one with the most weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from asia.agents._library import Family, families, family
+from asia.agents._moves import MOVES, Case, Move
+from asia.agents._recipe import Recipe, read_recipe
+from asia.agents._view import AgentView, Proposal, Trial
+
+REPEAT = 0.4
+BEHIND = 0.5
+UNTRIED = 0.3
+
+
+@dataclass(frozen=True)
+class _Option:
+    weight: float
+    proposal: Proposal
+
+
+class ExpertAgent:
+    """Ladder of families, then refinement by moves chosen from training-side evidence."""
+
+    @property
+    def name(self) -> str:
+        """`expert`."""
+        return "expert"
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        """The next rung of the ladder, or the move with the most weight; None when all known."""
+        if view.phase == "explore":
+            rung = self._rung(view)
+            if rung is not None:
+                return rung
+        options = [*_refinements(view), *_untried(view)]
+        if not options:
+            return None
+        return max(options, key=lambda o: o.weight).proposal
+
+    def _rung(self, view: AgentView) -> Proposal | None:
+        return next((o.proposal for o in _untried(view)), None)
+
+
+def _untried(view: AgentView) -> list[_Option]:
+    """First configurations of families that no trial has used, in the library's order."""
+    used = {t.family for t in view.trials}
+    rows = [row for row in families(view.facts) if row.name not in used]
+    options: list[_Option] = []
+    for row in rows:
+        proposal = _first(row, view)
+        if not view.is_known(proposal.source):
+            options.append(_Option(UNTRIED, proposal))
+    return options
+
+
+def _first(row: Family, view: AgentView) -> Proposal:
+    recipe = row.start(view.facts)
+    return Proposal(
+        source=recipe.source(f"{row.label.capitalize()}: {row.use}."),
+        family=row.name,
+        title=row.label,
+        hypothesis=f"{row.label.capitalize()}: {row.use}.",
+        expected="A first value for this family, to compare with the others.",
+    )
+
+
+def _refinements(view: AgentView) -> list[_Option]:
+    """Every applicable move on the best trial of each of the two best families."""
+    options: list[_Option] = []
+    seen: set[str] = set()
+    best = view.best
+    for trial in view.ranked:
+        recipe = read_recipe(trial.source)
+        if recipe is None or recipe.family in seen or best is None:
+            continue
+        seen.add(recipe.family)
+        share = _share(trial, best, leader=len(seen) == 1)
+        for move in MOVES:
+            option = _option(view, Case(view.facts, trial, recipe), move, share)
+            if option is not None:
+                options.append(option)
+    return options
+
+
+def _share(trial: Trial, best: Trial, *, leader: bool) -> float:
+    """1 for the leading family, less the further another family is behind."""
+    if leader or trial.value is None or best.value is None:
+        return 1.0
+    return BEHIND * (best.value / trial.value) ** 2
+
+
+def _option(view: AgentView, case: Case, move: Move, share: float) -> _Option | None:
+    if case.recipe.family not in move.families:
+        return None
+    weight = share * move.weight(case)
+    if weight <= 0:
+        return None
+    recipe = move.change(case)
+    row = family(case.recipe.family)
+    label = row.label if row else case.recipe.family
+    source = recipe.source(_summary(label, recipe))
+    if view.is_known(source):
+        return None
+    title = f"{label}: {move.name}"
+    before = [t for t in view.trials if t.title == title and t.status != "keep"]
+    proposal = Proposal(
+        source=source,
+        family=case.recipe.family,
+        title=title,
+        hypothesis=move.hypothesis,
+        expected=move.expected,
+        parent=case.trial.number,
+    )
+    return _Option(weight * REPEAT ** len(before), proposal)
+
+
+def _summary(label: str, recipe: Recipe) -> str:
+    settings = ", ".join(f"{k} {v}" for k, v in recipe.config) or "plain"
+    return f"{label.capitalize()}: {settings}."

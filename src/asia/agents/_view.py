@@ -1,0 +1,110 @@
+"""What an agent sees of a search, and what it answers.
+
+No measured time, no validation outputs, no test: an agent decides from V per fold, status, the
+candidates' logs and training-side residual analysis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+from asia.ledger import Diagnostics, Phase, Status
+from asia.problem import Physics, Signal, Trajectory
+
+
+@dataclass(frozen=True)
+class Facts:
+    """The problem as an agent may know it. `records` are the training trajectories; in
+    cross-validation each is some fold's answer, which no agent needs to abuse."""
+
+    description: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    sampling_time: float
+    records: tuple[Trajectory, ...] = field(repr=False)
+    past: int
+    physics: Physics | None = None
+
+    @property
+    def samples(self) -> int:
+        """Training samples in all records."""
+        return sum(len(r) for r in self.records)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An evaluated experiment. `value` and `folds` are None and () when there is no score."""
+
+    number: int
+    parent: int | None
+    phase: Phase
+    family: str
+    title: str
+    hypothesis: str
+    expected: str
+    source: str = field(repr=False)
+    status: Status
+    value: float | None
+    folds: tuple[float, ...]
+    failure: str | None
+    diagnostics: tuple[Diagnostics, ...]
+    curves: tuple[tuple[tuple[float, float], ...], ...] = field(default=(), repr=False)
+
+    @property
+    def train_error(self) -> float | None:
+        """Mean over folds of the normalised training error."""
+        if not self.diagnostics:
+            return None
+        return sum(d.train_error for d in self.diagnostics) / len(self.diagnostics)
+
+
+@dataclass(frozen=True)
+class AgentView:
+    """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
+    normalised source was tried."""
+
+    facts: Facts
+    seed: int
+    phase: Literal["explore", "refine"]
+    trials: tuple[Trial, ...]
+    remaining: int
+    is_known: Callable[[str], bool] = field(repr=False)
+
+    @property
+    def ranked(self) -> tuple[Trial, ...]:
+        """Scored trials, best first."""
+        scored = [(t.value, t.number, t) for t in self.trials if t.value is not None]
+        return tuple(t for _, _, t in sorted(scored, key=lambda item: item[:2]))
+
+    @property
+    def best(self) -> Trial | None:
+        """The incumbent."""
+        return self.ranked[0] if self.ranked else None
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A candidate with its reasons. `expected` says, before the fact, what should happen;
+    `parent` is the experiment it was made from."""
+
+    source: str
+    family: str
+    title: str
+    hypothesis: str
+    expected: str
+    parent: int | None = None
+
+
+class Agent(Protocol):
+    """Proposes candidates. Must be a function of the view alone, so that a search resumes."""
+
+    @property
+    def name(self) -> str:
+        """Short name, part of the run's name."""
+        ...
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        """The next candidate, or None when there is nothing left to try."""
+        ...

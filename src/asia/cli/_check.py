@@ -1,0 +1,36 @@
+"""asia check: what was understood of a problem."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, Runs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("check")(check)
+
+
+def check(
+    problem: Annotated[str, typer.Argument(help="Built-in name, or a directory.")],
+    runs: Runs = DEFAULT_RUNS,
+    draw: Annotated[bool, typer.Option(help="Draw the training data.")] = True,
+) -> None:
+    """Print what was understood of a problem, and draw its data."""
+    from asia.problem.load import check_problem, load_problem
+    from asia.protocol._sealed import seal
+    from asia.report import draw_problem
+    from asia.search import check_baseline
+
+    loaded = load_problem(problem)
+    check_baseline(loaded)
+    for line in check_problem(loaded, seal(loaded)).lines():
+        print(line)
+    if draw:
+        for path in draw_problem(loaded, Path(runs) / "check" / loaded.name):
+            if path.suffix == ".png":
+                print(f"picture  {path}")

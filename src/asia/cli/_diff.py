@@ -1,0 +1,41 @@
+"""asia diff: two experiments beside each other."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Annotated
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, MORE, Runs
+from asia.cli._show import split_arguments
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("diff", rich_help_panel=MORE)(diff)
+
+
+def diff(
+    words: Annotated[list[str], typer.Argument(metavar="[RUN] N M", help="Two experiments.")],
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """What changed in the source from experiment N to M, and what it did to V."""
+    from rich.console import Console
+    from rich.text import Text
+
+    from asia.errors import UserError
+    from asia.ledger import describe_result, find_run, open_run
+
+    name, numbers = split_arguments(words, 2)
+    if len(numbers) != 2:
+        raise UserError("diff needs two experiment numbers: asia diff [RUN] N M")
+    opened = open_run(find_run(runs, name))
+    first, second = (opened.view.experiment(n) for n in numbers)
+    console = Console(highlight=False)
+    for e in (first, second):
+        console.print(f"#{e.number:02d} {e.proposed.title}: {describe_result(e)}", markup=False)
+    a, b = (opened.store.text(e.proposed.source).splitlines() for e in (first, second))
+    colours = {"+": "green", "-": "red", "@": "cyan"}
+    for line in difflib.unified_diff(a, b, f"#{first.number}", f"#{second.number}", lineterm=""):
+        console.print(Text(line, style=colours.get(line[:1], "")))

@@ -1,0 +1,221 @@
+"""What a person watches while a search runs: a line an experiment, a live footer on a terminal."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from rich.console import Console
+from rich.status import Status as Spinner
+from rich.text import Text
+
+from asia import __version__
+from asia.cli._format import duration, event_object, experiment_line, rung_value, stop_words
+from asia.ledger import (
+    Evaluated,
+    Event,
+    Extended,
+    Refitted,
+    RungScored,
+    SearchView,
+)
+from asia.problem.load import Problem
+from asia.search import Prepared
+
+STYLES = {"keep": "bold green", "discard": "dim", "crash": "red", "timeout": "yellow"}
+
+
+class Display(Protocol):
+    """Listens to a search."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+    def on_start(self, view: SearchView) -> None:
+        """The run directory is open; `view` is what it holds so far."""
+        ...
+
+    def on_event(self, event: Event, view: SearchView) -> None:
+        """An event was recorded."""
+        ...
+
+    def finish(self, view: SearchView, pictures: Sequence[Path]) -> None:
+        """The search has ended."""
+        ...
+
+
+def make_display(problem: Problem, prepared: Prepared, *, json: bool) -> Display:
+    """JSON lines, or text for people."""
+    return JsonDisplay() if json else TextDisplay(problem, prepared)
+
+
+@dataclass
+class JsonDisplay:
+    """JSON lines on stdout: `start`, one object an event, `done`."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        return
+
+    def on_start(self, view: SearchView) -> None:
+        """Print `start`."""
+        _print_json({"event": "start", "run": view.started.run, "problem": view.started.problem})
+
+    def on_event(self, event: Event, view: SearchView) -> None:
+        """Print the event."""
+        _print_json(event_object(event, view))
+
+    def finish(self, view: SearchView, pictures: Sequence[Path]) -> None:
+        """Print `done`."""
+        best = view.best
+        _print_json(
+            {
+                "event": "done",
+                "run": view.started.run,
+                "experiments": len(view.finished),
+                "best": None
+                if best is None or best.score is None
+                else {"experiment": best.number, "V": best.score.value},
+                "pictures": [str(p) for p in pictures],
+            }
+        )
+
+
+@dataclass
+class TextDisplay:
+    """Lines for people; a live footer when stdout is a terminal."""
+
+    problem: Problem
+    prepared: Prepared
+    console: Console = field(default_factory=lambda: Console(highlight=False, soft_wrap=True))
+    footer: Spinner | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self.footer is not None:
+            self.footer.stop()
+
+    def on_start(self, view: SearchView) -> None:
+        """Say what is searched and how well it is isolated; repeat what is there already."""
+        start, problem = view.started, self.problem
+        samples = sum(len(r) for r in problem.train)
+        self._print(
+            f"ASIA {__version__}  run {start.run}  problem {problem.name}  "
+            f"u:{len(problem.inputs)} y:{len(problem.outputs)}  N={samples}  "
+            f"Ts={problem.sampling_time:g} s  isolation {start.isolation}"
+        )
+        sealed = f"sealed sha256:{start.test_digest[:8]}" if start.test_digest else "none"
+        self._print(
+            f"agent {start.agent}  seed {start.seed}  {problem.protocol.folds.count} folds  "
+            f"V = normalised simulation {problem.protocol.metric.upper()}  test {sealed}"
+        )
+        for note in start.isolation_notes:
+            self._print(f"note    {note}", style="dim")
+        if view.experiments:
+            self._print(f"resumed after {len(view.finished)} of {view.budget} experiments")
+        for rung in view.rungs:
+            self._rung(rung)
+        for experiment in view.finished:
+            self._experiment(experiment.number, view)
+        if self.console.is_terminal:
+            self.footer = self.console.status("")
+            self.footer.start()
+        self._foot(view)
+
+    def on_event(self, event: Event, view: SearchView) -> None:
+        """Print what a person wants to know of an event."""
+        match event:
+            case RungScored():
+                self._rung(event)
+            case Evaluated():
+                self._experiment(event.experiment, view)
+            case Extended():
+                self._print(f"extended to {event.experiments} experiments")
+            case Refitted():
+                if event.model is None:
+                    self._print(f"the refit on all training data failed: {event.detail}")
+            case _:
+                pass
+        self._foot(view)
+
+    def finish(self, view: SearchView, pictures: Sequence[Path]) -> None:
+        """Say where things are and what to type next."""
+        if self.footer is not None:
+            self.footer.stop()
+        run, best = view.started.run, view.best
+        self._print("")
+        if view.stopped is not None:
+            self._print(f"stopped  {stop_words(view.stopped.reason, view)}")
+        if best is None or best.score is None:
+            self._print("best     none: every candidate failed; asia show says why")
+        else:
+            folds = ", ".join(f"{f.value:.4f}" for f in best.score.folds)
+            self._print(
+                f"best     #{best.number:02d} V={best.score.value:.4f} (folds {folds})  "
+                f"{best.proposed.title}",
+                style="bold",
+            )
+            rungs = " · ".join(f"{r.name} {rung_value(r)}" for r in view.rungs)
+            self._print(f"rungs    {rungs}")
+        self._print(f"files    {self.prepared.directory}/results.tsv, search_journal.md")
+        for picture in pictures:
+            if picture.suffix == ".png":
+                self._print(f"picture  {picture}")
+        self._print(f"next     asia show {run}        the winner: source, folds, evidence")
+        if view.started.test_digest and view.unsealed is None:
+            self._print(f"         asia unseal {run}      score it on the sealed test, once")
+
+    def _experiment(self, number: int, view: SearchView) -> None:
+        experiment = view.experiment(number)
+        assert experiment.result is not None
+        status = experiment.result.status
+        self._print(experiment_line(experiment, view), style=STYLES.get(status, "magenta"))
+
+    def _rung(self, rung: RungScored) -> None:
+        self._print(f"rung    {rung.name:<18} V={rung_value(rung)}", style="cyan")
+
+    def _foot(self, view: SearchView) -> None:
+        if self.footer is None:
+            return
+        doing = "scoring the rungs"
+        if view.stopped is not None:
+            doing = "refitting the winner on all training data"
+        elif view.pending is not None:
+            p = view.pending.proposed
+            doing = f"#{p.experiment:02d} {p.phase}: {p.title}"
+        done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"
+        self.footer.update(Text(f"{done} · {doing}"))
+
+    def _print(self, text: str, style: str = "") -> None:
+        self.console.print(Text(text), style=style)
+        if not self.console.is_terminal:
+            sys.stdout.flush()
+
+
+def _print_json(value: dict[str, Any]) -> None:
+    print(jsonlib.dumps(value, allow_nan=False), flush=True)

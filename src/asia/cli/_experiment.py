@@ -1,0 +1,61 @@
+"""One experiment laid out for a terminal."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from asia.ledger import Experiment, Run, describe_result
+
+
+def describe(console: Console, run: Run, experiment: Experiment) -> None:
+    """Print reasons, result, fold table and training-side evidence."""
+    p, r = experiment.proposed, experiment.result
+    parent = f", made from #{p.parent:02d}" if p.parent else ""
+    console.print(f"[bold]#{p.experiment:02d} {p.title}[/bold]  ({p.family}, {p.phase}{parent})")
+    console.print(f"hypothesis  {p.hypothesis}")
+    console.print(f"expected    {p.expected}")
+    console.print(f"result      {describe_result(experiment)}")
+    if r is None:
+        return
+    console.print(f"decision    {r.status}")
+    if experiment.score:
+        _fold_table(console, run, experiment)
+    if experiment.failure and experiment.failure.detail:
+        console.print("\n[bold]detail[/bold]")
+        console.print(experiment.failure.detail, markup=False)
+    if r.output:
+        tail = run.store.text(r.output).splitlines()[-20:]
+        console.print("\n[bold]printed while fitting (untrusted)[/bold]")
+        for line in tail:
+            console.print(line, markup=False)
+
+
+def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
+    score, result = experiment.score, experiment.result
+    assert score is not None
+    assert result is not None
+    names = run.view.started.outputs
+    table = Table(title="validation and training-side evidence", title_justify="left", box=None)
+    table.add_column("fold", justify="right")
+    for head in ("V", *(f"RMSE {n}" for n in names), *(f"fit % {n}" for n in names)):
+        table.add_column(head, justify="right")
+    for head in ("train", "bias", "white", "u-corr", "top", "start", "fit s"):
+        table.add_column(head, justify="right")
+    for k, (fold, kept) in enumerate(zip(score.folds, result.folds, strict=True), 1):
+        d = kept.diagnostics
+        table.add_row(
+            str(k),
+            f"{fold.value:.4f}",
+            *(f"{v:.4g}" for v in fold.rmse),
+            *(f"{v:.1f}" for v in fold.fit_index),
+            f"{d.train_error:.4f}",
+            f"{d.bias:.3f}",
+            f"{d.whiteness:.2f}",
+            f"{d.input_correlation:.2f}",
+            f"{d.top_error:.2f}",
+            f"{d.start_error:.2f}",
+            f"{kept.fit_seconds:.1f}",
+        )
+    console.print()
+    console.print(table)

@@ -1,0 +1,82 @@
+"""Words and numbers for people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from asia.ledger import Evaluated, Event, Experiment, RungScored, SearchView
+from asia.scoring import Score
+
+
+def duration(seconds: float) -> str:
+    """`7s`, `3m05s` or `1h02m`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole}s"
+    if whole < 3600:
+        return f"{whole // 60}m{whole % 60:02d}s"
+    return f"{whole // 3600}h{whole % 3600 // 60:02d}m"
+
+
+def rung_value(rung: RungScored) -> str:
+    """V of a rung, or why there is none."""
+    outcome = rung.outcome
+    return f"{outcome.value:.4f}" if isinstance(outcome, Score) else outcome.reason.value
+
+
+def experiment_line(experiment: Experiment, view: SearchView) -> str:
+    """`#07 keep  V=0.1310 ... | best #07 0.1310`: one greppable line that ends with the
+    incumbent at that time."""
+    r = experiment.result
+    assert r is not None
+    if experiment.score:
+        worst = min(min(f.fit_index) for f in experiment.score.folds)
+        found = f"V={experiment.score.value:.4f}  fit {worst:5.1f} %"
+    else:
+        found = f"{r.outcome.reason.value if not isinstance(r.outcome, Score) else '':<20}"
+    best = incumbent_at(experiment.number, view)
+    tail = f"best #{best.number:02d} {best.score.value:.4f}" if best and best.score else "best none"
+    title = experiment.proposed.title
+    return (
+        f"#{experiment.number:02d} {r.status:<8}{found:<22}  {duration(r.seconds):>6}  "
+        f"{title:<44} | {tail}"
+    )
+
+
+def incumbent_at(number: int, view: SearchView) -> Experiment | None:
+    """The best experiment after experiment `number`."""
+    kept = [
+        e for e in view.finished if e.number <= number and e.result and e.result.status == "keep"
+    ]
+    return kept[-1] if kept else None
+
+
+def stop_words(reason: str, view: SearchView) -> str:
+    """Why a search ended, in words."""
+    return {
+        "budget": f"the budget of {view.budget} experiments is spent (extend: --experiments)",
+        "saturated": "saturated: the last experiments found nothing better",
+        "exhausted": "the agent has nothing left to try",
+        "hours": "the wall-clock budget is spent",
+    }[reason]
+
+
+def event_object(event: Event, view: SearchView) -> dict[str, Any]:
+    """An event as a flat JSON object for scripts."""
+    if isinstance(event, Evaluated):
+        best = view.best
+        experiment = view.experiment(event.experiment)
+        return {
+            "event": "evaluated",
+            "experiment": event.experiment,
+            "status": event.status,
+            "V": experiment.score.value if experiment.score else None,
+            "reason": experiment.failure.reason.value if experiment.failure else None,
+            "title": experiment.proposed.title,
+            "seconds": round(event.seconds, 3),
+            "best": best.number if best else None,
+        }
+    if isinstance(event, RungScored):
+        value = event.outcome.value if isinstance(event.outcome, Score) else None
+        return {"event": "rung", "name": event.name, "V": value}
+    return {"event": event.event}

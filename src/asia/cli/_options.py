@@ -1,0 +1,18 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Runs = Annotated[
+    Path, typer.Option("--runs", envvar="ASIA_RUNS", help="Directory that holds the runs.")
+]
+RunName = Annotated[
+    str | None, typer.Argument(metavar="[RUN]", help="Path or name; the newest when left out.")
+]
+Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, all else on stderr.")]
+MORE = "More commands"
+DEFAULT_RUNS = Path("runs")

@@ -1,0 +1,21 @@
+"""asia report: pictures of a run."""
+
+from __future__ import annotations
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, RunName, Runs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("report")(report)
+
+
+def report(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
+    """Draw a run as PNG and PDF pictures."""
+    from asia.ledger import find_run
+    from asia.report import write_report
+
+    for path in write_report(find_run(runs, run)):
+        print(path)

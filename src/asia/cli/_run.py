@@ -1,0 +1,67 @@
+"""asia run: search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, Json, Runs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("run")(run)
+
+
+def run(
+    problem: Annotated[
+        str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
+    ] = "two_tanks_sim",
+    agent: Annotated[str, typer.Option(help="Who proposes: expert or random.")] = "expert",
+    experiments: Annotated[
+        int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
+    hours: Annotated[
+        float | None, typer.Option(min=0.0, help="Start no experiment after this many hours.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name of the run; default PROBLEM-AGENT-sSEED.")
+    ] = None,
+    isolation: Annotated[
+        str | None, typer.Option(help="Ask for a level instead of the strongest: process.")
+    ] = None,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Search for a model. The same command again resumes; more --experiments extends."""
+    from asia.agents import make_agent
+    from asia.cli._display import make_display
+    from asia.errors import UserError
+    from asia.problem.load import load_problem
+    from asia.report import write_report
+    from asia.sandbox import Isolation
+    from asia.search import prepare, search
+
+    chosen = make_agent(agent)
+    loaded = load_problem(problem)
+    budget = loaded.budget
+    loaded = replace(
+        loaded,
+        budget=replace(
+            budget,
+            experiments=experiments or budget.experiments,
+            hours=hours if hours is not None else budget.hours,
+        ),
+    )
+    levels = [level.value for level in Isolation]
+    if isolation is not None and isolation not in levels:
+        raise UserError(f"--isolation {isolation}: expected one of {', '.join(levels)}")
+    level = Isolation(isolation) if isolation else None
+    ready = prepare(loaded, chosen.name, seed=seed, runs=runs, name=name, isolation=level)
+    with make_display(loaded, ready, json=json) as display:
+        view = search(ready, chosen, display.on_event, display.on_start)
+        pictures = write_report(ready.directory)
+        display.finish(view, pictures)

@@ -1,0 +1,61 @@
+"""asia show: one experiment, whole."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, Runs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("show")(show)
+
+
+def split_arguments(words: list[str], numbers: int) -> tuple[str | None, list[int]]:
+    """`[RUN] N ...` -> run name or None, and at most `numbers` experiment numbers."""
+    from asia.errors import UserError
+
+    name = words[0] if words and not words[0].isdecimal() else None
+    rest = words[1:] if name is not None else words
+    if not all(w.isdecimal() for w in rest) or len(rest) > numbers:
+        raise UserError(f"expected [RUN] and up to {numbers} experiment number(s), got: {words}")
+    return name, [int(w) for w in rest]
+
+
+def show(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[RUN] [N]", help="Run (newest) and experiment (the best)."),
+    ] = None,
+    source: Annotated[bool, typer.Option("--source", help="Print candidate.py alone.")] = False,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """An experiment: hypothesis, what happened, evidence, source."""
+    from rich.console import Console
+    from rich.syntax import Syntax
+
+    from asia.cli._experiment import describe
+    from asia.errors import UserError
+    from asia.ledger import find_run, open_run
+
+    name, numbers = split_arguments(words or [], 1)
+    opened = open_run(find_run(runs, name))
+    best = opened.view.best
+    if not numbers and best is None:
+        raise UserError("no experiment has a score yet; name one: asia show [RUN] N")
+    number = numbers[0] if numbers else best.number if best else 1
+    experiment = opened.view.experiment(number)
+    text = opened.store.text(experiment.proposed.source)
+    if source:
+        print(text, end="")
+        return
+    console = Console(highlight=False)
+    describe(console, opened, experiment)
+    console.print("\n[bold]candidate.py[/bold]")
+    if console.is_terminal:
+        console.print(Syntax(text, "python", background_color="default"))
+    else:
+        print(text)

@@ -1,0 +1,56 @@
+"""asia status: where a run stands."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from typing import Any
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("status")(status)
+
+
+def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
+    """Where a run stands: state, experiments, best so far."""
+    from asia.cli._format import duration, experiment_line, rung_value
+    from asia.ledger import find_run, open_run
+
+    opened = open_run(find_run(runs, run))
+    view, best = opened.view, opened.view.best
+    if json:
+        answer: dict[str, Any] = {
+            "run": view.started.run,
+            "problem": view.started.problem,
+            "agent": view.started.agent,
+            "seed": view.started.seed,
+            "state": opened.state,
+            "experiments": len(view.finished),
+            "budget": view.budget,
+            "isolation": view.started.isolation,
+            "best": {"experiment": best.number, "V": best.score.value}
+            if best and best.score
+            else None,
+            "rungs": {
+                r.name: float(rung_value(r)) if hasattr(r.outcome, "value") else None
+                for r in view.rungs
+            },
+        }
+        print(jsonlib.dumps(answer, allow_nan=False))
+        return
+    print(
+        f"run {view.started.run}  problem {view.started.problem}  agent {view.started.agent}  "
+        f"seed {view.started.seed}  isolation {view.started.isolation}"
+    )
+    print(
+        f"{opened.state}: {len(view.finished)} of {view.budget} experiments in "
+        f"{duration(view.seconds)}"
+    )
+    for rung in view.rungs:
+        print(f"rung    {rung.name:<18} V={rung_value(rung)}")
+    for experiment in view.finished:
+        print(experiment_line(experiment, view))

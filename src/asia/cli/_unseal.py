@@ -1,0 +1,91 @@
+"""asia unseal: open the test, once."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
+from asia.ledger import TestRecord, Unsealed
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("unseal")(unseal)
+
+
+def unseal(
+    run: RunName = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Score the winner on the sealed test. This ends the search and can be done once."""
+    from asia.errors import UserError
+    from asia.ledger import find_run, open_run
+    from asia.report import write_report
+    from asia.search import unseal as open_seal
+
+    directory = find_run(runs, run)
+    opened = open_run(directory)
+    if opened.view.unsealed is None and not yes:
+        if not sys.stdin.isatty():
+            raise UserError("unseal asks for the run's name; in a script give --yes")
+        print(
+            f"This opens the sealed test of run {opened.name} and ends its search, for good.",
+            file=sys.stderr,
+        )
+        if typer.prompt("Type the run's name to go on", err=True) != opened.name:
+            raise UserError("the name does not match; nothing was opened")
+    result = open_seal(directory)
+    pictures = write_report(directory)
+    if not result.first_time:
+        print("already unsealed: this is the first and only result", file=sys.stderr)
+    if json:
+        print(jsonlib.dumps(_as_object(result.record), allow_nan=False))
+        return
+    _print_text(result.record)
+    for picture in pictures:
+        if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
+            print(f"picture  {picture}")
+
+
+def _as_object(record: Unsealed) -> dict[str, Any]:
+    answer: dict[str, Any] = {
+        "test": _scores(record, record.ensemble),
+        "experiment": record.experiment,
+        "skip": record.skip,
+    }
+    if record.refit is not None:
+        answer["refit"] = _scores(record, record.refit)
+    return answer
+
+
+def _scores(record: Unsealed, model: TestRecord) -> dict[str, Any]:
+    """The first metric's detail beside the value of every metric."""
+    first = model.scores[0]
+    return {
+        **{score.metric: score.value for score in model.scores},
+        "per_channel": dict(zip(record.channels, first.per_channel, strict=True)),
+        "per_trajectory": dict(zip(record.trajectories, first.per_trajectory, strict=True)),
+    }
+
+
+def _print_text(record: Unsealed) -> None:
+    print(f"sealed test, experiment #{record.experiment:02d}, {record.skip} samples skipped")
+    models = [("ensemble of the fold models", record.ensemble)]
+    if record.refit is not None:
+        models.append(("refit on all training data", record.refit))
+    for title, model in models:
+        for score in model.scores:
+            channels = ", ".join(
+                f"{name} {value:.4g}"
+                for name, value in zip(record.channels, score.per_channel, strict=True)
+            )
+            print(f"{title:<28} {score.metric.upper()} {score.value:.4f}  ({channels})")
+            if len(score.per_trajectory) > 1:
+                for name, value in zip(record.trajectories, score.per_trajectory, strict=True):
+                    print(f"    {name:<24} {value:.4f}")

@@ -1,0 +1,117 @@
+"""Grey-box: the problem's differential equations in physical units, fitted to the records.
+
+model = greybox.build(greybox.Config(saturation=("x1",), spill=True), context)
+model = greybox.train(model, trajectories, context, LevenbergMarquardt(iterations=60, starts=8))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+
+from asia.candidate import Context
+from asia.models._greybox_config import Config, Range, Structure
+from asia.models._greybox_fit import Fitted, cut_segments, fit
+from asia.models._greybox_simulate import effects, simulator
+from asia.models._lm import LevenbergMarquardt
+from asia.models._ode import equations
+from asia.problem import Array, Bounds, Trajectory
+
+__all__ = ["Config", "GreyBox", "build", "train"]
+
+
+@dataclass(frozen=True)
+class GreyBox:
+    """A grey-box model; `fitted` is None until it is trained."""
+
+    structure: Structure
+    fitted: Fitted | None = None
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Open-loop simulation in physical units.
+
+        past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> y_hat (B, H, ny).
+        The initial state is estimated from the past window. Always finite for finite input.
+        Raises ValueError when the model is not trained or a past window has another length.
+        """
+        fitted = self._trained()
+        expected = (self.structure.n_past_u, self.structure.n_past_y)
+        if (past_u.shape[1], past_y.shape[1]) != expected:
+            raise ValueError(
+                f"grey-box: past windows of {past_u.shape[1]} and {past_y.shape[1]} samples, "
+                f"trained with {expected[0]} and {expected[1]}"
+            )
+        with jax.enable_x64(True):
+            run = simulator(self.structure)
+            y = run(fitted.z, fitted.scales, fitted.prior, past_u, past_y, u)
+            return np.asarray(y, dtype=np.float64)
+
+    def parameters(self) -> dict[str, float]:
+        """Physical parameters, and those of the additions that have a physical meaning: limits
+        of states, spilled fractions, offsets of outputs and delays in samples."""
+        fitted, config = self._trained(), self.structure.config
+        system = self.structure.equations
+        with jax.enable_x64(True):
+            effect = jax.device_get(effects(self.structure, fitted.scales, fitted.z))
+        report = dict(zip(system.parameters, effect.parameters, strict=True))
+        for i, name in enumerate(system.states):
+            if name in config.saturation:
+                report[f"{name} limit"] = effect.limits[i]
+                if config.spill:
+                    report[f"{name} spilled fraction"] = effect.spill[i]
+        for i, name in enumerate(system.outputs):
+            if name in config.offset and name not in system.states:
+                report[f"{name} offset"] = effect.output_offset[i]
+        if config.input_delay:
+            report |= {f"{n} delay": d for n, d in zip(system.inputs, effect.delay, strict=True)}
+        return {name: float(value) for name, value in report.items()}
+
+    def _trained(self) -> Fitted:
+        if self.fitted is None:
+            raise ValueError("grey-box: the model is not trained; call greybox.train first")
+        return self.fitted
+
+
+def build(config: Config, context: Context) -> GreyBox:
+    """The untrained model. Raises ValueError when the problem has no physics or the config names
+    an unknown state or output, UserError when the physics do not fit the signals."""
+    physics = context.physics
+    if physics is None:
+        raise ValueError(
+            "grey-box: the problem has no [physics]; give states and dynamics, or use a black-box "
+            "family"
+        )
+    bounds = [physics.bounds.get(name, Bounds()) for name in physics.states]
+    names = [signal.name for signal in context.inputs], [signal.name for signal in context.outputs]
+    structure = Structure(
+        equations=equations(physics, *names),
+        config=config,
+        ranges=tuple(Range(span.min, span.max) for span in physics.parameters.values()),
+        low=tuple(-np.inf if b.min is None else float(b.min) for b in bounds),
+        high=tuple(np.inf if b.max is None else float(b.max) for b in bounds),
+        sampling_time=context.sampling_time,
+        n_past_u=context.n_past_u,
+        n_past_y=context.n_past_y,
+    )
+    return GreyBox(structure)
+
+
+def train(
+    model: GreyBox,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt,
+) -> GreyBox:
+    """The model fitted to the simulation error of whole records (with a horizon: of windows).
+
+    Initial states of the records are estimated with the parameters. Logs the cost, which is the
+    mean squared normalised error plus the ridge.
+    """
+    segments = cut_segments(model.structure, trajectories, context.horizon)
+    fitted = fit(model.structure, segments, method, context.seed)
+    for step in np.unique(np.linspace(0, len(fitted.history) - 1, 20).round().astype(int)):
+        context.log(float(step), float(fitted.history[step]))
+    return replace(model, fitted=fitted)

@@ -1,0 +1,158 @@
+"""Neural state-space model that starts as the best linear one.
+
+x[k+1] = A x + B u + f(x, u),  y = C x + D u + g(x, u), or the same with a static function before
+the linear system (Hammerstein), after it (Wiener) or both, or with f and g acting through a few
+channels only (a static function in feedback with a linear system). The functions are small
+networks or polynomials whose last layer starts at zero. Sources: Schoukens, Improved
+initialization of state-space artificial neural networks, ECC 2021; Paduart et al., Automatica
+46(4), 2010 (polynomials).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models import linear
+from asia.models._encoder import Encoder, fit_encoder
+from asia.models._linear_fit import LinearFit, Refinement
+from asia.models._records import Record, check, past_length, scaled, window, windows
+from asia.models._scaling import Scaling
+from asia.models._state_fit import fit_states
+from asia.models._structure import Basis, Nonlinearity, Structure
+from asia.models.methods import Adam, LevenbergMarquardt
+from asia.problem import Array, Trajectory
+
+
+@dataclass(frozen=True)
+class Config:
+    """order: states, None takes the order of the best linear model but at least 2; nonlinearity:
+    where the static functions are; channels: None, or through how many signals f and g act;
+    basis, hidden (units of the tanh layer), degree (of the polynomial); ridge: weight, against
+    the mean squared error in z-scores, of the squared distance of the nonlinear weights from
+    their start; linear_ridge: the same for A, B, C, D; delay: as in `linear.Config`."""
+
+    order: int | None = None
+    nonlinearity: Nonlinearity = "state"
+    channels: int | None = None
+    basis: Basis = "tanh"
+    hidden: int = 8
+    degree: int = 3
+    ridge: float = 1e-5
+    linear_ridge: float = 1e-7
+    delay: int | None = 0
+
+    def __post_init__(self) -> None:
+        if self.hidden < 1 or self.degree < 2 or (self.order or 1) < 1:
+            raise UserError("neural_ss.Config: order and hidden must be >= 1, degree >= 2")
+        if self.channels is not None and (self.channels < 1 or self.nonlinearity != "state"):
+            raise UserError(
+                "neural_ss.Config: channels must be >= 1 and go with nonlinearity state"
+            )
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What training found; params as `Structure` reads them, in z-scores."""
+
+    structure: Structure
+    params: dict[str, Any]
+    delay: int
+    scaling: Scaling
+    encoder: Encoder
+
+
+@dataclass(frozen=True)
+class NeuralStateSpace:
+    """Neural state-space model; `fitted` is None before training."""
+
+    config: Config
+    fitted: Fitted | None = None
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
+        (B, H, ny). Raises UserError before training."""
+        if self.fitted is None:
+            raise UserError("neural state-space model: not trained yet; call train first")
+        f = self.fitted
+        past, future = linear.delayed(f.scaling.inputs(past_u), f.scaling.inputs(u), f.delay)
+        x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
+        with np.errstate(all="ignore"):
+            _, y = f.structure.simulate(f.params, x0, future)
+        return f.scaling.physical(y)
+
+
+def build(config: Config, context: Context) -> NeuralStateSpace:
+    """An untrained model."""
+    del context
+    return NeuralStateSpace(config)
+
+
+def train(
+    model: NeuralStateSpace,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt | Adam,
+) -> NeuralStateSpace:
+    """Fits the linear model, then all parameters to the simulation error of all records.
+
+    Levenberg-Marquardt suits short records and few parameters (its Jacobian takes samples x
+    outputs x parameters numbers); `method.starts` initialisations are tried and the lowest
+    training cost wins. Raises UserError for records too short or mis-shaped.
+    """
+    check(trajectories, context)
+    scaling = Scaling.of(trajectories)
+    records = scaled(trajectories, scaling)
+    found, delay = _linear_start(records, context, model.config)
+    late = [linear.shifted(r, delay) for r in records]
+    c = model.config
+    structure = Structure(
+        found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
+        c.channels,
+    )  # fmt: skip
+    fitted = Fitted(structure, {}, delay, scaling, Encoder(np.zeros((0, 0)), np.zeros(0)))
+    if isinstance(method, Adam):
+        raise NotImplementedError
+    return replace(model, fitted=_by_lm(fitted, c, found, late, context, method))
+
+
+def _linear_start(
+    records: Sequence[Record], context: Context, config: Config
+) -> tuple[LinearFit, int]:
+    choice = linear.Config(order=config.order, delay=config.delay)
+    found, delay = linear.fit_records(records, context, choice, Refinement())
+    if config.order is None and found.system.order < 2:
+        choice = replace(choice, order=2, delay=delay)
+        found, delay = linear.fit_records(records, context, choice, Refinement())
+    return found, delay
+
+
+def _by_lm(
+    fitted: Fitted,
+    config: Config,
+    found: LinearFit,
+    records: Sequence[Record],
+    context: Context,
+    method: LevenbergMarquardt,
+) -> Fitted:
+    structure = fitted.structure
+    rng = np.random.default_rng(context.seed)
+    starts = [structure.start(found.system, rng) for _ in range(method.starts)]
+    ridge = dict.fromkeys(("a", "b", "c", "d", "offset"), config.linear_ridge)
+    ridge |= dict.fromkeys(("f", "s", "r", "read", "act"), config.ridge)
+    ridge["x0"] = found.error / sum(len(r) for r in records)
+    params, x0, history = fit_states(structure, starts, found.x0, records, ridge, method)
+    for i, loss in enumerate(history):
+        context.log(i, float(loss))
+    states = [
+        structure.simulate(params, x[None], r.u[None])[0][0]
+        for x, r in zip(x0, records, strict=True)
+    ]
+    skip = past_length(context)
+    encoder = fit_encoder([windows(r, context) for r in records], [x[skip:] for x in states])
+    return replace(fitted, params=params, encoder=encoder)

@@ -1,0 +1,137 @@
+"""Recurrent networks: vanilla RNN, GRU, LSTM, in layers.
+
+The state before the first sample comes from the past window through a small network; the output
+is linear in the last layer's state and in the input. Sources: Cho et al., EMNLP 2014 (GRU);
+Hochreiter and Schmidhuber, Neural Computation 9(8), 1997 (LSTM).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models._network import (
+    NetworkModel,
+    dense,
+    linear_output,
+    train_network,
+    window_size,
+    zeros,
+)
+from asia.models.methods import Adam
+from asia.problem import Trajectory
+
+_GATES = {"rnn": 1, "gru": 3, "lstm": 4}
+
+
+@dataclass(frozen=True)
+class Config:
+    """cell; hidden: units a layer; layers; encoder: units of the initial-state network."""
+
+    cell: Literal["rnn", "gru", "lstm"] = "gru"
+    hidden: int = 32
+    layers: int = 1
+    encoder: int = 32
+
+    def __post_init__(self) -> None:
+        if self.cell not in _GATES:
+            raise UserError(f"recurrent.Config: cell is '{self.cell}', expected rnn, gru or lstm")
+        if min(self.hidden, self.layers, self.encoder) < 1:
+            raise UserError("recurrent.Config: hidden, layers and encoder must be at least 1")
+
+
+@dataclass(frozen=True)
+class RecurrentCell:
+    """Structure of the network: see `asia.models._network.Cell`."""
+
+    config: Config
+
+    def initial(self, params: Any, window: jax.Array) -> Any:
+        """One (h, c) for each layer; c is used by the LSTM alone."""
+        inner = jnp.tanh(window @ params["enc_w1"] + params["enc_b1"])
+        start = jnp.tanh(inner @ params["enc_w2"] + params["enc_b2"])
+        parts = jnp.split(start, 2 * self.config.layers, axis=-1)
+        return [(parts[2 * i], parts[2 * i + 1]) for i in range(self.config.layers)]
+
+    def step(self, params: Any, state: Any, u: jax.Array) -> tuple[Any, jax.Array]:
+        """Each layer reads the one below."""
+        signal, result = u, []
+        for layer, (h, c) in zip(params["layers"], state, strict=True):
+            h, c = self._layer(layer, h, c, signal)
+            result.append((h, c))
+            signal = h
+        return result, signal
+
+    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+        """Linear in the last layer's h and in u."""
+        return linear_output(params, features, u)
+
+    def _layer(
+        self, p: Any, h: jax.Array, c: jax.Array, u: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        drive = u @ p["u"] + p["b"]
+        if self.config.cell == "rnn":
+            return jnp.tanh(drive + h @ p["h"]), c
+        parts = jnp.split(drive, _GATES[self.config.cell], axis=-1)
+        back = jnp.split(h @ p["h"], _GATES[self.config.cell], axis=-1)
+        if self.config.cell == "gru":
+            reset = jax.nn.sigmoid(parts[0] + back[0])
+            keep = jax.nn.sigmoid(parts[1] + back[1])
+            return keep * h + (1 - keep) * jnp.tanh(parts[2] + reset * back[2]), c
+        write, keep, read, new = (a + b for a, b in zip(parts, back, strict=True))
+        c = jax.nn.sigmoid(keep) * c + jax.nn.sigmoid(write) * jnp.tanh(new)
+        return jax.nn.sigmoid(read) * jnp.tanh(c), c
+
+
+def build(config: Config, context: Context) -> NetworkModel:
+    """An untrained network initialised from `context.seed`."""
+    rng = np.random.default_rng(context.seed)
+    hidden, gates = config.hidden, _GATES[config.cell]
+    layers = [
+        {
+            "u": dense(rng, context.nu if i == 0 else hidden, gates * hidden),
+            "h": np.concatenate([_orthogonal(rng, hidden) for _ in range(gates)], axis=1),
+            "b": _memory(rng, config),
+        }
+        for i in range(config.layers)
+    ]
+    params = {
+        "enc_w1": dense(rng, window_size(context), config.encoder),
+        "enc_b1": zeros(config.encoder),
+        "enc_w2": dense(rng, config.encoder, 2 * config.layers * hidden, gain=0.5),
+        "enc_b2": zeros(2 * config.layers * hidden),
+        "layers": layers,
+        "out_w": zeros(hidden + context.nu, context.ny),
+        "out_b": zeros(context.ny),
+    }
+    return NetworkModel(RecurrentCell(config), params)
+
+
+def train(
+    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: Adam
+) -> NetworkModel:
+    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
+    return train_network(model, trajectories, context, method)
+
+
+def _orthogonal(rng: np.random.Generator, size: int) -> np.ndarray[Any, np.dtype[np.float32]]:
+    q, r = np.linalg.qr(rng.standard_normal((size, size)))
+    return (0.9 * q * np.sign(np.diag(r))).astype(np.float32)
+
+
+def _memory(rng: np.random.Generator, config: Config) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """Biases; those of the gate that keeps the state spread the memory over 1 to 100 samples
+    (chrono initialisation, Tallec and Ollivier, ICLR 2018)."""
+    bias = np.zeros(_GATES[config.cell] * config.hidden, np.float32)
+    if config.cell != "rnn":
+        bias[config.hidden : 2 * config.hidden] = np.log(
+            np.exp(rng.uniform(0.0, np.log(100.0), config.hidden)) + 1e-3
+        )
+    return bias

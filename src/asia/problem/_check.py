@@ -1,0 +1,275 @@
+"""What ASIA understood of a problem, and what looks doubtful in its data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from asia.problem._digest import data_digest, protocol_digest
+from asia.problem._problem import Problem, Seal
+from asia.problem._types import Array, Signal, Trajectory
+
+_ORDER = 50
+_ORDER_SAMPLES = 10_000
+_STUCK = 0.01
+_OVERSAMPLED = 0.005
+_TOGETHER = 0.999
+
+
+@dataclass(frozen=True)
+class SignalCheck:
+    """One channel over all training samples, in its unit.
+
+    at_minimum, at_maximum: share of samples at the extreme values, 0 to 1. bandwidth: frequency
+    in Hz below which 99 % of the power lies, the mean apart; bandwidth_share: the same over the
+    Nyquist frequency. excitation_order: numerical rank (to 1e-9) of the covariance of 50
+    successive samples, the order of persistent excitation as far as noise lets it count.
+    """
+
+    signal: Signal
+    role: Literal["input", "output"]
+    minimum: float
+    maximum: float
+    mean: float
+    std: float
+    at_minimum: float
+    at_maximum: float
+    bandwidth: float
+    bandwidth_share: float
+    excitation_order: int
+
+
+@dataclass(frozen=True)
+class RecordCheck:
+    """A training record."""
+
+    name: str
+    samples: int
+    seconds: float
+    sha256: str
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Samples first..last of a record, 1-based and inclusive."""
+
+    record: str
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class FoldCheck:
+    """What one fold holds out; `training_samples` are left to train on."""
+
+    number: int
+    held_out: tuple[HeldOut, ...]
+    training_samples: int
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """Everything `asia check` says, as data."""
+
+    problem: Problem
+    seal: Seal
+    signals: tuple[SignalCheck, ...]
+    records: tuple[RecordCheck, ...]
+    folds: tuple[FoldCheck, ...]
+    protocol_sha256: str
+    physics: str | None
+    warnings: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """The report as plain text."""
+        p = self.problem
+        rule = p.protocol
+        past = f"{rule.past_inputs} input and {rule.past_outputs} output samples"
+        return [
+            f"problem {p.name}, sampled every {p.sampling_time:g} s",
+            *(_signal_line(s) for s in self.signals),
+            *(f"record {r.name}: {r.samples} samples, {r.seconds:g} s" for r in self.records),
+            "missing values: none (a record with one is refused)",
+            *(_fold_line(f) for f in self.folds),
+            f"past window: {past}; metric {rule.metric}, normalised; "
+            f"protocol {self.protocol_sha256[:12]}",
+            *_seal_lines(self.seal, rule.test.skip),
+            f"physics: {self.physics or 'none'}",
+            f"baseline: {'baseline.py' if p.baseline else 'none'}",
+            *(f"warning: {w}" for w in self.warnings),
+        ]
+
+
+def check_problem(problem: Problem, seal: Seal) -> CheckReport:
+    """Looks at the training records and at what the seal tells of the test, never at test data."""
+    inputs = (_signal_check(problem, "input", i) for i in range(len(problem.inputs)))
+    outputs = (_signal_check(problem, "output", i) for i in range(len(problem.outputs)))
+    signals = (*inputs, *outputs)
+    return CheckReport(
+        problem=problem,
+        seal=seal,
+        signals=signals,
+        records=tuple(
+            RecordCheck(t.name, len(t), len(t) * t.sampling_time, data_digest([t]))
+            for t in problem.train
+        ),
+        folds=_folds(problem),
+        protocol_sha256=protocol_digest(problem),
+        physics=_physics_summary(problem),
+        warnings=(*problem.warnings, *_doubts(problem, seal, signals)),
+    )
+
+
+def _signal_check(problem: Problem, role: Literal["input", "output"], index: int) -> SignalCheck:
+    parts = [(t.u if role == "input" else t.y)[:, index] for t in problem.train]
+    values = np.concatenate(parts)
+    low, high = float(values.min()), float(values.max())
+    near = 1e-6 * (high - low)
+    nyquist = 0.5 / problem.sampling_time
+    share = _bandwidth_share(parts)
+    return SignalCheck(
+        signal=(problem.inputs if role == "input" else problem.outputs)[index],
+        role=role,
+        minimum=low,
+        maximum=high,
+        mean=float(values.mean()),
+        std=float(values.std()),
+        at_minimum=float((values <= low + near).mean()),
+        at_maximum=float((values >= high - near).mean()),
+        bandwidth=share * nyquist,
+        bandwidth_share=share,
+        excitation_order=_excitation_order(parts),
+    )
+
+
+def _bandwidth_share(parts: Sequence[Array]) -> float:
+    """Share of the Nyquist frequency below which 99 % of the power lies, of the longest record."""
+    values = max(parts, key=len)
+    # A Hann window: without it the jump between a record's ends looks like fast motion.
+    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)))) ** 2
+    total = power.sum()
+    if total <= 0:
+        return 0.0
+    line = int(np.searchsorted(np.cumsum(power), 0.99 * total))
+    return line / max(len(power) - 1, 1)
+
+
+def _excitation_order(parts: Sequence[Array]) -> int:
+    """Ljung, System Identification (2nd ed.), section 13.2: u is persistently exciting of order n
+    when the n x n covariance of its successive samples is non-singular."""
+    values = max(parts, key=len)[:_ORDER_SAMPLES]
+    size = min(_ORDER, len(values) // 4)
+    windows = np.lib.stride_tricks.sliding_window_view(values - values.mean(), size)
+    return int(np.linalg.matrix_rank(windows.T @ windows, tol=None, rtol=1e-9, hermitian=True))
+
+
+def _folds(problem: Problem) -> tuple[FoldCheck, ...]:
+    rule = problem.protocol
+    count = rule.folds.count
+    blocks = [np.array_split(np.arange(rule.past, len(t)), count) for t in problem.train]
+    total = sum(len(t) - rule.past for t in problem.train)
+    folds: list[FoldCheck] = []
+    for k in range(count):
+        held_out = tuple(
+            HeldOut(t.name, int(parts[k][0]) + 1, int(parts[k][-1]) + 1)
+            for t, parts in zip(problem.train, blocks, strict=True)
+        )
+        kept = total - sum(h.last - h.first + 1 for h in held_out)
+        folds.append(FoldCheck(k + 1, held_out, kept))
+    return tuple(folds)
+
+
+def _physics_summary(problem: Problem) -> str | None:
+    physics = problem.physics
+    if physics is None:
+        return None
+    free = f"{len(physics.parameters)} parameters to fit" if physics.parameters else "no parameters"
+    return f"{len(physics.states)} states ({', '.join(physics.states)}), {free}"
+
+
+def _doubts(problem: Problem, seal: Seal, signals: Sequence[SignalCheck]) -> list[str]:
+    doubts = [d for s in signals for d in _signal_doubts(s)]
+    doubts += _inputs_together(problem.inputs, problem.train)
+    if not problem.description.strip():
+        doubts.append("there is no description: agents that read know nothing of the system")
+    if problem.protocol.past_outputs == 0:
+        doubts.append("past_outputs is 0: a model cannot know the state it starts from")
+    if seal.sha256 is None:
+        doubts.append("there is no test data: the winner cannot be judged on unseen records")
+    if seal.shared_samples:
+        doubts.append(
+            f"{seal.shared_samples} test samples also occur, in runs of ten or more, in the "
+            "training records: the test is not unseen"
+        )
+    return doubts
+
+
+def _signal_doubts(check: SignalCheck) -> list[str]:
+    name = f"{check.role} {check.signal.name}"
+    if check.std == 0:
+        return [f"{name} is constant: nothing can be learned from it"]
+    doubts: list[str] = []
+    if check.role == "output":
+        for share, value in (
+            (check.at_minimum, check.minimum),
+            (check.at_maximum, check.maximum),
+        ):
+            if share > _STUCK:
+                doubts.append(
+                    f"{name} sits at {value:g} {check.signal.unit}".rstrip()
+                    + f" in {share:.1%} of the samples: it may saturate there"
+                )
+        if check.bandwidth_share < _OVERSAMPLED:
+            doubts.append(
+                f"{name} moves far slower than it is sampled (99 % of its power below "
+                f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may do"
+            )
+    elif check.excitation_order < 4:
+        doubts.append(
+            f"{name} excites {check.excitation_order} modes at most: a richer input tells more"
+        )
+    return doubts
+
+
+def _inputs_together(inputs: Sequence[Signal], train: Sequence[Trajectory]) -> list[str]:
+    u = np.concatenate([t.u for t in train])
+    centred = u - u.mean(axis=0)
+    norms = np.sqrt((centred**2).sum(axis=0))
+    return [
+        f"inputs {inputs[i].name} and {inputs[j].name} move together: their effects cannot be "
+        "told apart"
+        for i, j in combinations(range(u.shape[1]), 2)
+        if norms[i] * norms[j] > 0
+        and abs(centred[:, i] @ centred[:, j]) > _TOGETHER * norms[i] * norms[j]
+    ]
+
+
+def _signal_line(s: SignalCheck) -> str:
+    at_least = ">= " if s.excitation_order == _ORDER else ""
+    order = f", practical excitation order {at_least}{s.excitation_order}"
+    return (
+        f"{s.role} {s.signal.label}: {s.minimum:.4g} to {s.maximum:.4g}, std {s.std:.4g}, 99 % of "
+        f"the power below {s.bandwidth:.3g} Hz ({s.bandwidth_share:.1%} of Nyquist)"
+        f"{order if s.role == 'input' else ''}, "
+        f"at the extremes {s.at_minimum + s.at_maximum:.1%}"
+    )
+
+
+def _fold_line(fold: FoldCheck) -> str:
+    parts = ", ".join(f"{h.record} {h.first}-{h.last}" for h in fold.held_out)
+    return f"fold {fold.number}: holds out {parts}; trains on {fold.training_samples} samples"
+
+
+def _seal_lines(seal: Seal, skip: int) -> list[str]:
+    if seal.sha256 is None:
+        return ["test: none"]
+    pairs = zip(seal.names, seal.lengths, strict=True)
+    records = ", ".join(f"{name} ({length} samples)" for name, length in pairs)
+    return [
+        f"test, sealed: {records}; {skip} samples after the past window are skipped; "
+        f"sha256 {seal.sha256[:12]}"
+    ]

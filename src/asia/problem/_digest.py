@@ -1,0 +1,41 @@
+"""sha256 of what a search depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from asia.problem._problem import Problem
+from asia.problem._types import Physics, Trajectory
+
+
+def data_digest(trajectories: Sequence[Trajectory]) -> str:
+    """Hex sha256 over sampling times, shapes and values, in order; names do not count."""
+    digest = hashlib.sha256()
+    for t in trajectories:
+        digest.update(json.dumps([t.sampling_time, t.u.shape, t.y.shape]).encode())
+        digest.update(t.u.astype("<f8").tobytes())
+        digest.update(t.y.astype("<f8").tobytes())
+    return digest.hexdigest()
+
+
+def protocol_digest(problem: Problem) -> str:
+    """Hex sha256 of the protocol with its defaults filled in."""
+    return _of_json(asdict(problem.protocol))
+
+
+def physics_digest(physics: Physics) -> str:
+    """Hex sha256 of the equations, ranges and bounds."""
+    return _of_json(asdict(physics))
+
+
+def text_digest(text: str) -> str:
+    """Hex sha256 of the text as UTF-8."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _of_json(value: Any) -> str:
+    return text_digest(json.dumps(value, sort_keys=True))

@@ -1,0 +1,177 @@
+"""Problems from disk: built-in ones by name, a person's own by path, a run's from its lock."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+from asia.errors import UserError
+from asia.problem._lock import check_digests
+from asia.problem._nearest import nearest
+from asia.problem._physics import check_physics
+from asia.problem._problem import CsvSource, DataSource, Problem, TestSource
+from asia.problem._schema import DataTable, LockFile, ProblemFile, ProblemTables
+from asia.problem._sources import Channels, parse_source, read_records
+from asia.problem._toml import read_table
+from asia.problem._types import ProtocolRule, Trajectory
+
+_FILE = "problem.toml"
+_LEAST_BEYOND_PAST = 10
+
+
+@dataclass(frozen=True)
+class _Texts:
+    name: str
+    description: str
+    baseline: str | None
+
+
+def builtin_problems() -> tuple[str, ...]:
+    """Names of the problems that come with ASIA."""
+    return tuple(sorted(p.parent.name for p in _builtin_root().glob(f"*/{_FILE}")))
+
+
+def load_problem(name_or_path: str | Path) -> Problem:
+    """A built-in problem by name, or a directory with problem.toml, or that file.
+
+    Reads the training records; the test records stay closed. Raises UserError with one clear
+    sentence for anything the person can mend.
+    """
+    path = _find(name_or_path)
+    file = read_table(path, ProblemFile)
+    texts = _Texts(
+        name=file.name or path.resolve().parent.name,
+        description=_description(path, file.description),
+        baseline=_optional_text(path.parent / "baseline.py"),
+    )
+    return _assemble(file, path.resolve().parent, texts, None)
+
+
+def load_lock(path: Path) -> Problem:
+    """The problem of a run, from its problem.lock.toml alone.
+
+    Raises UserError that names what no longer has the digest it had when the run began. The
+    digest of the test data goes into the handle `test` and is verified when they are opened.
+    """
+    file = read_table(path, LockFile)
+    texts = _Texts(file.name, file.description, file.baseline)
+    problem = _assemble(file, path.resolve().parent, texts, file.digests.test)
+    check_digests(problem, file.digests, path)
+    return problem
+
+
+def _builtin_root() -> Path:
+    return Path(str(resources.files("asia"))) / "problems"
+
+
+def _find(name_or_path: str | Path) -> Path:
+    path = Path(name_or_path)
+    if (path / _FILE).is_file():
+        return path / _FILE
+    if path.is_file():
+        return path
+    builtin = _builtin_root() / str(name_or_path) / _FILE
+    if str(name_or_path) in builtin_problems():
+        return builtin
+    if path.is_dir():
+        raise UserError(f"{path} has no {_FILE}: make one with asia init")
+    known = builtin_problems()
+    raise UserError(
+        f"no problem '{name_or_path}': expected a directory with {_FILE} or a built-in name "
+        f"({', '.join(known)}){nearest(str(name_or_path), known)}"
+    )
+
+
+def _optional_text(path: Path) -> str | None:
+    return _text(path) if path.is_file() else None
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from error
+
+
+def _description(path: Path, named: str | None) -> str:
+    if named is None:
+        return _optional_text(path.parent / "description.md") or ""
+    return _text(path.parent / named)
+
+
+def _assemble(file: ProblemTables, root: Path, texts: _Texts, test_sha256: str | None) -> Problem:
+    channels = Channels(
+        tuple(s.signal() for s in file.inputs),
+        tuple(s.signal() for s in file.outputs),
+        file.sampling_time,
+    )
+    _check_names(channels)
+    physics = file.physics.physics() if file.physics else None
+    if physics is not None:
+        names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
+        check_physics(physics, *names)
+    rule = file.protocol.rule()
+    data, test = _data(file.data, root)
+    records = read_records(data, "train", channels)
+    require_length(records.trajectories, rule)
+    return Problem(
+        name=texts.name,
+        description=texts.description,
+        sampling_time=channels.sampling_time,
+        inputs=channels.inputs,
+        outputs=channels.outputs,
+        train=records.trajectories,
+        data=data,
+        test=TestSource(test, test_sha256),
+        protocol=rule,
+        budget=file.budget.budget(),
+        physics=physics,
+        baseline=texts.baseline,
+        truth=records.truth,
+        warnings=records.warnings,
+    )
+
+
+def _check_names(channels: Channels) -> None:
+    counts = Counter(s.name for s in (*channels.inputs, *channels.outputs))
+    for name, count in counts.items():
+        if count > 1:
+            raise UserError(f"signal '{name}' is named {count} times among inputs and outputs")
+
+
+def _data(table: DataTable, root: Path) -> tuple[DataSource, DataSource | None]:
+    if table.source is not None:
+        if table.train or table.test:
+            raise UserError("[data] has both source and file names: keep one of them")
+        source = parse_source(table.source, table.seed)
+        return source, source
+    if table.seed is not None:
+        raise UserError("data.seed belongs to a simulated source: leave it out")
+    if not table.train:
+        raise UserError('[data] names no training data: expected train = ["file.csv"] or source')
+    train = tuple((root / name).resolve() for name in table.train)
+    test = tuple((root / name).resolve() for name in table.test)
+    for path, count in Counter((*train, *test)).items():
+        if count > 1:
+            what = "both train and test" if path in train and path in test else "one list twice"
+            raise UserError(f"[data] names {path} in {what}: name every record once")
+    return CsvSource(train), CsvSource(test) if test else None
+
+
+def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
+    """Raises UserError when a record is too short for the folds: each held-out block must be able
+    to hold a past window and some samples to train on."""
+    count = rule.folds.count
+    least = rule.past + count * (rule.past + _LEAST_BEYOND_PAST)
+    for t in trajectories:
+        if len(t) < least:
+            raise UserError(
+                f"record '{t.name}' has {len(t)} samples, but {count} folds with a past window of "
+                f"{rule.past} need at least {least}: use fewer folds, a shorter past window or a "
+                "longer record"
+            )

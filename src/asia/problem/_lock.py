@@ -1,0 +1,122 @@
+"""The resolved problem of a run as text, and what changed since."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from asia.errors import UserError
+from asia.problem._digest import data_digest, physics_digest, protocol_digest, text_digest
+from asia.problem._problem import BenchmarkSource, CsvSource, Problem, Seal, SimulatedSource
+from asia.problem._schema import DigestTable
+from asia.problem._toml import toml_text
+
+_HEADER = "# Written by ASIA when the run began. A change in here, or in the data, ends the run.\n"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A key of the lock, its value there and its value now; None is absent."""
+
+    key: str
+    before: Any
+    now: Any
+
+    def __str__(self) -> str:
+        if self.key.startswith("digests."):
+            return f"{self.key.removeprefix('digests.')} changed"
+        return f"{self.key} was {self.before!r}, is {self.now!r}"
+
+
+def lock_text(problem: Problem, seal: Seal) -> str:
+    """TOML with absolute data paths, defaults filled in, texts and digests.
+
+    `load_lock` restores the problem from it.
+    """
+    return _HEADER + toml_text(_tables(problem, seal))
+
+
+def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Difference, ...]:
+    """What is not as the lock at `path` has it. Where files lie does not count, their values do.
+
+    Raises UserError when the lock cannot be read.
+    """
+    try:
+        before = dict(_flat(tomllib.loads(path.read_text(encoding="utf-8"))))
+    except (OSError, ValueError) as error:
+        raise UserError(f"cannot read {path}: {error}") from error
+    now = dict(_flat(tomllib.loads(lock_text(problem, seal))))
+    moved = {"data.train", "data.test", "description", "baseline"}
+    keys = [k for k in {**before, **now} if k not in moved and before.get(k) != now.get(k)]
+    return tuple(Difference(k, before.get(k), now.get(k)) for k in keys)
+
+
+def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
+    """Raises UserError that names every part whose digest is not the expected one."""
+    found = _digests(problem, None)
+    changed = [
+        f"the {part}"
+        for part in ("description", "baseline", "physics", "protocol")
+        if found[part] != getattr(expected, part)
+    ]
+    train = found["train"]
+    if len(train) != len(expected.train):
+        changed.append("the number of training records")
+    else:
+        pairs = zip(problem.train, train, expected.train, strict=True)
+        changed += [f"training record '{t.name}'" for t, now, was in pairs if now != was]
+    if changed:
+        raise UserError(
+            f"{path}: {', '.join(changed)} changed since the run began: put it back, or start a "
+            "new run"
+        )
+
+
+def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
+    return {
+        "train": [data_digest([t]) for t in problem.train],
+        "test": test,
+        "description": text_digest(problem.description),
+        "baseline": None if problem.baseline is None else text_digest(problem.baseline),
+        "physics": None if problem.physics is None else physics_digest(problem.physics),
+        "protocol": protocol_digest(problem),
+    }
+
+
+def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
+    return {
+        "name": problem.name,
+        "description": problem.description,
+        "baseline": problem.baseline,
+        "sampling_time": problem.sampling_time,
+        "inputs": [asdict(s) for s in problem.inputs],
+        "outputs": [asdict(s) for s in problem.outputs],
+        "data": _data(problem),
+        "protocol": asdict(problem.protocol),
+        "budget": asdict(problem.budget),
+        "physics": None if problem.physics is None else asdict(problem.physics),
+        "digests": _digests(problem, seal.sha256),
+    }
+
+
+def _data(problem: Problem) -> dict[str, Any]:
+    if isinstance(problem.data, BenchmarkSource):
+        return {"source": f"nonlinear_benchmarks:{problem.data.benchmark}"}
+    if isinstance(problem.data, SimulatedSource):
+        return {"source": f"simulated:{problem.data.system}", "seed": problem.data.seed}
+    test = problem.test.source
+    return {
+        "train": [str(p) for p in problem.data.paths],
+        "test": [str(p) for p in test.paths] if isinstance(test, CsvSource) else [],
+    }
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

@@ -1,0 +1,102 @@
+"""From a data source to records."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from asia.errors import UserError
+from asia.problem._benchmarks import benchmark_records, check_benchmark
+from asia.problem._csv import read_csv
+from asia.problem._nearest import nearest
+from asia.problem._problem import BenchmarkSource, CsvSource, DataSource, SimulatedSource
+from asia.problem._two_tanks import SAMPLING_TIME, simulate_two_tanks
+from asia.problem._types import Array, Signal, Trajectory
+
+_SYSTEMS = ("two_tanks",)
+_REALISATIONS = {"train": 0, "test": 1}
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Which channels to read, and their sampling time in seconds."""
+
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    sampling_time: float
+
+
+@dataclass(frozen=True)
+class Records:
+    """What a source held; truth: noise-free outputs, for simulated systems only."""
+
+    trajectories: tuple[Trajectory, ...]
+    truth: tuple[Array, ...] | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def parse_source(text: str, seed: int | None) -> BenchmarkSource | SimulatedSource:
+    """`nonlinear_benchmarks:<name>` or `simulated:<system>`. Raises UserError."""
+    kind, _, name = text.partition(":")
+    if kind == "simulated":
+        if name not in _SYSTEMS:
+            raise UserError(f"data.source: no simulated system '{name}'{nearest(name, _SYSTEMS)}")
+        return SimulatedSource(name, seed or 0)
+    if seed is not None:
+        raise UserError("data.seed belongs to a simulated source: leave it out")
+    if kind != "nonlinear_benchmarks":
+        raise UserError(
+            f"data.source is '{text}', expected 'nonlinear_benchmarks:<name>' or "
+            "'simulated:<system>'; CSV files are named in data.train and data.test"
+        )
+    check_benchmark(name)
+    return BenchmarkSource(name)
+
+
+def read_records(source: DataSource, part: Literal["train", "test"], channels: Channels) -> Records:
+    """The records of one part. `part` is without effect on CSV files, which are named apart.
+
+    Raises UserError when the data cannot be read or do not fit the channels.
+    """
+    if isinstance(source, CsvSource):
+        return _csv_records(source.paths, channels)
+    if isinstance(source, SimulatedSource):
+        record = simulate_two_tanks(source.seed, _REALISATIONS[part])
+        name = f"{source.system}_{part}"
+        trajectory = Trajectory(record.u, record.y, SAMPLING_TIME, name)
+        _check_channels((trajectory,), channels)
+        return Records((trajectory,), (record.truth,))
+    trajectories = benchmark_records(source.benchmark, part)
+    _check_channels(trajectories, channels)
+    return Records(trajectories)
+
+
+def _csv_records(paths: Sequence[Path], channels: Channels) -> Records:
+    inputs, outputs = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
+    found = [read_csv(path, inputs, outputs, channels.sampling_time) for path in paths]
+    stems = Counter(path.stem for path in paths)
+    trajectories = tuple(
+        record.trajectory
+        if stems[path.stem] == 1
+        else replace(record.trajectory, name=f"{path.parent.name}/{path.stem}")
+        for path, record in zip(paths, found, strict=True)
+    )
+    return Records(trajectories, None, tuple(w for record in found for w in record.warnings))
+
+
+def _check_channels(trajectories: Sequence[Trajectory], channels: Channels) -> None:
+    for t in trajectories:
+        for what, have, named in (
+            ("inputs", t.u.shape[1], len(channels.inputs)),
+            ("outputs", t.y.shape[1], len(channels.outputs)),
+        ):
+            if have != named:
+                raise UserError(f"record '{t.name}' has {have} {what}, but {named} are named")
+        if abs(t.sampling_time - channels.sampling_time) > 1e-3 * t.sampling_time:
+            raise UserError(
+                f"sampling_time is {channels.sampling_time:g} s, but record '{t.name}' was "
+                f"sampled every {t.sampling_time:g} s"
+            )

@@ -1,0 +1,25 @@
+"""Problems from disk: built-in ones by name, a person's own by path, a run's from its lock; new
+ones, and what is doubtful about them."""
+
+from asia.problem._check import CheckReport, check_problem
+from asia.problem._digest import data_digest, protocol_digest
+from asia.problem._init import init_problem
+from asia.problem._loading import builtin_problems, load_lock, load_problem
+from asia.problem._lock import Difference, lock_differences, lock_text
+from asia.problem._problem import Problem, Seal
+
+__all__ = [
+    "CheckReport",
+    "Difference",
+    "Problem",
+    "Seal",
+    "builtin_problems",
+    "check_problem",
+    "data_digest",
+    "init_problem",
+    "load_lock",
+    "load_problem",
+    "lock_differences",
+    "lock_text",
+    "protocol_digest",
+]

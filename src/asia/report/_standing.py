@@ -1,0 +1,101 @@
+"""Our test error among the published ones: box plot and histogram."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from asia.problem import Signal
+from asia.report._leaderboard import Entry
+from asia.report._style import BLUE, INK, QUIET, RED, SHADE, WIDTH, plain, quantity, quiet_grid
+
+
+def draw_standing(entries: Sequence[Entry], ours: float, output: Signal, run: str) -> Figure:
+    """Published test RMSE with our mark. ours: test RMSE in the unit of `output`."""
+    values = np.array([e.test_rmse for e in entries])
+    figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
+    FigureCanvasAgg(figure)
+    box, bars = figure.subplots(1, 2, width_ratios=(1.0, 2.1))
+    unit = f" [{plain(output.unit, 16)}]" if output.unit else ""
+    box.boxplot(
+        values,
+        widths=0.4,
+        whis=1.5,
+        showfliers=False,
+        patch_artist=True,
+        boxprops={"facecolor": SHADE, "edgecolor": INK, "linewidth": 0.9},
+        medianprops={"color": INK, "linewidth": 1.6},
+        whiskerprops={"color": INK, "linewidth": 0.9},
+        capprops={"color": INK, "linewidth": 0.9},
+    )
+    box.plot(_beside(values), values, "o", mfc="white", mec=BLUE, ms=4.0, mew=0.9, zorder=3)
+    box.plot([1.0], [ours], "D", color=RED, ms=7.0, zorder=5)
+    box.set_xlim(0.6, 1.7)
+    box.set_ylim(0.0, max(values.max(), ours) * 1.08)
+    box.set_xticks([])
+    box.set_ylabel(f"Test RMSE{unit}")
+    quiet_grid(box)
+    top = max(values.max(), ours)
+    width = _bin_width(values)
+    bars.hist(values, np.arange(0.0, top + 2 * width, width), fc="#9fc3dd", ec="white", lw=0.8)
+    bars.axvline(ours, color=RED, lw=1.6, dashes=(4, 2))
+    bars.plot([ours], [0.0], "D", color=RED, ms=7.0, clip_on=False, zorder=5)
+    bars.set_xlim(0.0, top * 1.05)
+    bars.set_xlabel(f"Test RMSE{unit}")
+    bars.set_ylabel("Published results")
+    bars.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
+    quiet_grid(bars)
+    bars.annotate(
+        f"this run\n{quantity(ours, output.unit)}",
+        xy=(ours, 0.97),
+        xycoords=("data", "axes fraction"),
+        xytext=(6.0 if ours < 0.7 * top else -6.0, 0.0),
+        textcoords="offset points",
+        ha="left" if ours < 0.7 * top else "right",
+        va="top",
+        color=RED,
+        fontweight="bold",
+        bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
+    )
+    lower = int((values < ours).sum())
+    figure.suptitle(
+        f"{plain(run, 40)}: {lower} of {len(values)} published results have a lower test RMSE",
+        x=0.01,
+        ha="left",
+        fontweight="bold",
+    )
+    figure.supxlabel(_sources(entries), x=0.01, ha="left", fontsize=7.0, color=QUIET)
+    return figure
+
+
+def _beside(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> list[float]:
+    """x positions right of the box that keep close values apart."""
+    reach = (values.max() - values.min()) / 25.0
+    placed: list[tuple[float, float]] = []
+    columns: dict[int, float] = {}
+    for index in np.argsort(values, kind="stable"):
+        value, x = float(values[index]), 1.3
+        while any(abs(value - v) < reach and x == at for v, at in placed):
+            x = round(x + 0.07, 2)
+        placed.append((value, x))
+        columns[int(index)] = x
+    return [columns[i] for i in range(len(values))]
+
+
+def _bin_width(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    """Freedman and Diaconis (1981), rounded to 1, 2 or 5 times a power of ten."""
+    spread = np.subtract(*np.percentile(values, [75, 25])) or values.max()
+    width = 2.0 * spread / len(values) ** (1 / 3)
+    power = 10.0 ** np.floor(np.log10(width))
+    return float(min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(m * power - width)) * power)
+
+
+def _sources(entries: Sequence[Entry]) -> str:
+    years = sorted({e.year for e in entries})
+    return (
+        f"Published: {len(entries)} results from {years[0]} to {years[-1]}, nonlinearbenchmark.org"
+    )

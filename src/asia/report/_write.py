@@ -1,0 +1,73 @@
+"""From a run directory to picture files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from asia.ledger import Run, open_run
+from asia.problem._problem import BenchmarkSource
+from asia.problem.load import Problem, load_lock
+from asia.protocol import make_folds
+from asia.report._data import draw_data
+from asia.report._leaderboard import leaderboard
+from asia.report._progress import draw_progress
+from asia.report._residuals import draw_residuals
+from asia.report._simulation import draw_simulation, draw_test
+from asia.report._standing import draw_standing
+from asia.report._style import DPI, drawing
+
+Picture = tuple[str, Callable[[], Figure]]
+
+
+def write(directory: Path) -> tuple[Path, ...]:
+    """See `asia.report.write_report`."""
+    run = open_run(directory)
+    problem = load_lock(directory / "problem.lock.toml")
+    return save(pictures(run, problem), directory / "report")
+
+
+def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
+    """See `asia.report.draw_problem`."""
+    return save(iter([("data", lambda: draw_data(problem))]), directory)
+
+
+def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
+    """Name and drawing of each picture the run has matter for."""
+    view, metric = run.view, problem.protocol.metric
+    yield "progress", lambda: draw_progress(view, metric)
+    best, opened = view.best, view.unsealed
+    if best is not None:
+        folds = make_folds(problem.train, problem.protocol)
+        yield "simulation", lambda: draw_simulation(run, problem, best, folds)
+        yield "residuals", lambda: draw_residuals(run, problem, best, folds)
+    if opened is None:
+        return
+    yield "test", lambda: draw_test(run, problem, opened)
+    # A person's own data may bear a benchmark's name; its error has no place in that list.
+    published = leaderboard(problem.name) if isinstance(problem.data, BenchmarkSource) else ()
+    ours = [s.value for s in opened.ensemble.scores if s.metric == "rmse"]
+    if published and ours:
+        name, output = view.started.run, problem.outputs[0]
+        yield "leaderboard", lambda: draw_standing(published, ours[0], output, name)
+
+
+def save(drawn: Iterator[Picture], directory: Path) -> tuple[Path, ...]:
+    """Each picture as PNG and PDF, the same bytes for the same run."""
+    directory.mkdir(parents=True, exist_ok=True)
+    paths: list[Path] = []
+    for name, draw in drawn:
+        with drawing():
+            figure = draw()
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+            for suffix, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
+                stream = BytesIO()
+                figure.savefig(stream, format=suffix, dpi=DPI, metadata=metadata)
+                path = directory / f"{name}.{suffix}"
+                path.write_bytes(stream.getvalue())
+                paths.append(path)
+    return tuple(paths)

@@ -1,0 +1,130 @@
+"""One started worker process, as every isolation level gives it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from asia.errors import SandboxError
+
+_EXIT_SECONDS = 0.5
+_PATIENCE_SECONDS = (2.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Pipes:
+    """The parent's ends: requests (write), replies and output (read)."""
+
+    requests: int
+    replies: int
+    output: int
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A running worker: its pipes, the process to wait for and the way to end it.
+
+    kill ends the candidate with everything it started; force is for when that did not end
+    `process` in time; tidy removes what the level left on disk.
+    """
+
+    process: subprocess.Popen[bytes]
+    pipes: Pipes
+    kill: Callable[[], None]
+    force: Callable[[], None]
+    tidy: Callable[[], None]
+
+    def running(self) -> bool:
+        """Whether the worker is still there."""
+        return self.process.poll() is None
+
+    def exit_code(self) -> int | None:
+        """Exit code (128 + signal) of a worker that has just gone by itself, None if unknown."""
+        return self.process.returncode if self._ended(_EXIT_SECONDS) else None
+
+    def end(self) -> None:
+        """End everything and wait. Raises SandboxError if the kernel does not let it die."""
+        try:
+            self.kill()
+            if not self._ended(_PATIENCE_SECONDS[0]):
+                self.force()
+                if not self._ended(_PATIENCE_SECONDS[1]):
+                    raise SandboxError(f"worker process {self.process.pid} cannot be ended")
+        finally:
+            self.tidy()
+
+    def _ended(self, seconds: float) -> bool:
+        try:
+            self.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+
+@dataclass(frozen=True)
+class PipePairs:
+    """Both ends of the two pipes of a worker about to start."""
+
+    requests: tuple[int, int]
+    replies: tuple[int, int]
+
+    @property
+    def child_ends(self) -> tuple[int, int]:
+        """(requests to read, replies to write)."""
+        return self.requests[0], self.replies[1]
+
+    def close_child_ends(self) -> None:
+        """The parent must not hold them: end of file is how each side learns of the other's end."""
+        for fd in self.child_ends:
+            os.close(fd)
+
+    def close_parent_ends(self) -> None:
+        """When the worker could not be started."""
+        os.close(self.requests[1])
+        os.close(self.replies[0])
+
+
+def start(
+    command: list[str],
+    pipes: PipePairs,
+    *,
+    env: dict[str, str],
+    cwd: str,
+    also_pass: tuple[int, ...] = (),
+) -> subprocess.Popen[bytes]:
+    """Start `command` in a session of its own, with the child's pipe ends and nothing else."""
+    try:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=(*pipes.child_ends, *also_pass),
+            start_new_session=True,
+            bufsize=0,
+            env=env,
+            cwd=cwd,
+        )
+    except OSError as error:
+        pipes.close_parent_ends()
+        raise SandboxError(f"a worker process could not be started: {error}") from error
+    finally:
+        pipes.close_child_ends()
+
+
+def parent_ends(process: subprocess.Popen[bytes], pipes: PipePairs) -> Pipes:
+    """The parent's ends, taken out of `process` so that one owner closes them."""
+    assert process.stdout is not None
+    output = os.dup(process.stdout.fileno())
+    process.stdout.close()
+    return Pipes(pipes.requests[1], pipes.replies[0], output)
+
+
+def kill_quietly(pid: int) -> None:
+    """SIGKILL; a process that has ended already is no error."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)

@@ -1,0 +1,50 @@
+"""The weakest level: a plain process with resource limits, under a keeper that ends its offspring.
+
+It keeps accidents away, not intent: the candidate reads what the user reads.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+
+from asia.sandbox._cell import Cell, PipePairs, kill_quietly, parent_ends, start
+from asia.sandbox._keeper import descendants
+from asia.sandbox._surroundings import child_command, environment, interpreter, package_folder
+from asia.sandbox._types import Limits
+
+
+def open_cell(limits: Limits) -> Cell:
+    """Start a worker as a plain process. Raises SandboxError."""
+    home = tempfile.mkdtemp(prefix="asia-worker-")
+    pipes = PipePairs(os.pipe(), os.pipe())
+    requests, replies = pipes.child_ends
+    keeper = str(package_folder() / "sandbox" / "_keeper.py")
+    command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies)]
+    command += child_command(requests, replies, limits)
+    try:
+        process = start(command, pipes, env=environment(home), cwd=home)
+    except BaseException:
+        shutil.rmtree(home, ignore_errors=True)
+        raise
+    return Cell(
+        process=process,
+        pipes=parent_ends(process, pipes),
+        kill=_closing_is_enough,
+        force=lambda: _force(process),
+        tidy=lambda: shutil.rmtree(home, ignore_errors=True),
+    )
+
+
+def _closing_is_enough() -> None:
+    """The keeper ends the worker when the request pipe closes, also if this process is killed."""
+
+
+def _force(process: subprocess.Popen[bytes]) -> None:
+    """The keeper does not answer: a candidate can stop it, as both have one user."""
+    while process.poll() is None and (offspring := descendants(process.pid, alive=True)):
+        for pid in offspring:
+            kill_quietly(pid)
+    kill_quietly(process.pid)

@@ -1,0 +1,52 @@
+"""What passes between the sandbox and its callers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from asia.problem import Array
+
+
+class Isolation(StrEnum):
+    """What keeps a candidate in, strongest first."""
+
+    NAMESPACE = "namespace"
+    LANDLOCK = "landlock"
+    PROCESS = "process"
+
+
+@dataclass(frozen=True)
+class Probe:
+    """The strongest level that works here, and in plain words why not a stronger one."""
+
+    level: Isolation
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one worker may use.
+
+    fit_seconds: wall clock for executing the source and fitting, the same again for loading a
+    model; simulate_seconds: for each simulate request; memory_mb: address space of the worker
+    process; model_mb: largest fitted model that is kept.
+    """
+
+    fit_seconds: float
+    simulate_seconds: float
+    memory_mb: int
+    model_mb: int = 64
+
+
+@dataclass(frozen=True)
+class FitReply:
+    """What a fit leaves behind beside the model, all of it the candidate's own word.
+
+    curve: (n, 2) step and loss given to `context.log`, at most 2000 rows, may hold NaN; output:
+    the first 64 KB of stdout and stderr; seconds: wall time of the `fit` call, measured outside.
+    """
+
+    curve: Array
+    output: str
+    seconds: float

@@ -1,0 +1,76 @@
+"""From the ledger to what an agent may see."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asia.agents import AgentView, Facts, Trial
+from asia.candidate import source_digest
+from asia.errors import CandidateError
+from asia.ledger import Experiment, SearchView, Store
+from asia.problem.load import Problem
+from asia.search._rules import phase
+
+CURVE_POINTS = 200
+
+
+def problem_facts(problem: Problem) -> Facts:
+    """The problem as agents may know it."""
+    return Facts(
+        description=problem.description,
+        inputs=problem.inputs,
+        outputs=problem.outputs,
+        sampling_time=problem.sampling_time,
+        records=problem.train,
+        past=problem.protocol.past,
+        physics=problem.physics,
+    )
+
+
+def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
+    """The search as its agent may see it now."""
+    tried = {e.proposed.digest for e in view.experiments}
+    return AgentView(
+        facts=facts,
+        seed=view.started.seed,
+        phase=phase(view),
+        trials=tuple(_trial(e, store) for e in view.finished),
+        remaining=view.budget - len(view.experiments),
+        is_known=lambda source: digest(source) in tried,
+    )
+
+
+def digest(source: str) -> str:
+    """Digest of the normalised source; of the text itself when it does not parse."""
+    try:
+        return source_digest(source)
+    except CandidateError:
+        return source
+
+
+def _trial(e: Experiment, store: Store) -> Trial:
+    p, r = e.proposed, e.result
+    assert r is not None
+    score, failure = e.score, e.failure
+    return Trial(
+        number=p.experiment,
+        parent=p.parent,
+        phase=p.phase,
+        family=p.family,
+        title=p.title,
+        hypothesis=p.hypothesis,
+        expected=p.expected,
+        source=store.text(p.source),
+        status=r.status,
+        value=score.value if score else None,
+        folds=tuple(f.value for f in score.folds) if score else (),
+        failure=f"{failure.reason.value}: {failure.advice}" if failure else None,
+        diagnostics=tuple(f.diagnostics for f in r.folds),
+        curves=tuple(_points(store.get(f.curve)) for f in r.folds),
+    )
+
+
+def _points(raw: bytes) -> tuple[tuple[float, float], ...]:
+    table = np.frombuffer(raw, "<f8").reshape(-1, 2)
+    thinned = table[:: max(1, -(-len(table) // CURVE_POINTS))]
+    return tuple((float(step), float(loss)) for step, loss in thinned)

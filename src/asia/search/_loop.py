@@ -1,0 +1,189 @@
+"""propose -> record -> evaluate -> keep or discard -> record, until a stop rule holds.
+
+All the loop knows is in the ledger: killed anywhere, the same call goes on from there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from asia.agents import Agent, Proposal
+from asia.errors import CandidateError, SandboxError
+from asia.evaluation import Evaluation, Evaluator, FoldResult, score_rungs
+from asia.ledger import (
+    Chain,
+    Evaluated,
+    Event,
+    Experiment,
+    FoldRecord,
+    Phase,
+    Proposed,
+    Refitted,
+    RungScored,
+    SearchView,
+    Stopped,
+    Store,
+    replay,
+    write_exports,
+)
+from asia.problem.load import Problem
+from asia.search._agent_view import agent_view, digest, problem_facts
+from asia.search._rules import StopReason, decide, stop_reason
+
+OnEvent = Callable[[Event, SearchView], None]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One search: what is judged, by whom, and where it is written."""
+
+    problem: Problem
+    baseline: str
+    agent: Agent
+    evaluator: Evaluator
+    chain: Chain
+    store: Store
+    directory: Path
+    on_event: OnEvent
+
+    @property
+    def view(self) -> SearchView:
+        """The ledger replayed."""
+        return replay(line.event for line in self.chain.lines)
+
+    def run(self) -> SearchView:
+        """Rungs, search, refit of the winner. What the ledger already holds is not redone."""
+        self._score_rungs()
+        while self.view.stopped is None:
+            reason = self._step()
+            if reason is not None:
+                self.record(Stopped(reason))
+        if self.view.refitted is None:
+            self._refit()
+        return self.view
+
+    def record(self, event: Event) -> None:
+        """Append to the ledger, rewrite the generated files, tell the listener."""
+        self.chain.append(event)
+        view = self.view
+        write_exports(self.directory, view)
+        self.on_event(event, view)
+
+    def _score_rungs(self) -> None:
+        names = {rung.name for rung in self.view.rungs}
+        problem = self.problem
+        for rung in score_rungs(self.evaluator, problem.protocol.metric, problem.truth, names):
+            self.record(RungScored(rung.name, rung.outcome))
+
+    def _step(self) -> StopReason | None:
+        """One experiment; a reason when the search is over."""
+        view = self.view
+        pending = view.pending
+        if pending is None:
+            reason = stop_reason(view, self.problem.budget)
+            if reason is not None:
+                return reason
+            proposed = self._propose(view)
+            if proposed is None:
+                return "exhausted"
+            self.record(proposed)
+            pending = Experiment(proposed)
+        self.record(self._evaluate(pending))
+        return None
+
+    def _propose(self, view: SearchView) -> Proposed | None:
+        if not view.experiments:
+            return self._proposed(1, "baseline", _baseline(self.baseline))
+        seen = agent_view(problem_facts(self.problem), view, self.store)
+        proposal = self.agent.propose(seen)
+        if proposal is None:
+            return None
+        return self._proposed(len(view.experiments) + 1, seen.phase, proposal)
+
+    def _proposed(self, number: int, phase: Phase, proposal: Proposal) -> Proposed:
+        return Proposed(
+            experiment=number,
+            parent=proposal.parent,
+            phase=phase,
+            family=proposal.family,
+            title=proposal.title,
+            hypothesis=proposal.hypothesis,
+            expected=proposal.expected,
+            source=self.store.put(proposal.source.encode()),
+            digest=digest(proposal.source),
+        )
+
+    def _evaluate(self, experiment: Experiment) -> Evaluated:
+        view = self.view
+        twin = next(
+            (e for e in view.finished if e.proposed.digest == experiment.proposed.digest), None
+        )
+        if twin is not None and twin.result is not None:
+            return _answer_again(experiment, twin)
+        start = time.monotonic()
+        evaluation = self._judge(self.store.text(experiment.proposed.source))
+        return Evaluated(
+            experiment=experiment.number,
+            status=decide(evaluation.outcome, view),
+            outcome=evaluation.outcome,
+            folds=tuple(self._keep(fold) for fold in evaluation.folds),
+            output=self.store.put(evaluation.output.encode()) if evaluation.output else None,
+            seconds=time.monotonic() - start,
+        )
+
+    def _judge(self, source: str) -> Evaluation:
+        """Evaluate; a would-be winner must also come back bitwise the same from its bytes. A
+        sandbox that fails is tried once more."""
+        try:
+            evaluation = self.evaluator.evaluate(source)
+        except SandboxError:
+            evaluation = self.evaluator.evaluate(source)
+        if decide(evaluation.outcome, self.view) == "keep":
+            failure = self.evaluator.reload_differs(source, evaluation.folds)
+            if failure is not None:
+                return Evaluation(failure, (), evaluation.output)
+        return evaluation
+
+    def _keep(self, fold: FoldResult) -> FoldRecord:
+        return FoldRecord(
+            model=self.store.put(fold.model),
+            y_hat=self.store.put_arrays(fold.y_hat),
+            curve=self.store.put_arrays([fold.curve]),
+            diagnostics=fold.diagnostics,
+            fit_seconds=fold.seconds,
+        )
+
+    def _refit(self) -> None:
+        best = self.view.best
+        if best is None:
+            return
+        source = self.store.text(best.proposed.source)
+        try:
+            model = self.store.put(self.evaluator.refit(source))
+        except CandidateError as error:
+            self.record(Refitted(best.number, None, str(error)))
+        else:
+            self.record(Refitted(best.number, model, ""))
+
+
+def _baseline(source: str) -> Proposal:
+    return Proposal(
+        source=source,
+        family="baseline",
+        title="baseline",
+        hypothesis="The problem's own baseline, untouched, is where every search starts.",
+        expected="A reference value that the rest must beat.",
+    )
+
+
+def _answer_again(experiment: Experiment, twin: Experiment) -> Evaluated:
+    """The same normalised source was judged before: its outcome stands."""
+    r = twin.result
+    assert r is not None
+    status = "discard" if r.status == "keep" else r.status
+    return Evaluated(
+        experiment.number, status, r.outcome, r.folds, r.output, 0.0, duplicate_of=twin.number
+    )

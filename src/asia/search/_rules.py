@@ -1,0 +1,41 @@
+"""Phases, stop rules, keep or discard."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from asia.ledger import SearchView, Status
+from asia.problem import Budget
+from asia.scoring import Failure, Outcome
+
+StopReason = Literal["budget", "saturated", "exhausted", "hours"]
+EXPLORE_SHARE = 0.4
+
+
+def phase(view: SearchView) -> Literal["explore", "refine"]:
+    """The first 40 % of the budget explores different families; the rest refines."""
+    explore = max(2, round(EXPLORE_SHARE * view.budget))
+    return "explore" if len(view.experiments) < explore else "refine"
+
+
+def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
+    """Why the search should end now, or None.
+
+    `saturated`: the last `budget.patience` experiments of the refine phase kept nothing.
+    """
+    if len(view.finished) >= view.budget:
+        return "budget"
+    if budget.hours is not None and view.seconds >= budget.hours * 3600.0:
+        return "hours"
+    refined = [e for e in view.finished if e.proposed.phase == "refine"]
+    last = refined[-budget.patience :]
+    kept = any(e.result and e.result.status == "keep" for e in last)
+    return "saturated" if len(last) >= budget.patience and not kept else None
+
+
+def decide(outcome: Outcome, view: SearchView) -> Status:
+    """`keep` when V is below the incumbent's, else `discard`; a failure by its reason."""
+    if isinstance(outcome, Failure):
+        return outcome.reason.status
+    best = view.best.score if view.best else None
+    return "keep" if best is None or outcome.value < best.value else "discard"

@@ -1,0 +1,192 @@
+"""Open or resume a run directory and search."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from asia.agents import Agent
+from asia.candidate import Context, check_source
+from asia.errors import CandidateError, UserError
+from asia.evaluation import LINEAR, Evaluator, derive_seed
+from asia.executor import Executor, LocalExecutor
+from asia.ledger import Chain, Extended, SearchView, Started, Store, replay
+from asia.problem.load import Problem, Seal, lock_differences, lock_text, protocol_digest
+from asia.protocol import make_folds
+from asia.protocol._sealed import seal
+from asia.sandbox import Isolation, Probe, probe
+from asia.search._loop import Loop, OnEvent
+
+LOCK = "problem.lock.toml"
+PACKAGES = ("numpy", "scipy", "jax", "equinox", "optax", "cloudpickle", "asia-sysid")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run directory ready to be searched: nothing was written yet."""
+
+    problem: Problem
+    directory: Path
+    lock: str
+    started: Started
+    resumes: bool
+
+
+def prepare(
+    problem: Problem,
+    agent_name: str,
+    *,
+    seed: int,
+    runs: Path,
+    name: str | None = None,
+    isolation: Isolation | None = None,
+) -> Prepared:
+    """Check everything a search needs and compare with what is on disk. Writes nothing.
+
+    Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
+    other settings.
+    """
+    make_folds(problem.train, problem.protocol)
+    sealed = seal(problem)
+    run_name = name or f"{problem.name}-{agent_name}-s{seed}"
+    directory = runs / run_name
+    found = _probe(isolation)
+    lock = lock_text(problem, sealed)
+    started = Started(
+        run=run_name,
+        problem=problem.name,
+        agent=agent_name,
+        seed=seed,
+        experiments=problem.budget.experiments,
+        outputs=tuple(s.name for s in problem.outputs),
+        lock_digest=hashlib.sha256(lock.encode()).hexdigest(),
+        protocol_digest=protocol_digest(problem),
+        test_digest=sealed.sha256,
+        isolation=found.level.value,
+        isolation_notes=found.notes,
+        environment=_environment(),
+    )
+    if not (directory / LOCK).is_file():
+        return Prepared(problem, directory, lock, started, resumes=False)
+    _compare(problem, sealed, directory)
+    return Prepared(problem, directory, lock, started, resumes=True)
+
+
+def search(
+    prepared: Prepared,
+    agent: Agent,
+    on_event: OnEvent,
+    on_start: Callable[[SearchView], None],
+    executor: Executor | None = None,
+) -> SearchView:
+    """Run or resume to the end of the budget; the finished view.
+
+    Unfinished runs resume, finished ones return at once, a larger budget extends. Raises UserError
+    when the run is in use, belongs to another agent or seed, or was unsealed.
+    """
+    directory, problem = prepared.directory, prepared.problem
+    directory.mkdir(parents=True, exist_ok=True)
+    with Chain(directory / "ledger.jsonl") as chain:
+        if not chain.lines:
+            _write(directory / LOCK, prepared.lock)
+            chain.append(prepared.started)
+        view = replay(line.event for line in chain.lines)
+        _check_same_search(view, prepared.started)
+        loop = Loop(
+            problem=problem,
+            baseline=problem.baseline or LINEAR,
+            agent=agent,
+            evaluator=make_evaluator(problem, view, executor),
+            chain=chain,
+            store=Store(directory / "artifacts"),
+            directory=directory,
+            on_event=on_event,
+        )
+        on_start(view)
+        if problem.budget.experiments > view.budget:
+            loop.record(Extended(problem.budget.experiments))
+        return loop.run()
+
+
+def make_evaluator(
+    problem: Problem, view: SearchView, executor: Executor | None = None
+) -> Evaluator:
+    """The evaluator of a run, at the isolation its ledger records."""
+    rule = problem.protocol
+    context = Context(
+        inputs=problem.inputs,
+        outputs=problem.outputs,
+        sampling_time=problem.sampling_time,
+        n_past_u=rule.past_inputs,
+        n_past_y=rule.past_outputs,
+        metric=rule.metric,
+        physics=problem.physics,
+        seed=derive_seed(view.started.seed, "search"),
+    )
+    return Evaluator(
+        folds=make_folds(problem.train, rule),
+        records=problem.train,
+        context=context,
+        rule=rule,
+        budget=problem.budget,
+        isolation=Isolation(view.started.isolation),
+        executor=executor or LocalExecutor(),
+    )
+
+
+def check_baseline(problem: Problem) -> None:
+    """Raises UserError when the problem's baseline.py is not a candidate."""
+    if problem.baseline is None:
+        return
+    try:
+        check_source(problem.baseline)
+    except CandidateError as error:
+        raise UserError(f"baseline.py of problem '{problem.name}': {error.reason.advice}") from None
+
+
+def _probe(wanted: Isolation | None) -> Probe:
+    found = probe()
+    if wanted is None or wanted == found.level:
+        return found
+    if wanted is Isolation.PROCESS:
+        return Probe(wanted, ("asked for by the user",))
+    raise UserError(f"isolation '{wanted.value}' cannot run here: {'; '.join(found.notes)}")
+
+
+def _environment() -> dict[str, str]:
+    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version(), "platform": platform.platform(), **versions}
+
+
+def _compare(problem: Problem, sealed: Seal, directory: Path) -> None:
+    """The number of experiments may grow; all else must be as it was."""
+    found = lock_differences(problem, sealed, directory / LOCK)
+    different = [d for d in found if d.key != "budget.experiments"]
+    if different:
+        raise UserError(
+            f"{directory} was started with other settings ({different[0]}); only the number of "
+            "experiments can grow: choose another --name"
+        )
+
+
+def _check_same_search(view: SearchView, wanted: Started) -> None:
+    start = view.started
+    if (start.agent, start.seed) != (wanted.agent, wanted.seed):
+        raise UserError(
+            f"run '{start.run}' belongs to agent {start.agent} with seed {start.seed}, "
+            f"not to agent {wanted.agent} with seed {wanted.seed}: choose another --name"
+        )
+    if view.unsealed and wanted.experiments > view.budget:
+        raise UserError(
+            f"run '{start.run}' was unsealed; a search ends there: choose another --name"
+        )
+
+
+def _write(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.new")
+    temporary.write_text(text)
+    temporary.replace(path)

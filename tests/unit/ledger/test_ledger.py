@@ -1,0 +1,105 @@
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.ledger import Chain, Store, find_run, journal, open_run, results_table, verify
+
+
+def test_replay_tells_the_search(run: Path) -> None:
+    view = open_run(run).view
+    assert [e.number for e in view.finished] == [1, 2, 3]
+    assert view.best is not None
+    assert view.best.number == 3
+    assert view.experiment(2).failure is not None
+    assert view.pending is None
+
+
+def test_a_failure_is_an_empty_cell_never_a_number(run: Path) -> None:
+    rows = results_table(open_run(run).view).splitlines()
+    assert rows[0] == "experiment\tval\tstatus\tdescription"
+    assert rows[2] == "2\t\tcrash\tt2"
+
+
+def test_the_journal_has_its_five_fields(run: Path) -> None:
+    text = journal(open_run(run).view)
+    for field in ("Changed", "Hypothesis", "Result", "Decision", "Next"):
+        assert text.count(f"**{field}:**") == 3
+    assert "ValueError: x" in text
+
+
+def test_every_changed_byte_is_noticed(run: Path) -> None:
+    path = run / "ledger.jsonl"
+    sound = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for position in rng.integers(0, len(sound), size=200):
+        changed = bytearray(sound)
+        changed[position] ^= 1
+        path.write_bytes(bytes(changed))
+        if sound[position : position + 1] == b"\n" and position == len(sound) - 1:
+            continue
+        with pytest.raises(UserError, match="record"):
+            open_run(run)
+    path.write_bytes(sound)
+    open_run(run)
+
+
+def test_a_torn_tail_is_cut_and_the_chain_goes_on(run: Path) -> None:
+    path = run / "ledger.jsonl"
+    sound = path.read_bytes()
+    last = sound.rstrip(b"\n").rfind(b"\n") + 1
+    for end in range(last + 1, len(sound), 37):
+        path.write_bytes(sound[:end])
+        assert len(open_run(run).lines) == 7
+    with Chain(path) as chain:
+        event = chain.lines[-1].event
+        chain.append(event)
+    assert len(open_run(run).lines) == 8
+
+
+def test_two_writers_are_refused(run: Path) -> None:
+    with Chain(run / "ledger.jsonl"):
+        assert open_run(run).state == "running"
+        with pytest.raises(UserError, match="in use"):
+            Chain(run / "ledger.jsonl")
+    assert open_run(run).state == "interrupted"
+
+
+def test_verify_names_a_damaged_artifact(run: Path) -> None:
+    lock = run / "problem.lock.toml"
+    lock.write_text("")
+    path = run / "ledger.jsonl"
+    digest = hashlib.sha256(b"").hexdigest()
+    assert digest  # the fixture's lock digest is made up, so the lock is what fails last
+    with pytest.raises(UserError, match=r"problem\.lock\.toml was changed"):
+        verify(run)
+    artifact = next((run / "artifacts").iterdir())
+    artifact.write_bytes(b"other")
+    with pytest.raises(UserError, match="was changed after it was written"):
+        verify(run)
+    assert path.is_file()
+
+
+def test_artifacts_keep_arrays_bitwise(tmp_path: Path) -> None:
+    store = Store(tmp_path / "artifacts")
+    rng = np.random.default_rng(0)
+    arrays = [rng.normal(size=(7, 2)), rng.normal(size=(3, 2))]
+    digest = store.put_arrays(arrays)
+    back = store.get_arrays(digest, [a.shape for a in arrays])
+    assert all(a.tobytes() == b.tobytes() for a, b in zip(arrays, back, strict=True))
+    with pytest.raises(UserError, match="numbers"):
+        store.get_arrays(digest, [(7, 2)])
+    with pytest.raises(UserError, match="missing"):
+        store.get("0" * 64)
+
+
+def test_runs_are_found_by_name_by_path_and_by_age(run: Path) -> None:
+    assert find_run(run.parent, "toy") == run
+    assert find_run(Path("elsewhere"), str(run)) == run
+    assert find_run(run.parent, None) == run
+    with pytest.raises(UserError, match="there is: toy"):
+        find_run(run.parent, "other")
+    with pytest.raises(UserError, match="asia run"):
+        find_run(run / "artifacts", None)

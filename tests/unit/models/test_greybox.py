@@ -1,0 +1,165 @@
+"""The grey-box on simulated systems whose truth is known."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import cloudpickle
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models import greybox
+from asia.models._lm import LevenbergMarquardt
+from asia.problem import Array, Bounds, ParameterRange, Physics, Trajectory
+
+from .greybox_systems import (
+    DUFFING,
+    DUFFING_TRUTH,
+    TANKS,
+    context_for,
+    duffing_record,
+    held_steps,
+    simulated,
+)
+
+NOISE = 0.01
+METHOD = LevenbergMarquardt(iterations=40, starts=4)
+
+
+def fitted(
+    config: greybox.Config,
+    trajectories: list[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt = METHOD,
+) -> greybox.GreyBox:
+    return greybox.train(greybox.build(config, context), trajectories, context, method)
+
+
+def split(record: Trajectory, n_past_u: int = 5, n_past_y: int = 5) -> tuple[Array, Array, Array]:
+    """Past inputs, past outputs and future inputs of one case."""
+    n = max(n_past_u, n_past_y)
+    return record.u[None, n - n_past_u : n], record.y[None, n - n_past_y : n], record.u[None, n:]
+
+
+def error(model: greybox.GreyBox, record: Trajectory) -> float:
+    """Simulation RMSE over the samples after the past window."""
+    y = model.simulate(*split(record))[0]
+    return float(np.sqrt(np.mean((y - record.y[5:]) ** 2)))
+
+
+@pytest.fixture(scope="module")
+def duffing_context() -> Context:
+    return context_for(DUFFING, "force", "y", 0.15, seed=3)
+
+
+@pytest.fixture(scope="module")
+def duffing(duffing_context: Context) -> greybox.GreyBox:
+    records = [duffing_record(200, 0, NOISE), duffing_record(150, 1, NOISE)]
+    return fitted(greybox.Config(), records, duffing_context)
+
+
+def test_recovers_the_parameters_with_unknown_initial_states(duffing: greybox.GreyBox) -> None:
+    found = duffing.parameters()
+    assert found.keys() == DUFFING_TRUTH.keys()
+    for name, value in DUFFING_TRUTH.items():
+        assert found[name] == pytest.approx(value, rel=0.03)
+
+
+def test_simulates_a_new_record_from_its_past_window(duffing: greybox.GreyBox) -> None:
+    record = duffing_record(150, 7, NOISE)
+    assert error(duffing, record) < 3 * NOISE
+    assert error(duffing, record) < 0.05 * record.y.std()
+
+
+def test_a_case_does_not_depend_on_its_batch(duffing: greybox.GreyBox) -> None:
+    cases = [split(duffing_record(60, seed)) for seed in (11, 12, 13)]
+    together = duffing.simulate(*(np.concatenate(part) for part in zip(*cases, strict=True)))
+    assert together.shape == (3, 55, 1)
+    for i, case in enumerate(cases):
+        np.testing.assert_allclose(together[i], duffing.simulate(*case)[0], rtol=1e-6, atol=1e-8)
+
+
+def test_same_seed_gives_bitwise_the_same_model(duffing_context: Context) -> None:
+    record = duffing_record(60, 2, NOISE)
+    method = LevenbergMarquardt(iterations=5, starts=2)
+    one = fitted(greybox.Config(residual=2), [record], duffing_context, method)
+    two = fitted(greybox.Config(residual=2), [record], duffing_context, method)
+    assert cloudpickle.dumps(one) == cloudpickle.dumps(two)
+
+
+def test_simulates_bitwise_the_same_in_a_fresh_process(
+    duffing: greybox.GreyBox, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("model")
+    case = split(duffing_record(80, 5))
+    (folder / "model").write_bytes(cloudpickle.dumps((duffing, case)))
+    program = (
+        "import pickle, sys; model, case = pickle.load(open(sys.argv[1], 'rb'));"
+        "sys.stdout.buffer.write(model.simulate(*case).tobytes())"
+    )
+    reply = subprocess.run(
+        [sys.executable, "-c", program, str(folder / "model")], capture_output=True, check=True
+    )
+    assert reply.stdout == duffing.simulate(*case).tobytes()
+
+
+def test_stays_finite_far_outside_the_training_range(duffing: greybox.GreyBox) -> None:
+    past_u, past_y, u = split(duffing_record(80, 5))
+    assert np.isfinite(duffing.simulate(1e3 * past_u, 1e3 * past_y, 1e4 * u)).all()
+
+
+def test_leaves_the_default_precision_alone(duffing: greybox.GreyBox) -> None:
+    y = duffing.simulate(*split(duffing_record(80, 5)))
+    assert y.dtype == np.float64
+    assert jnp.ones(1).dtype == jnp.float32
+
+
+def test_logs_a_falling_cost(duffing_context: Context) -> None:
+    points: list[tuple[float, float]] = []
+    context = replace(duffing_context, log=lambda step, loss: points.append((step, loss)))
+    method = LevenbergMarquardt(iterations=6, starts=1)
+    fitted(greybox.Config(), [duffing_record(60, 2)], context, method)
+    losses = [loss for _, loss in points]
+    assert len(points) > 2
+    assert losses == sorted(losses, reverse=True)
+    assert losses[-1] < losses[0]
+
+
+def tank_record(samples: int, seed: int) -> Trajectory:
+    """Two tanks of which the upper one overflows at 4 into the lower one, by half."""
+
+    def rate(x: Array, u: Array) -> Array:
+        x = np.maximum(x, 0.0)
+        out = 0.3 * np.sqrt(x[0])
+        inflow = 0.25 * u[0] - out
+        over = max(inflow, 0.0) / (1.0 + np.exp(-300.0 * (x[0] - 4.0)))
+        return np.array([inflow - over, out - 0.25 * np.sqrt(x[1]) + 0.5 * over])
+
+    u = held_steps(samples, seed, 0.5, 4.5, hold=20)
+    x = simulated(rate, u, np.array([2.0, 2.0]), 1.0)
+    noise = np.random.default_rng(seed).normal(scale=NOISE, size=(samples, 1))
+    return Trajectory(u, x[:, 1:] + noise, 1.0, "tanks")
+
+
+def test_finds_the_limit_and_the_spilled_fraction_of_a_full_tank() -> None:
+    context = context_for(TANKS, "pump", "level", 1.0)
+    record = tank_record(300, 4)
+    plain = fitted(greybox.Config(), [record], context)
+    config = greybox.Config(saturation=("x1",), spill=True, ridge=1e-5)
+    model = fitted(config, [record], context)
+    assert model.parameters()["x1 limit"] == pytest.approx(4.0, rel=0.05)
+    assert model.parameters()["x1 spilled fraction"] == pytest.approx(0.5, rel=0.15)
+    assert error(model, tank_record(200, 5)) < 0.3 * error(plain, tank_record(200, 5))
+
+
+def test_finds_an_input_delay() -> None:
+    record = duffing_record(200, 0, NOISE)
+    context = context_for(DUFFING, "force", "y", 0.15)
+    delayed = Trajectory(np.roll(record.u, -2, axis=0)[:-2], record.y[:-2], 0.15)
+    model = fitted(greybox.Config(input_delay=5.0, ridge=1e-6), [delayed], context)
+    assert model.parameters()["force delay"] == pytest.approx(2.0, abs=0.2)

@@ -1,0 +1,212 @@
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.problem import Signal
+from asia.problem.load import builtin_problems, load_problem
+
+Write = Callable[..., Path]
+
+PHYSICS = """
+[physics]
+states = ["x"]
+[physics.parameters]
+a = { min = 1e-3, max = 1.0 }
+[physics.dynamics]
+x = "-a*x + u"
+[physics.observation]
+y = "x"
+"""
+
+
+def message(path: Path) -> str:
+    with pytest.raises(UserError) as caught:
+        load_problem(path)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_minimal_file_is_enough(write_problem: Write) -> None:
+    directory = write_problem()
+    problem = load_problem(directory)
+    assert problem.name == "problem"
+    assert problem.inputs == (Signal("u"),)
+    assert problem.description == ""
+    assert problem.baseline is None
+    assert problem.warnings == ()
+    assert [len(t) for t in problem.train] == [120]
+    assert problem.train[0].sampling_time == 0.1
+    assert load_problem(directory / "problem.toml").train[0].name == "train"
+
+
+def test_texts_beside_the_file_are_found(write_problem: Write, minimal: str) -> None:
+    directory = write_problem('name = "x"\ndescription = "d.md"\n' + minimal + PHYSICS)
+    (directory / "d.md").write_text("a tank")
+    (directory / "baseline.py").write_text("pass\n")
+    problem = load_problem(directory)
+    assert (problem.name, problem.description, problem.baseline) == ("x", "a tank", "pass\n")
+    assert problem.physics is not None
+    assert problem.physics.dynamics == {"x": "-a*x + u"}
+
+
+def test_simulated_problem_loads_by_name() -> None:
+    problem = load_problem("two_tanks_sim")
+    again = load_problem("two_tanks_sim")
+    assert problem.truth is not None
+    assert np.array_equal(problem.train[0].y, again.train[0].y)
+    error = problem.train[0].y - problem.truth[0]
+    assert 0.045 < error.std() < 0.055
+    assert problem.truth[0].max() == 10.0
+    assert problem.physics is not None
+    assert problem.description.startswith("# Two tanks")
+    assert set(builtin_problems()) >= {"two_tanks_sim", "cascaded_tanks"}
+
+
+@pytest.mark.data
+@pytest.mark.skipif("ASIA_DATA_DIR" not in os.environ, reason="ASIA_DATA_DIR is not set")
+def test_cascaded_tanks_load_by_name() -> None:
+    problem = load_problem("cascaded_tanks")
+    assert [t.y.shape for t in problem.train] == [(1024, 1)]
+    assert problem.train[0].u[0, 0] == pytest.approx(3.2567, abs=1e-3)
+    assert problem.protocol.test.skip == 45
+    assert problem.protocol.past == 5
+
+
+def test_missing_benchmark_says_which_file_to_put_where(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ASIA_DATA_DIR", str(tmp_path / "none"))
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+    def no_network(*_: object, **__: object) -> None:
+        raise OSError("network is unreachable")
+
+    monkeypatch.setattr("socket.socket.connect", no_network)
+    monkeypatch.setattr("socket.getaddrinfo", no_network)
+    with pytest.raises(UserError, match=r"CascadedTanksFiles\.zip.*ASIA_DATA_DIR"):
+        load_problem("cascaded_tanks")
+    assert not list((tmp_path / ".nonlinear_benchmarks").rglob("*.zip"))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (("sampling_time", "sampling_tme"), "'sampling_tme' in the top level; did you mean 'samp"),
+        (("[data]", "[data]\ntrian = []"), "unknown key 'trian' in [data]; did you mean 'train'?"),
+        (
+            ("[data]", "[protocol.folds]\ncuont = 3\n[data]"),
+            "unknown key 'cuont' in [protocol.folds]; did you mean 'count'?",
+        ),
+        (("[data]", '[protocol]\nkind = "windows"\n[data]'), "not supported by this version"),
+        (
+            ("[data]", '[protocol]\nearly_stopping = "validation"\n[data]'),
+            "protocol.early_stopping = 'validation' is not supported by this version",
+        ),
+        (
+            ("[data]", '[protocol]\nfolds = { kind = "leave_one_group_out" }\n[data]'),
+            "'leave_one_group_out' is not supported by this version",
+        ),
+        (("[data]", "[protocol]\nhorizon = 50\n[data]"), "protocol.horizon is not supported"),
+        (("[data]", "[data]\ngroups = { a = [] }"), "data.groups is not supported"),
+        (("[data]", "[budget]\nmemory_mb = 512\n[data]"), "JAX cannot start under 1600 MB"),
+        (("[data]", "[budget]\nhours = 0\n[data]"), "budget.hours is 0, expected a number above 0"),
+        (("[data]", "[protocol]\npast_inputs = -1\n[data]"), "is -1, expected at least 0"),
+        (("[data]", '[protocol]\npast_inputs = "5"\n[data]'), 'is "5", expected a whole number'),
+        (("[data]", '[protocol]\nmetric = "mse"\n[data]'), "expected 'rmse' or 'mae'"),
+        (("0.1", "nan"), "expected a finite number"),
+        (('inputs = ["u"]', ""), "'inputs' is missing in the top level"),
+        (('["u"]', "[]"), "inputs is [], expected at least one entry"),
+        (('["u"]', '[{ name = "u", unti = "V" }]'), "in [inputs[0]]; did you mean 'unit'?"),
+        (('["y"]', '["u"]'), "signal 'u' is named 2 times"),
+        (('["y"]', '["Y1"]'), "has no column 'Y1' (it has t, u, y); did you mean 'y'?"),
+        (('["train.csv"]', "[]"), "[data] names no training data"),
+        (('["train.csv"]', '["test.csv"]'), "in both train and test"),
+        (('["train.csv"]', '["nowhere.csv"]'), "no such file"),
+        (('["train.csv"]', '[""]'), "data.train[0] = '' is not a file name"),
+        (('["train.csv"]', '["a\\u0000b"]'), "is not a file name"),
+        (("[data]", 'description = "d.md"\n[data]'), "cannot read"),
+        (("[data]", "[data"), "is not valid TOML"),
+    ],
+)
+def test_bad_file_gives_one_sentence(
+    write_problem: Write, minimal: str, change: tuple[str, str], expected: str
+) -> None:
+    toml = minimal.replace(*change)
+    assert toml != minimal
+    assert expected in message(write_problem(toml))
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ('source = "nonlinear_benchmarks:Cascaded_Tank"', "did you mean 'Cascaded_Tanks'?"),
+        ('source = "simulated:tanks"', "did you mean 'two_tanks'?"),
+        ('source = "web:x"', "expected 'nonlinear_benchmarks:<name>'"),
+        ('source = "simulated:two_tanks"\ntrain = ["a.csv"]', "keep one of them"),
+        ('source = "nonlinear_benchmarks:CED"\nseed = 1', "data.seed belongs to a simulated"),
+        ('source = "simulated:two_tanks"', "sampled every 4 s"),
+    ],
+)
+def test_bad_source(write_problem: Write, minimal: str, source: str, expected: str) -> None:
+    toml = minimal.split("[data]")[0] + f"[data]\n{source}\n"
+    assert expected in message(write_problem(toml))
+
+
+def test_many_mistakes_are_cut_short(write_problem: Write, minimal: str) -> None:
+    extra = "".join(f"wrong{i} = 1\n" for i in range(6))
+    assert "and 3 more" in message(write_problem(extra + minimal))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (("-a*x + u", "-b*x + u"), "undefined symbol 'b'"),
+        (("-a*x + u", "open(x)"), "there is no function 'open'"),
+        (("max = 1.0", "max = 1.0, step = 2"), "in [physics.parameters.a]"),
+        (("max = 1.0", "max = 0.0"), "must be below max"),
+    ],
+)
+def test_bad_physics(
+    write_problem: Write, minimal: str, change: tuple[str, str], expected: str
+) -> None:
+    assert expected in message(write_problem(minimal + PHYSICS.replace(*change)))
+
+
+def test_too_few_samples_for_the_folds(write_problem: Write) -> None:
+    assert "2 folds with a past window of 10 need at least 50" in message(write_problem(samples=49))
+
+
+def test_just_enough_samples_for_the_folds(write_problem: Write) -> None:
+    assert len(load_problem(write_problem(samples=50)).train[0]) == 50
+
+
+def test_unknown_name_suggests_a_built_in() -> None:
+    with pytest.raises(UserError, match="did you mean 'cascaded_tanks'"):
+        load_problem("cascaded_tank")
+
+
+def test_directory_without_problem_file(tmp_path: Path) -> None:
+    assert "has no problem.toml" in message(tmp_path)
+
+
+def test_test_data_are_not_opened(write_problem: Write) -> None:
+    directory = write_problem()
+    (directory / "test.csv").write_bytes(b"\0 not a record")
+    assert len(load_problem(directory).train) == 1
+
+
+def test_records_with_the_same_file_name_are_told_apart(
+    write_problem: Write, minimal: str, record: Callable[[int, int], str]
+) -> None:
+    directory = write_problem(minimal.replace('["train.csv"]', '["a/run.csv", "b/run.csv"]'))
+    for seed, part in enumerate("ab"):
+        (directory / part).mkdir()
+        (directory / part / "run.csv").write_text(record(60, seed))
+    assert [t.name for t in load_problem(directory).train] == ["a/run", "b/run"]

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.problem import Signal, Trajectory
+from asia.problem._check import check_problem
+from asia.problem._problem import Problem, Seal
+from asia.problem.load import load_problem
+
+
+@pytest.fixture
+def tanks() -> Problem:
+    return load_problem("two_tanks_sim")
+
+
+def with_signals(problem: Problem, u: np.ndarray, y: np.ndarray) -> Problem:
+    inputs = tuple(Signal(f"u{i}") for i in range(u.shape[1]))
+    return replace(problem, train=(Trajectory(u, y, 4.0, "r"),), inputs=inputs)
+
+
+def test_folds_match_the_papers_ranges(tanks: Problem) -> None:
+    report = check_problem(tanks, Seal(None))
+    ranges = [(h.first, h.last) for f in report.folds for h in f.held_out]
+    assert ranges == [(6, 515), (516, 1024)]
+    assert [f.training_samples for f in report.folds] == [509, 510]
+
+
+def test_bandwidth_and_order_of_a_sine(tanks: Problem) -> None:
+    k = np.arange(1000)
+    u = np.sin(2 * np.pi * 0.1 * k)[:, None]
+    report = check_problem(with_signals(tanks, u, u + 1), Seal(None))
+    check = report.signals[0]
+    assert check.excitation_order == 2
+    assert check.bandwidth_share == pytest.approx(0.2, abs=0.01)
+    assert check.bandwidth == pytest.approx(0.1 / 4.0, rel=0.05)
+    assert any("excites 2 modes" in w for w in report.warnings)
+
+
+def test_white_noise_excites_every_order(tanks: Problem) -> None:
+    u = np.random.default_rng(0).standard_normal((1000, 1))
+    check = check_problem(with_signals(tanks, u, u), Seal(None)).signals[0]
+    assert check.excitation_order == 50
+    assert check.bandwidth_share > 0.9
+
+
+def test_doubts_are_said(tanks: Problem) -> None:
+    random = np.random.default_rng(0)
+    u = random.standard_normal((1000, 3))
+    u[:, 1] = 2 * u[:, 0]
+    u[:, 2] = 1.0
+    y = np.clip(random.standard_normal((1000, 1)), -9, 1)
+    problem = replace(with_signals(tanks, u, y), description=" ", warnings=("clock",))
+    report = check_problem(problem, Seal("0" * 64, ("t",), (5,), shared_samples=7))
+    text = "\n".join(report.warnings)
+    for expected in (
+        "clock",
+        "output tank2_level sits at 1 V",
+        "input u2 is constant",
+        "inputs u0 and u1 move together",
+        "there is no description",
+        "7 test samples also occur",
+    ):
+        assert expected in text
+    assert len(report.warnings) == 6
+
+
+def test_slow_output_is_said(tanks: Problem) -> None:
+    random = np.random.default_rng(0)
+    u = random.standard_normal((5000, 1))
+    y = np.sin(2 * np.pi * np.arange(5000) / 2500)[:, None]
+    report = check_problem(with_signals(tanks, u, y), Seal("0" * 64, ("t",), (5,)))
+    assert any("far slower than it is sampled" in w for w in report.warnings)
+
+
+def test_lines_name_everything(
+    write_problem: Callable[..., Path], minimal: str, tanks: Problem
+) -> None:
+    lines = check_problem(tanks, Seal("ab" * 32, ("two_tanks_test",), (1024,))).lines()
+    text = "\n".join(lines)
+    for expected in (
+        "sampled every 4 s",
+        "input pump_voltage [V]",
+        "1024 samples, 4096 s",
+        "missing values: none",
+        "fold 2: holds out two_tanks_train 516-1024",
+        "test, sealed: two_tanks_test (1024 samples); 45 samples",
+        "sha256 abababababab",
+        "2 states (x1, x2), 4 parameters to fit",
+    ):
+        assert expected in text
+    plain = check_problem(load_problem(write_problem(minimal)), Seal(None)).lines()
+    assert "test: none" in plain
+    assert "physics: none" in plain

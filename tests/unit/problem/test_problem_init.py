@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.problem._init import init_problem
+from asia.problem._problem import CsvSource
+from asia.problem.load import load_problem
+
+Record = Callable[[int, int], str]
+
+
+@pytest.fixture
+def data(tmp_path: Path, record: Record) -> Path:
+    for seed, name in enumerate(("a", "b", "c")):
+        (tmp_path / f"{name}.csv").write_text(record(200, seed))
+    return tmp_path
+
+
+def make(data: Path, **changes: Any) -> Path:
+    arguments: dict[str, Any] = {
+        "train": [data / "a.csv", data / "b.csv"],
+        "test": [data / "c.csv"],
+        "inputs": ["u"],
+        "outputs": ["y"],
+        "sampling_time": 0.1,
+        "seal_fraction": None,
+    }
+    return init_problem(data / "mine", **{**arguments, **changes})
+
+
+def test_new_problem_loads(data: Path) -> None:
+    path = make(data)
+    assert path == data / "mine" / "problem.toml"
+    problem = load_problem(data / "mine")
+    assert problem.name == "mine"
+    assert [t.name for t in problem.train] == ["a", "b"]
+    assert problem.test.source == CsvSource((data / "c.csv",))
+    assert 'train = ["../a.csv", "../b.csv"]' in path.read_text()
+    assert "plain English" in problem.description
+    assert sorted(p.name for p in data.iterdir()) == ["a.csv", "b.csv", "c.csv", "mine"]
+
+
+def test_last_part_is_sealed(data: Path) -> None:
+    path = make(data, train=[data / "a.csv"], test=[], seal_fraction=0.2)
+    problem = load_problem(path)
+    assert [len(t) for t in problem.train] == [160]
+    assert problem.test.source == CsvSource((path.parent / "a_sealed.csv",))
+    original = np.loadtxt(data / "a.csv", delimiter=",", skiprows=1)
+    sealed = np.loadtxt(path.parent / "a_sealed.csv", delimiter=",", skiprows=1)
+    assert np.array_equal(problem.train[0].y[:, 0], original[:160, 2])
+    assert np.array_equal(sealed, original[160:])
+    assert "The last 20% of each record is sealed" in path.read_text()
+
+
+def test_no_test_data_is_allowed(data: Path) -> None:
+    assert load_problem(make(data, test=[])).test.source is None
+
+
+def test_data_elsewhere_are_named_by_absolute_path(data: Path, record: Record) -> None:
+    path = init_problem(
+        data / "deep" / "mine",
+        train=[data / "a.csv"],
+        test=[],
+        inputs=["u"],
+        outputs=["y"],
+        sampling_time=0.1,
+        seal_fraction=None,
+    )
+    assert str(data / "a.csv") in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"inputs": ["v"]}, "no column 'v'"),
+        ({"inputs": []}, "inputs is []"),
+        ({"outputs": ["u"]}, "signal 'u' is named 2 times"),
+        ({"sampling_time": 0.0}, "sampling_time is 0.0, expected a number above 0"),
+        ({"train": []}, "names no training data"),
+        ({"test": [], "seal_fraction": 0.9}, "expected more than 0 and at most 0.5"),
+        ({"test": [], "seal_fraction": 0.01}, "the past window alone takes 10"),
+    ],
+)
+def test_bad_wishes_write_nothing(data: Path, changes: dict[str, Any], expected: str) -> None:
+    before = sorted(data.rglob("*"))
+    with pytest.raises(UserError) as caught:
+        make(data, **changes)
+    assert expected in str(caught.value)
+    assert sorted(data.rglob("*")) == before
+
+
+def test_refused_wish_leaves_no_parent_directories(data: Path) -> None:
+    with pytest.raises(UserError, match="in both train and test"):
+        init_problem(
+            data / "new" / "deep" / "mine",
+            train=[data / "a.csv"],
+            test=[data / "a.csv"],
+            inputs=["u"],
+            outputs=["y"],
+            sampling_time=0.1,
+            seal_fraction=None,
+        )
+    assert not (data / "new").exists()
+
+
+def test_too_short_record_writes_nothing(data: Path, record: Record) -> None:
+    (data / "a.csv").write_text(record(40, 0))
+    with pytest.raises(UserError, match="at least 50"):
+        make(data)
+    assert not (data / "mine").exists()
+
+
+def test_nothing_is_overwritten(data: Path) -> None:
+    path = make(data)
+    path.write_text("precious")
+    with pytest.raises(UserError, match="is not empty"):
+        make(data)
+    assert path.read_text() == "precious"

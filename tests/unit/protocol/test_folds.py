@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from asia.errors import UserError
+from asia.problem import FoldRule, ProtocolRule, Trajectory
+from asia.protocol import make_folds, whole
+
+
+def record(length: int, name: str = "r") -> Trajectory:
+    t = np.arange(length, dtype=float)
+    return Trajectory(t[:, None], np.stack([t, t**2], axis=1), 1.0, name)
+
+
+def test_cascaded_tanks_folds_are_those_of_the_paper() -> None:
+    rule = ProtocolRule(folds=FoldRule(count=2), past_inputs=5, past_outputs=5)
+    first, second = make_folds([record(1024)], rule)
+    block = first.validation[0]
+    assert (block.start + 1, block.stop) == (6, 515)
+    assert (second.validation[0].start + 1, second.validation[0].stop) == (516, 1024)
+    assert first.train[0].u[0, 0] + 1 == 516
+    assert (second.train[0].u[0, 0] + 1, len(second.train[0])) == (6, 510)
+    assert np.array_equal(second.validation[0].case.past_u[:, 0] + 1, [511, 512, 513, 514, 515])
+
+
+@given(
+    lengths=st.lists(st.integers(40, 90), min_size=1, max_size=3),
+    count=st.integers(2, 4),
+    past=st.integers(0, 4),
+)
+def test_laws_of_contiguous_folds(lengths: list[int], count: int, past: int) -> None:
+    records = [record(n, str(i)) for i, n in enumerate(lengths)]
+    rule = ProtocolRule(folds=FoldRule(count=count), past_inputs=past, past_outputs=past)
+    folds = make_folds(records, rule)
+    seen: list[set[int]] = [set() for _ in records]
+    for fold in folds:
+        for block in fold.validation:
+            held = set(range(block.start, block.stop))
+            assert not seen[block.record] & held
+            seen[block.record] |= held
+            measured = records[block.record]
+            assert np.array_equal(block.y, measured.y[block.start : block.stop])
+            assert np.array_equal(block.case.u, measured.u[block.start : block.stop])
+            trained = [t for t in fold.train if t.name == measured.name]
+            for part in trained:
+                assert not held & {int(v) for v in part.u[:, 0]}
+        assert np.allclose(fold.scale, np.concatenate([t.y for t in fold.train]).std(axis=0))
+    for measured, covered in zip(records, seen, strict=True):
+        assert covered == set(range(past, len(measured)))
+
+
+def test_blocks_of_whole_records_start_after_the_past_window() -> None:
+    rule = ProtocolRule(past_inputs=2, past_outputs=3)
+    block = whole([record(10)], rule)[0]
+    assert block.start == 3
+    assert np.array_equal(block.case.past_u[:, 0], [1, 2])
+    assert np.array_equal(block.case.past_y[:, 0], [0, 1, 2])
+
+
+def test_a_constant_output_is_refused() -> None:
+    flat = Trajectory(np.arange(50.0), np.ones(50), 1.0, "flat")
+    with pytest.raises(UserError, match="output 1 is constant"):
+        make_folds([flat], ProtocolRule(past_inputs=2, past_outputs=2))
+
+
+def test_too_few_samples_are_refused() -> None:
+    with pytest.raises(UserError, match="too few"):
+        make_folds([record(11)], ProtocolRule(past_inputs=10, past_outputs=10))
