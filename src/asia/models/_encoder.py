@@ -17,38 +17,70 @@ from asia.problem import Array
 
 @dataclass(frozen=True)
 class Encoder:
-    """state = weights^T features + bias: weights (d, n), bias (n,)."""
+    """state = features weights + tanh(features inner + shift) outer + bias.
+
+    weights (d, n), bias (n,), inner (d, m), shift (m,), outer (m, n).
+    """
 
     weights: Array
     bias: Array
+    inner: Array
+    shift: Array
+    outer: Array
 
     def __call__(self, features: Array) -> Array:
         """(B, d) -> (B, n)."""
-        return features @ self.weights + self.bias
+        bent = np.tanh(features @ self.inner + self.shift)
+        return features @ self.weights + bent @ self.outer + self.bias
 
 
-def fit_encoder(features: Sequence[Array], states: Sequence[Array]) -> Encoder:
-    """features (N_r, d) and states (N_r, n) of each record -> ridge regression, the ridge chosen
-    by leave-one-block-out prediction over contiguous blocks (neighbouring windows overlap, so
-    leaving out single samples would choose too small a ridge)."""
+def fit_encoder(
+    features: Sequence[Array], states: Sequence[Array], hidden: int = 0, seed: int = 0
+) -> Encoder:
+    """features (N_r, d) and states (N_r, n) of each record -> ridge regression on the features
+    and on `hidden` random tanh functions of them.
+
+    The ridge and whether the tanh functions are used at all are chosen by prediction of
+    contiguous blocks left out: neighbouring windows overlap, so leaving out single samples would
+    choose too small a ridge.
+    """
     x, y = np.concatenate(features), np.concatenate(states)
-    center, mean = x.mean(axis=0), y.mean(axis=0)
     if x.shape[1] == 0:
-        return Encoder(np.zeros((0, y.shape[1])), mean)
-    blocks = np.array_split(np.arange(len(x)), min(8, len(x)))
-    ridges = np.logspace(-6, 3, 10)
+        return Encoder(np.zeros((0, y.shape[1])), y.mean(axis=0), *_no_bend(0, y.shape[1]))
+    plain, plain_error = _regression(x, y)
+    without = Encoder(*plain, *_no_bend(x.shape[1], y.shape[1]))
+    if hidden == 0:
+        return without
+    rng = np.random.default_rng(seed)
+    inner = rng.standard_normal((x.shape[1], hidden)) / np.sqrt(x.shape[1])
+    shift = rng.uniform(-1.0, 1.0, hidden)
+    (weights, bias), error = _regression(np.concatenate([x, np.tanh(x @ inner + shift)], 1), y)
+    if error >= plain_error:
+        return without
+    return Encoder(weights[: x.shape[1]], bias, inner, shift, weights[x.shape[1] :])
+
+
+def _no_bend(inputs: int, outputs: int) -> tuple[Array, Array, Array]:
+    return np.zeros((inputs, 0)), np.zeros(0), np.zeros((0, outputs))
+
+
+def _regression(x: Array, y: Array) -> tuple[tuple[Array, Array], float]:
+    """Weights and bias, and the squared error of the blocks left out."""
+    center, mean = x.mean(axis=0), y.mean(axis=0)
+    x, y = x - center, y - mean
+    ridges = np.logspace(-6, 3, 10) * max(len(x) / 1000, 1e-3)
     errors = np.zeros(len(ridges))
-    if len(blocks) > 1:
-        for block in blocks:
-            kept = np.setdiff1d(np.arange(len(x)), block, assume_unique=True)
-            for i, weights in enumerate(_ridge_path(x[kept] - center, y[kept] - mean, ridges)):
-                errors[i] += float((((x[block] - center) @ weights - (y[block] - mean)) ** 2).sum())
-    best = ridges[int(np.argmin(errors))]
-    (weights,) = _ridge_path(x - center, y - mean, np.array([best]))
-    return Encoder(weights, mean - center @ weights)
+    gram, cross = x.T @ x, x.T @ y
+    for block in np.array_split(np.arange(len(x)), min(8, len(x))):
+        xb, yb = x[block], y[block]
+        paths = _ridge_path(gram - xb.T @ xb, cross - xb.T @ yb, ridges)
+        errors += [float(((xb @ weights - yb) ** 2).sum()) for weights in paths]
+    best = int(np.argmin(errors))
+    (weights,) = _ridge_path(gram, cross, ridges[best : best + 1])
+    return (weights, mean - center @ weights), float(errors[best])
 
 
-def _ridge_path(x: Array, y: Array, ridges: Array) -> list[Array]:
-    values, vectors = np.linalg.eigh(x.T @ x)
-    projected = vectors.T @ (x.T @ y)
+def _ridge_path(gram: Array, cross: Array, ridges: Array) -> list[Array]:
+    values, vectors = np.linalg.eigh(gram)
+    projected = vectors.T @ cross
     return [vectors @ (projected / (np.maximum(values, 0.0) + r)[:, None]) for r in ridges]

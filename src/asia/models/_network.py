@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from asia.candidate import Context
 from asia.errors import UserError
-from asia.models._records import Batch, batch, check, holdout_masks, reweighted, scaled, window
+from asia.models._records import (
+    Batch,
+    Record,
+    batch,
+    check,
+    holdout_masks,
+    reweighted,
+    scaled,
+    window,
+)
 from asia.models._scaling import Scaling
 from asia.models.methods import Adam
 from asia.problem import Array, Trajectory
@@ -91,22 +100,29 @@ def train_network(
     model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: Adam
 ) -> NetworkModel:
     """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    from asia.models._adam import train_adam
-
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
+    with jax.enable_x64(False):
+        params = with_output_layer(model, batch(records, context))
+    params = train_cell(model.cell, params, records, context, method)
+    return replace(model, params=params, scaling=scaling)
+
+
+def train_cell(
+    cell: Cell, params: Params, records: Sequence[Record], context: Context, method: Adam
+) -> Params:
+    """Trained float32 parameters, from z-scored records."""
+    from asia.models._adam import train_adam
+
     fitted, held_out = batch(records, context), None
     if method.holdout > 0:
         masks = holdout_masks(records, method.holdout)
         fitted = batch(reweighted(records, masks, False), context)
         held_out = batch(reweighted(records, masks, True), context)
     with jax.enable_x64(False):
-        params = with_output_layer(model, fitted)
-        params = train_adam(
-            model.cell, params, fitted, held_out, method, context.seed % 2**31, context.log
-        )
-    return replace(model, params=params, scaling=scaling)
+        seed = context.seed % 2**31
+        return train_adam(cell, params, fitted, held_out, method, seed, context.log)
 
 
 def with_output_layer(model: NetworkModel, data: Batch) -> Params:

@@ -14,13 +14,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
 from asia.errors import UserError
 from asia.models import linear
 from asia.models._encoder import Encoder, fit_encoder
-from asia.models._linear_fit import LinearFit, Refinement
+from asia.models._linear_fit import LinearFit, Refinement, encoder_of
+from asia.models._network import train_cell, window_size
 from asia.models._records import Record, check, past_length, scaled, window, windows
 from asia.models._scaling import Scaling
 from asia.models._state_fit import fit_states
@@ -35,7 +38,8 @@ class Config:
     where the static functions are; channels: None, or through how many signals f and g act;
     basis, hidden (units of the tanh layer), degree (of the polynomial); ridge: weight, against
     the mean squared error in z-scores, of the squared distance of the nonlinear weights from
-    their start; linear_ridge: the same for A, B, C, D; delay: as in `linear.Config`."""
+    their start; linear_ridge: the same for A, B, C, D; encoder: tanh units of the map from the
+    past window to the initial state; delay: as in `linear.Config`."""
 
     order: int | None = None
     nonlinearity: Nonlinearity = "state"
@@ -45,6 +49,7 @@ class Config:
     degree: int = 3
     ridge: float = 1e-5
     linear_ridge: float = 1e-7
+    encoder: int = 30
     delay: int | None = 0
 
     def __post_init__(self) -> None:
@@ -65,6 +70,28 @@ class Fitted:
     delay: int
     scaling: Scaling
     encoder: Encoder
+
+
+@dataclass(frozen=True)
+class StateCell:
+    """The model as Adam trains it: see `asia.models._network.Cell`."""
+
+    structure: Structure
+
+    def initial(self, params: Any, window: jax.Array) -> jax.Array:
+        """Encoder."""
+        p = params["encoder"]
+        bent = jnp.tanh(window @ p["inner"] + p["shift"])
+        return window @ p["weights"] + bent @ p["outer"] + p["bias"]
+
+    def step(self, params: Any, state: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Next state and output before r."""
+        return self.structure.split(jnp, params, state, self.structure.input(jnp, params, u))
+
+    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+        """r."""
+        del u
+        return self.structure.output(jnp, params, features)
 
 
 @dataclass(frozen=True)
@@ -115,10 +142,11 @@ def train(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels,
     )  # fmt: skip
-    fitted = Fitted(structure, {}, delay, scaling, Encoder(np.zeros((0, 0)), np.zeros(0)))
     if isinstance(method, Adam):
-        raise NotImplementedError
-    return replace(model, fitted=_by_lm(fitted, c, found, late, context, method))
+        params, encoder = _by_adam(structure, c, found, late, context, method)
+    else:
+        params, encoder = _by_lm(structure, c, found, late, context, method)
+    return replace(model, fitted=Fitted(structure, params, delay, scaling, encoder))
 
 
 def _linear_start(
@@ -133,14 +161,13 @@ def _linear_start(
 
 
 def _by_lm(
-    fitted: Fitted,
+    structure: Structure,
     config: Config,
     found: LinearFit,
     records: Sequence[Record],
     context: Context,
     method: LevenbergMarquardt,
-) -> Fitted:
-    structure = fitted.structure
+) -> tuple[dict[str, Any], Encoder]:
     rng = np.random.default_rng(context.seed)
     starts = [structure.start(found.system, rng) for _ in range(method.starts)]
     ridge = dict.fromkeys(("a", "b", "c", "d", "offset"), config.linear_ridge)
@@ -149,10 +176,40 @@ def _by_lm(
     params, x0, history = fit_states(structure, starts, found.x0, records, ridge, method)
     for i, loss in enumerate(history):
         context.log(i, float(loss))
+    skip = past_length(context)
     states = [
-        structure.simulate(params, x[None], r.u[None])[0][0]
+        structure.simulate(params, x[None], r.u[None])[0][0, skip:]
         for x, r in zip(x0, records, strict=True)
     ]
-    skip = past_length(context)
-    encoder = fit_encoder([windows(r, context) for r in records], [x[skip:] for x in states])
-    return replace(fitted, params=params, encoder=encoder)
+    features = [windows(r, context) for r in records]
+    return params, fit_encoder(features, states, config.encoder, context.seed)
+
+
+def _by_adam(
+    structure: Structure,
+    config: Config,
+    found: LinearFit,
+    records: Sequence[Record],
+    context: Context,
+    method: Adam,
+) -> tuple[dict[str, Any], Encoder]:
+    rng = np.random.default_rng(context.seed)
+    start = encoder_of(records, found, context)
+    d, n, m = window_size(context), structure.order, config.encoder
+    params = {
+        **structure.start(found.system, rng),
+        "encoder": {
+            "weights": start.weights,
+            "bias": start.bias,
+            "inner": rng.standard_normal((d, m)) / np.sqrt(max(d, 1)),
+            "shift": rng.uniform(-1.0, 1.0, m),
+            "outer": np.zeros((m, n)),
+        },
+    }
+    trained = train_cell(StateCell(structure), _cast(params, np.float32), records, context, method)
+    trained = _cast(trained, np.float64)
+    return trained, Encoder(**trained.pop("encoder"))
+
+
+def _cast(tree: Any, dtype: type[np.floating[Any]]) -> dict[str, Any]:
+    return jax.tree.map(lambda v: np.asarray(v, dtype), tree)

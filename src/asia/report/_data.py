@@ -11,7 +11,18 @@ from matplotlib.figure import Figure
 from asia.problem import Array, Trajectory
 from asia.problem.load import Problem
 from asia.protocol import Fold, make_folds
-from asia.report._style import BLUE, INK, ORANGE, QUIET, SHADE, WIDTH, axis_label, plain, quiet_grid
+from asia.report._style import (
+    BLUE,
+    INK,
+    ORANGE,
+    QUIET,
+    SHADE,
+    WIDTH,
+    axis_label,
+    plain,
+    quiet_grid,
+    shown,
+)
 from asia.report._time import Stretch, TimeAxis, last_sample, lay_out, time_unit
 
 _MOST_CHANNELS = 6
@@ -111,16 +122,11 @@ def _title(problem: Problem, inputs: int, outputs: int) -> str:
     many = len(problem.train)
     text = f"{plain(problem.name, 30)}: {samples} training samples"
     text += f" in {many} records" if many > 1 else ""
-    hidden = [
-        f"{shown} of {total} {what}"
-        for shown, total, what in (
-            (inputs, len(problem.inputs), "inputs"),
-            (outputs, len(problem.outputs), "outputs"),
-            (min(many, _MOST_RECORDS), many, "records"),
-        )
-        if shown < total
-    ]
-    return text + (f" ({', '.join(hidden)} shown)" if hidden else "")
+    return text + shown(
+        (inputs, len(problem.inputs), "inputs"),
+        (outputs, len(problem.outputs), "outputs"),
+        (min(many, _MOST_RECORDS), many, "records"),
+    )
 
 
 def _odd(folds: int) -> str:

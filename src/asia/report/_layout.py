@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 # Heights and gaps in inches.
-_HEAD = 0.36
-_FOOT = 0.62
+_HEAD = 0.22
+_FOOT = 0.6
 _TITLE_LINE = 0.155
 _ABOVE_TITLE = 0.16
 _PLOT = 1.3

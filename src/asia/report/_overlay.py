@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from asia.problem import Array, Signal
+from asia.report._layout import Cell, arrange
 from asia.report._style import (
     BLUE,
     FAINT,
@@ -24,7 +25,6 @@ from asia.report._style import (
     plain,
     quiet_grid,
 )
-from asia.report._layout import Cell, arrange
 from asia.report._time import Stretch, TimeAxis, last_sample, lay_out, time_unit
 
 MOST_PANELS = 8

@@ -15,7 +15,7 @@ from asia.problem.load import Problem
 from asia.protocol import Fold
 from asia.report._correlation import cross_correlation, independent_band, white_band
 from asia.report._simulation import fold_outputs
-from asia.report._style import BLUE, INK, SHADE, WIDTH, plain, quiet_grid
+from asia.report._style import BLUE, INK, SHADE, WIDTH, plain, quiet_grid, shown
 
 _LAGS = 40
 _MOST_ROWS = 4
@@ -48,13 +48,21 @@ def draw_residuals(
         axes.set_xlabel("Lag of the input [samples]" if column else "Lag [samples]")
     figure.align_ylabels(list(grid[:, 0]))
     figure.suptitle(
-        f"Experiment {experiment.number}, {plain(experiment.proposed.title, 40)}: "
-        "simulation residuals, held-out folds, 99 % bands",
+        f"Experiment {experiment.number}, {plain(experiment.proposed.title, 30)}: "
+        f"simulation residuals, held-out folds, 99 % bands{_left_out(problem)}",
         x=0.01,
         ha="left",
         fontweight="bold",
     )
     return figure
+
+
+def _left_out(problem: Problem) -> str:
+    outputs, inputs = len(problem.outputs), len(problem.inputs)
+    return shown(
+        (min(outputs, _MOST_ROWS), outputs, "outputs"),
+        (min(inputs, _MOST_INPUTS), inputs, "inputs"),
+    )
 
 
 def _whiteness(axes: Axes, e: Sequence[Array], output: Signal, lags: int) -> None:

@@ -12,7 +12,7 @@ from asia.problem import Array, Signal
 from asia.problem.load import Problem
 from asia.protocol import Fold
 from asia.report._overlay import MOST_PANELS, Heading, Panel, Piece, Words, draw_overlay
-from asia.report._style import number, plain, quantity
+from asia.report._style import number, plain, quantity, shown
 from asia.scoring import FoldScore
 
 _MOST_PIECES = 4
@@ -50,8 +50,11 @@ def draw_simulation(
         for k in shown_folds
     )
     head = f"Experiment {experiment.number}, {plain(experiment.proposed.title, 40)}"
-    notes = _notes(
-        (len(shown_folds), len(folds), "folds"), (len(channels), len(problem.outputs), "outputs")
+    notes = shown(
+        (len(shown_folds), len(folds), "folds"),
+        (len(channels), len(problem.outputs), "outputs"),
+        (min(len(problem.train), _MOST_PIECES), len(problem.train), "records"),
+        why="shown, the lowest fit",
     )
     title = f"{head}: held-out folds, V = {number(score.value)}{notes}"
     return draw_overlay(panels, problem.sampling_time, Words(title, "simulated"))
@@ -60,11 +63,6 @@ def draw_simulation(
 def _lowest(values: Sequence[float], count: int) -> list[int]:
     """Indices of the `count` lowest values, in their own order."""
     return sorted(int(i) for i in np.argsort(values, kind="stable")[: max(count, 1)])
-
-
-def _notes(*shown: tuple[int, int, str]) -> str:
-    cut = [f"{some} of {all_} {what}" for some, all_, what in shown if some < all_]
-    return f" ({', '.join(cut)}: the lowest fit)" if cut else ""
 
 
 def _fold_title(fold: int, channel: int, outputs: Sequence[Signal], score: FoldScore) -> Heading:
@@ -108,16 +106,11 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed) -> Figure:
         for c in channels
         for i in trajectories
     )
-    cut = [
-        f"{len(some)} of {total} {what}"
-        for some, total, what in (
-            (channels, len(opened.channels), "outputs"),
-            (trajectories, len(shapes), "trajectories"),
-        )
-        if len(some) < total
-    ]
     title = f"Sealed test, opened once: experiment {opened.experiment}"
-    title += f" ({', '.join(cut)} shown)" if cut else ""
+    title += shown(
+        (len(channels), len(opened.channels), "outputs"),
+        (len(trajectories), len(shapes), "trajectories"),
+    )
     return draw_overlay(panels, problem.sampling_time, _test_words(title, problem, opened))
 
 

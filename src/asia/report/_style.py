@@ -97,6 +97,13 @@ def quantity(value: float, unit: str) -> str:
     return f"{number(value)} {plain(unit, 16)}".rstrip()
 
 
+def shown(*counts: tuple[int, int, str], why: str = "shown") -> str:
+    """` (2 of 3 outputs shown)` for what a picture leaves out, empty when it holds all; a count is
+    (number shown, number in all, of what)."""
+    cut = [f"{some} of {total} {what}" for some, total, what in counts if some < total]
+    return f" ({', '.join(cut)} {why})" if cut else ""
+
+
 def quiet_grid(axes: Axes) -> None:
     """Faint horizontal lines behind the data."""
     axes.grid(visible=True, axis="y")

@@ -1,0 +1,182 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.agents import Agent
+from asia.errors import Reason, UserError
+from asia.ledger import Evaluated, SearchView, open_run, verify
+from asia.problem.load import load_problem
+from asia.search import prepare, search, unseal
+
+from .toy import CRASH, NOISE, Scripted, arx, write_problem
+
+AGENT = Scripted((arx(2), CRASH, arx(3)))
+
+
+@pytest.fixture
+def problem(tmp_path: Path) -> Path:
+    return write_problem(tmp_path / "toy")
+
+
+def go(
+    problem: Path, runs: Path, agent: Agent = AGENT, experiments: int | None = None
+) -> SearchView:
+    loaded = load_problem(problem)
+    if experiments is not None:
+        loaded = replace(loaded, budget=replace(loaded.budget, experiments=experiments))
+    ready = prepare(loaded, agent.name, seed=0, runs=runs)
+    return search(ready, agent, lambda event, view: None, lambda view: None)
+
+
+def outcomes(view: SearchView) -> list[tuple[object, ...]]:
+    """All that must not depend on when or how often the search was run."""
+    return [
+        (e.number, e.proposed.source, e.result.status, e.result.outcome, e.result.folds[0].model)
+        if e.result and e.result.folds
+        else (e.number, e.proposed.source, e.result and e.result.status)
+        for e in view.experiments
+    ]
+
+
+def test_a_search_end_to_end(problem: Path, tmp_path: Path) -> None:
+    view = go(problem, tmp_path / "runs")
+    statuses = [e.result.status for e in view.finished if e.result]
+    assert statuses[:3] == ["keep", "keep", "crash"]
+    assert view.stopped is not None
+    assert view.stopped.reason == "budget"
+    assert view.best is not None
+    assert view.best.score is not None
+    assert view.best.score.value < 0.05
+    crash = view.experiment(3).failure
+    assert crash is not None
+    assert crash.reason is Reason.CRASH
+    assert "no such luck" in crash.detail
+    assert {r.name for r in view.rungs} == {"training mean", "last output held", "linear model"}
+    assert view.refitted is not None
+    assert view.refitted.model is not None
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    verify(directory)
+    assert (directory / "results.tsv").read_text().count("\n") == 5
+    assert open_run(directory).state == "finished"
+
+
+def test_same_seed_twice_is_bitwise_the_same(problem: Path, tmp_path: Path) -> None:
+    first = go(problem, tmp_path / "a")
+    second = go(problem, tmp_path / "b")
+    assert outcomes(first) == outcomes(second)
+
+
+def test_resume_from_every_record(problem: Path, tmp_path: Path) -> None:
+    whole = go(problem, tmp_path / "runs")
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    lines = (directory / "ledger.jsonl").read_bytes().splitlines(keepends=True)
+    for kept in range(5, len(lines)):
+        torn = lines[kept][: len(lines[kept]) // 2]
+        (directory / "ledger.jsonl").write_bytes(b"".join(lines[:kept]) + torn)
+        again = go(problem, tmp_path / "runs")
+        assert outcomes(again) == outcomes(whole)
+        evaluated = [
+            line.event.experiment
+            for line in open_run(directory).lines
+            if isinstance(line.event, Evaluated)
+        ]
+        assert evaluated == [1, 2, 3, 4]
+    verify(directory)
+
+
+def test_a_finished_search_returns_at_once_and_a_larger_budget_extends(
+    problem: Path, tmp_path: Path
+) -> None:
+    runs = tmp_path / "runs"
+    first = go(problem, runs, experiments=2)
+    assert go(problem, runs, experiments=2) == first
+    more = go(problem, runs, experiments=4)
+    assert [e.number for e in more.finished] == [1, 2, 3, 4]
+    assert outcomes(more)[:2] == outcomes(first)
+    assert outcomes(more) == outcomes(go(problem, tmp_path / "other", experiments=4))
+
+
+def test_other_settings_are_refused_and_nothing_is_touched(problem: Path, tmp_path: Path) -> None:
+    go(problem, tmp_path / "runs", experiments=2)
+    ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
+    before = ledger.read_bytes()
+    text = (problem / "problem.toml").read_text()
+    (problem / "problem.toml").write_text(text.replace("past_inputs = 3", "past_inputs = 4"))
+    with pytest.raises(UserError, match="past_inputs"):
+        go(problem, tmp_path / "runs", experiments=2)
+    assert ledger.read_bytes() == before
+
+
+def test_a_twin_is_answered_from_the_ledger(problem: Path, tmp_path: Path) -> None:
+    twin = arx(1).replace("import numpy as np", "import numpy as np  # lucky charm", 1)
+    view = go(problem, tmp_path / "runs", Scripted((twin, arx(2))), experiments=3)
+    result = view.experiment(2).result
+    assert result is not None
+    assert result.duplicate_of == 1
+    assert result.status == "discard"
+
+
+def test_a_model_that_does_not_come_back_the_same_is_invalid(problem: Path, tmp_path: Path) -> None:
+    (problem / "baseline.py").write_text(NOISE)
+    view = go(problem, tmp_path / "runs", Scripted((arx(2),)), experiments=2)
+    failure = view.experiment(1).failure
+    assert failure is not None
+    assert failure.reason is Reason.NOT_REPRODUCIBLE
+    assert view.best is not None
+    assert view.best.number == 2
+
+
+def test_unseal_once(problem: Path, tmp_path: Path) -> None:
+    go(problem, tmp_path / "runs")
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    first = unseal(directory)
+    assert first.first_time
+    measured = open_run(directory).store.get_arrays(
+        first.record.measured, [(n, 1) for n in first.record.lengths]
+    )
+    table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
+    assert np.array_equal(measured[0][:, 0], table[3:, 1])
+    assert first.record.ensemble.scores[0].value < 0.05
+    again = unseal(directory)
+    assert not again.first_time
+    assert again.record == first.record
+    assert open_run(directory).state == "unsealed"
+    with pytest.raises(UserError, match="unsealed"):
+        go(problem, tmp_path / "runs", experiments=6)
+    verify(directory)
+
+
+def test_changed_test_data_are_not_opened(problem: Path, tmp_path: Path) -> None:
+    go(problem, tmp_path / "runs", experiments=2)
+    lines = (problem / "test.csv").read_text().splitlines()
+    (problem / "test.csv").write_text("\n".join([*lines[:-1], "0.0,0.0"]) + "\n")
+    with pytest.raises(UserError, match="test"):
+        unseal(tmp_path / "runs" / "toy-scripted-s0")
+
+
+def test_an_unfinished_search_or_one_without_a_test_is_not_unsealed(tmp_path: Path) -> None:
+    bare = write_problem(tmp_path / "bare", experiments=2, test=False)
+    go(bare, tmp_path / "runs")
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    with pytest.raises(UserError, match="no test data"):
+        unseal(directory)
+    lines = (directory / "ledger.jsonl").read_bytes().splitlines(keepends=True)
+    (directory / "ledger.jsonl").write_bytes(b"".join(lines[:5]))
+    with pytest.raises(UserError, match="not finished"):
+        unseal(directory)
+
+
+def test_agents_see_no_time_and_no_validation_outputs(problem: Path, tmp_path: Path) -> None:
+    seen: list[str] = []
+
+    class Spy(Scripted):
+        def propose(self, view):  # type: ignore[no-untyped-def]
+            seen.append(json.dumps(sorted(vars(view.trials[0]))))
+            return super().propose(view)
+
+    go(problem, tmp_path / "runs", Spy((arx(2),)), experiments=2)
+    assert seen
+    assert not any(word in seen[0] for word in ("second", "time", "y_hat", "model"))
