@@ -29,7 +29,7 @@ def train(model, trajectories, context):
 def fit(trajectories, context):
     return train(build_model(context), trajectories, context)
 '''
-_LINE = 88
+_LINE = 80
 
 
 @dataclass(frozen=True)

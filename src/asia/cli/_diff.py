@@ -21,9 +21,9 @@ def diff(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """What changed in the source from experiment N to M, and what it did to V."""
-    from rich.console import Console
     from rich.text import Text
 
+    from asia.cli._experiment import wide_console
     from asia.errors import UserError
     from asia.ledger import describe_result, find_run, open_run
 
@@ -32,7 +32,7 @@ def diff(
         raise UserError("diff needs two experiment numbers: asia diff [RUN] N M")
     opened = open_run(find_run(runs, name))
     first, second = (opened.view.experiment(n) for n in numbers)
-    console = Console(highlight=False)
+    console = wide_console()
     for e in (first, second):
         console.print(f"#{e.number:02d} {e.proposed.title}: {describe_result(e)}", markup=False)
     a, b = (opened.store.text(e.proposed.source).splitlines() for e in (first, second))

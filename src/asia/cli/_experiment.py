@@ -8,6 +8,12 @@ from rich.table import Table
 from asia.ledger import Experiment, Run, describe_result
 
 
+def wide_console() -> Console:
+    """The terminal's own width; wide in a pipe, where nothing should be folded."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=200)
+
+
 def describe(console: Console, run: Run, experiment: Experiment) -> None:
     """Print reasons, result, fold table and training-side evidence."""
     p, r = experiment.proposed, experiment.result

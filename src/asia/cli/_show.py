@@ -34,10 +34,9 @@ def show(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """An experiment: hypothesis, what happened, evidence, source."""
-    from rich.console import Console
     from rich.syntax import Syntax
 
-    from asia.cli._experiment import describe
+    from asia.cli._experiment import describe, wide_console
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
 
@@ -52,7 +51,7 @@ def show(
     if source:
         print(text, end="")
         return
-    console = Console(highlight=False)
+    console = wide_console()
     describe(console, opened, experiment)
     console.print("\n[bold]candidate.py[/bold]")
     if console.is_terminal:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
-from asia.ledger import TestRecord, Unsealed
+
+if TYPE_CHECKING:
+    from asia.ledger import TestRecord, Unsealed
 
 
 def register(app: typer.Typer) -> None:

@@ -4,4 +4,4 @@ Each has `Config`, `build(config, context)` and `train(model, trajectories, cont
 training methods are in `asia.models.methods`. Importing this package loads no numerical library.
 """
 
-__all__ = ["greybox", "hybrid", "linear", "ltc", "methods", "neural_ss", "recurrent"]
+__all__: list[str] = []

@@ -99,7 +99,8 @@ def _on_device(batch: Batch, method: Adam) -> Data:
     else:
         keep = starts[:, 1] == 0
     arrays = (batch.window, batch.u, batch.y, batch.weight, batch.start_windows[keep])
-    return Data(*(jnp.asarray(a, jnp.float32) for a in arrays), jnp.asarray(starts[keep]))
+    window, u, y, weight, windows = (jnp.asarray(a, jnp.float32) for a in arrays)
+    return Data(window, u, y, weight, windows, jnp.asarray(starts[keep]))
 
 
 def _optimiser(method: Adam) -> optax.GradientTransformation:

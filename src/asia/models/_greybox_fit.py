@@ -106,12 +106,9 @@ def fit(structure: Structure, segments: Segments, method: LevenbergMarquardt, se
         best = int(np.argmin(result.cost))
         if DEBUG:
             print(np.round(np.sort(result.cost), 4), result.iterations)
-        if not np.isfinite(result.cost[best]):
+        if not np.isfinite(result.cost).any():
             raise FloatingPointError("grey-box: no starting point gives a finite simulation")
-        z = result.theta[best, : layout.size]
-        scales: Scales = jax.tree.map(lambda a: a[best], starts.scales)
-        x0 = _initial_states(structure, starts, result, best)
-        return _finish(structure, segments, scales, z, x0, history)
+        return _finish(structure, segments, starts, result, history)
 
 
 def _initial_states(structure: Structure, starts: _Starts, result: LMResult, i: int) -> Array:
@@ -340,11 +337,19 @@ def _augment(
 
 
 def _finish(
-    structure: Structure, segments: Segments, scales: Scales, z: Array, x0: Array, history: Array
+    structure: Structure, segments: Segments, starts: _Starts, result: LMResult, history: Array
 ) -> Fitted:
     """Learn from the training simulation what a past window says of the state, and the range
     outside which a simulation has run away."""
-    simulated = _simulate_many(structure)(z[None], scales, x0[None], segments.u)
+    best = int(np.argmin(result.cost))
+    z = np.asarray(result.theta)[best, : structure.layout.size]
+    scales: Scales = jax.tree.map(lambda a: a[best], starts.scales)
+    x0 = _initial_states(structure, starts, result, best)
+    # As many rows as there are starts: the program is then compiled already.
+    rows = len(starts.z)
+    simulated = _simulate_many(structure)(
+        np.tile(z, (rows, 1)), scales, np.tile(x0, (rows, 1, 1)), segments.u
+    )
     y, x = (np.asarray(part[0]) for part in simulated)
     inside = segments.mask > 0
     low, high = x[inside].min(axis=0), x[inside].max(axis=0)

@@ -135,19 +135,20 @@ def simulate_states(
     """Outputs (T, ny) and states (T, nx) from x0 (nx,) at the first sample of u (T, nu)."""
     effect = effects(structure, scales, z)
     derivative = _derivative(structure, scales, effect)
-    step = structure.sampling_time / structure.config.substeps
+    substeps = structure.config.substeps
+    held = jnp.repeat(delayed(structure, effect.delay, u), substeps, axis=0)
 
-    def advance(x: jax.Array, u_now: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        y = structure.equations.observe(effect.parameters, x, u_now) + effect.output_offset
-        after = x
-        for _ in range(structure.config.substeps):
-            moved = runge_kutta(derivative, after, u_now, step)
-            moved = jnp.where(jnp.isfinite(moved), moved, after)
-            after = _confine(structure, scales, effect, moved)
-        return after, (y, x)
+    def advance(x: jax.Array, u_now: jax.Array) -> tuple[jax.Array, jax.Array]:
+        moved = runge_kutta(derivative, x, u_now, structure.sampling_time / substeps)
+        moved = jnp.where(jnp.isfinite(moved), moved, x)
+        return _confine(structure, scales, effect, moved), x
 
-    start = _confine(structure, scales, effect, x0)
-    _, (y, x) = jax.lax.scan(advance, start, delayed(structure, effect.delay, u))
+    _, states = jax.lax.scan(advance, _confine(structure, scales, effect, x0), held)
+    x = states[::substeps]
+    y = jax.vmap(lambda a, b: structure.equations.observe(effect.parameters, a, b))(
+        x, held[::substeps]
+    )
+    y = y + effect.output_offset
     return jnp.where(jnp.isfinite(y), y, 0.0), x
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
+from scipy.fft import next_fast_len
 
 from asia.problem import Array
 
@@ -67,19 +67,21 @@ def powers(a: Array, count: int) -> Array:
 def delayed_convolution(kernel: Array, signals: Array) -> Array:
     """kernel (T, p, q), signals (T, s) -> (T, p, q, s): sum over k < t of kernel[t-1-k] s[k]."""
     length = len(signals)
-    size = fft.next_fast_len(2 * length, real=True)
-    spectrum = fft.rfft(kernel, size, axis=0)[..., None]
-    product = spectrum * fft.rfft(signals, size, axis=0)[:, None, None, :]
-    full = fft.irfft(product, size, axis=0)[: length - 1]
+    size = next_fast_len(2 * length, real=True)
+    spectrum = np.fft.rfft(kernel, size, axis=0)[..., None]
+    product = spectrum * np.fft.rfft(signals, size, axis=0)[:, None, None, :]
+    full = np.fft.irfft(product, size, axis=0)[: length - 1]
     return np.concatenate([np.zeros((1, *full.shape[1:])), full])
 
 
 def states_of(system: LinearSystem, power: Array, x0: Array, u: Array) -> Array:
     """u (T, nu) -> states (T, n); `power` holds a^k for k < T."""
     drive = u @ system.b.T
-    size = fft.next_fast_len(2 * len(u), real=True)
-    spectrum = np.einsum("fij,fj->fi", fft.rfft(power, size, axis=0), fft.rfft(drive, size, axis=0))
-    forced = fft.irfft(spectrum, size, axis=0)[: len(u) - 1]
+    size = next_fast_len(2 * len(u), real=True)
+    spectrum = np.einsum(
+        "fij,fj->fi", np.fft.rfft(power, size, axis=0), np.fft.rfft(drive, size, axis=0)
+    )
+    forced = np.fft.irfft(spectrum, size, axis=0)[: len(u) - 1]
     states = power @ x0
     states[1:] += forced
     return states

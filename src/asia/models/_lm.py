@@ -70,13 +70,12 @@ def _steps(jacobian: jax.Array, residual: jax.Array, dampings: jax.Array) -> jax
     normal = scaled.T @ scaled
     gradient = scaled.T @ residual
     identity = jnp.eye(normal.shape[0], dtype=normal.dtype)
-    damped = normal + dampings[:, None, None] * identity
-    return (
-        -jnp.linalg.solve(
-            damped, jnp.broadcast_to(gradient, (len(dampings), len(gradient)))[..., None]
-        )[..., 0]
-        / scale
-    )
+
+    def step(damping: jax.Array) -> jax.Array:
+        factor = jax.scipy.linalg.cho_factor(normal + damping * identity, lower=True)
+        return -jax.scipy.linalg.cho_solve(factor, gradient) / scale
+
+    return jax.vmap(step)(dampings)
 
 
 def levenberg_marquardt(
@@ -117,14 +116,16 @@ def _minimise(
 
     def iterate(state: _State) -> _State:
         value, jacobian = linearised(state.theta)
+        before = _cost(value)
+        history = jnp.where(state.iteration == 0, before, state.history)
         dampings = state.damping * trials
         candidates = state.theta + _steps(jacobian, value, dampings)
         costs = jax.vmap(lambda theta: _cost(residual(theta)))(candidates)
         best = jnp.argmin(costs)
-        better = costs[best] < state.cost
-        cost = jnp.where(better, costs[best], state.cost)
+        better = costs[best] < before
+        cost = jnp.where(better, costs[best], before)
         damping = jnp.where(better, dampings[best] * 0.3, dampings[-1] * 10.0)
-        small = better & (state.cost - cost <= method.tolerance * state.cost)
+        small = better & (before - cost <= method.tolerance * before)
         iteration = state.iteration + 1
         return _State(
             theta=jnp.where(better, candidates[best], state.theta),
@@ -132,20 +133,21 @@ def _minimise(
             damping=jnp.maximum(damping, 1e-12),
             iteration=iteration,
             done=small | (damping > 1e12) | (cost == 0.0),
-            history=jnp.where(jnp.arange(method.iterations + 1) >= iteration, cost, state.history),
+            history=jnp.where(jnp.arange(method.iterations + 1) >= iteration, cost, history),
         )
 
-    cost0 = _cost(residual(theta0))
+    # The first linearisation gives the first cost: compiling the residual once more is dear.
+    unknown = jnp.asarray(jnp.inf) if method.iterations else _cost(residual(theta0))
     state = jax.lax.while_loop(
         unfinished,
         iterate,
         _State(
             theta=theta0,
-            cost=cost0,
+            cost=unknown,
             damping=jnp.asarray(method.damping),
             iteration=jnp.asarray(0),
-            done=cost0 == 0.0,
-            history=jnp.full(method.iterations + 1, cost0),
+            done=jnp.asarray(False),
+            history=jnp.full(method.iterations + 1, unknown),
         ),
     )
     return LMResult(state.theta, state.cost, state.iteration, state.history)

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asia.candidate import Context
 from asia.errors import UserError
 from asia.models._scaling import Scaling
 from asia.problem import Array, Trajectory
+
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -69,24 +72,22 @@ def windows(record: Record, context: Context) -> Array:
     return window(record.u[back_u], record.y[back_y])
 
 
-def holdout_masks(records: Sequence[Record], fraction: float, blocks: int = 8) -> list[Array]:
+def holdout_masks(records: Sequence[Record], fraction: float, blocks: int = 8) -> list[Mask]:
     """For each record (T,) booleans, True where held out: `blocks` short stretches spread over it.
 
     A simulated output depends on inputs alone, so a sample whose weight is zero is unseen even
     though the simulation runs through it.
     """
-    masks: list[Array] = []
+    masks: list[Mask] = []
     for record in records:
         length = len(record)
         period = max(length / blocks, 4.0)
         phase = np.arange(length) % period
-        masks.append(
-            ((phase >= (1 - fraction) / 2 * period) & (phase < (1 + fraction) / 2 * period))
-        )
+        masks.append((phase >= (1 - fraction) / 2 * period) & (phase < (1 + fraction) / 2 * period))
     return masks
 
 
-def reweighted(records: Sequence[Record], masks: Sequence[Array], keep: bool) -> list[Record]:
+def reweighted(records: Sequence[Record], masks: Sequence[Mask], keep: bool) -> list[Record]:
     """Records whose weight is kept only where the mask equals `keep`."""
     return [Record(r.u, r.y, r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
 
@@ -130,7 +131,7 @@ class Batch:
     weight: Array
     lengths: tuple[int, ...]
     start_windows: Array
-    starts: Array
+    starts: NDArray[np.int_]
 
 
 def batch(records: Sequence[Record], context: Context) -> Batch:

@@ -32,7 +32,7 @@ class Observability:
         if order > self.factor.shape[1] or order > self.factor.shape[0] - self.ny:
             return None
         gamma = self.factor[:, :order]
-        a = np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0]
+        a: Array = np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0]
         return stabilised(a), gamma[: self.ny]
 
 
@@ -130,7 +130,7 @@ def _realisation(records: Sequence[Record], max_order: int) -> Observability | N
     regressors, y = np.concatenate(rows), np.concatenate(targets)
     gram = regressors.T @ regressors
     gram += 1e-6 * len(y) * np.eye(len(gram))
-    theta = np.linalg.solve(gram, regressors.T @ y)
+    theta: Array = np.linalg.solve(gram, regressors.T @ y)
     return _from_arx(theta, lags, nu, ny, max_order)
 
 

@@ -19,6 +19,7 @@ from asia.report._style import (
     SHADE,
     WIDTH,
     axis_label,
+    headline,
     plain,
     quiet_grid,
     shown,
@@ -55,7 +56,8 @@ def draw_data(problem: Problem) -> Figure:
     rows[-1].set_xlabel(axis.label)
     rows[-1].set_xlim(*axis.limits)
     figure.align_ylabels(rows)
-    figure.suptitle(_title(problem, len(inputs), len(outputs)), x=0.01, ha="left", weight="bold")
+    title = headline(_title(problem, len(inputs), len(outputs)), WIDTH)
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
     _legend(figure, rows[0], problem)
     return figure
 

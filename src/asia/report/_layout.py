@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 # Heights and gaps in inches.
-_HEAD = 0.22
+_HEAD_LINE = 0.17
+_ABOVE = 0.08
 _FOOT = 0.6
 _TITLE_LINE = 0.155
 _ABOVE_TITLE = 0.16
@@ -30,17 +31,18 @@ class Cell:
     title_lines: int
 
 
-def arrange(figure: Figure, cells: Sequence[Cell], columns: int, width: float) -> None:
+def arrange(figure: Figure, cells: Sequence[Cell], columns: int, width: float, title: str) -> None:
     """Give `figure` its height and all axes their places; width in inches. Cells fill rows from
-    the left; the left margin of each column is what its labels need."""
+    the left; the left margin of each column is what its labels need. `title` goes above all."""
     rows = [cells[i : i + columns] for i in range(0, len(cells), columns)]
     heads = [_ABOVE_TITLE + _TITLE_LINE * max(c.title_lines for c in row) for row in rows]
-    height = _HEAD + _FOOT + sum(heads) + len(rows) * (_PLOT + _BETWEEN + _STRIP + _TICKS)
+    above = _ABOVE + _HEAD_LINE * (title.count("\n") + 1)
+    height = above + _FOOT + sum(heads) + len(rows) * (_PLOT + _BETWEEN + _STRIP + _TICKS)
     figure.set_size_inches(width, height)
     share = width / columns
     margins = [0.0] * columns
     for _ in range(2):  # the second pass places with the margins that the first one measured
-        top = height - _HEAD
+        top = height - above
         for row, head in zip(rows, heads, strict=True):
             top -= head
             for column, cell in enumerate(row):
@@ -54,6 +56,13 @@ def arrange(figure: Figure, cells: Sequence[Cell], columns: int, width: float) -
         for column in range(columns):
             axes = [a for c in cells[column::columns] for a in (c.plot, c.strip)]
             margins[column] = _align(axes, figure.dpi, share - margins[column] - _EDGE)
+
+    _entitle(figure, title, width, height)
+
+
+def _entitle(figure: Figure, title: str, width: float, height: float) -> None:
+    place = {"x": _EDGE / width, "y": 1.0 - _ABOVE / height}
+    figure.suptitle(title, ha="left", va="top", fontweight="bold", **place)
 
 
 def _put(axes: Axes, box: tuple[float, float, float, float], figure: tuple[float, float]) -> None:

@@ -22,6 +22,7 @@ from asia.report._style import (
     SHADE,
     WIDTH,
     axis_label,
+    headline,
     plain,
     quiet_grid,
 )
@@ -97,15 +98,7 @@ def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) ->
             strip.set_xlabel(axis.label)
         cells.append(Cell(plot, strip, title.count("\n") + 1))
     _legend(figure, panels, words)
-    arrange(figure, cells, columns, width)
-    figure.suptitle(
-        words.title,
-        x=0.1 / width,
-        y=1.0 - 0.08 / figure.get_figheight(),
-        ha="left",
-        va="top",
-        fontweight="bold",
-    )
+    arrange(figure, cells, columns, width, headline(words.title, width))
     return figure
 
 

@@ -15,7 +15,7 @@ from asia.problem.load import Problem
 from asia.protocol import Fold
 from asia.report._correlation import cross_correlation, independent_band, white_band
 from asia.report._simulation import fold_outputs
-from asia.report._style import BLUE, INK, SHADE, WIDTH, plain, quiet_grid, shown
+from asia.report._style import BLUE, INK, SHADE, WIDTH, headline, plain, quiet_grid, shown
 
 _LAGS = 40
 _MOST_ROWS = 4
@@ -47,13 +47,10 @@ def draw_residuals(
     for column, axes in enumerate(grid[-1]):
         axes.set_xlabel("Lag of the input [samples]" if column else "Lag [samples]")
     figure.align_ylabels(list(grid[:, 0]))
-    figure.suptitle(
-        f"Experiment {experiment.number}, {plain(experiment.proposed.title, 30)}: "
-        f"simulation residuals, held-out folds, 99 % bands{_left_out(problem)}",
-        x=0.01,
-        ha="left",
-        fontweight="bold",
-    )
+    title = f"Experiment {experiment.number}, {plain(experiment.proposed.title, 40)}: "
+    title += f"residuals of the held-out folds, 99 % bands{_left_out(problem)}"
+    title = headline(title, figure.get_figwidth())
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
     return figure
 
 

@@ -53,9 +53,9 @@ def draw_simulation(
     notes = shown(
         (len(shown_folds), len(folds), "folds"),
         (len(channels), len(problem.outputs), "outputs"),
-        (min(len(problem.train), _MOST_PIECES), len(problem.train), "records"),
         why="shown, the lowest fit",
     )
+    notes += shown((min(len(problem.train), _MOST_PIECES), len(problem.train), "records"))
     title = f"{head}: held-out folds, V = {number(score.value)}{notes}"
     return draw_overlay(panels, problem.sampling_time, Words(title, "simulated"))
 

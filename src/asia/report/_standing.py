@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from asia.problem import Signal
+from asia.problem import Array, Signal
 from asia.report._leaderboard import Entry
 from asia.report._style import BLUE, INK, QUIET, RED, SHADE, WIDTH, plain, quantity, quiet_grid
 
@@ -20,47 +21,11 @@ def draw_standing(entries: Sequence[Entry], ours: float, output: Signal, run: st
     figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
     FigureCanvasAgg(figure)
     box, bars = figure.subplots(1, 2, width_ratios=(1.0, 2.1))
-    unit = f" [{plain(output.unit, 16)}]" if output.unit else ""
-    box.boxplot(
-        values,
-        widths=0.4,
-        whis=1.5,
-        showfliers=False,
-        patch_artist=True,
-        boxprops={"facecolor": SHADE, "edgecolor": INK, "linewidth": 0.9},
-        medianprops={"color": INK, "linewidth": 1.6},
-        whiskerprops={"color": INK, "linewidth": 0.9},
-        capprops={"color": INK, "linewidth": 0.9},
-    )
-    box.plot(_beside(values), values, "o", mfc="white", mec=BLUE, ms=4.0, mew=0.9, zorder=3)
-    box.plot([1.0], [ours], "D", color=RED, ms=7.0, zorder=5)
-    box.set_xlim(0.6, 1.7)
-    box.set_ylim(0.0, max(values.max(), ours) * 1.08)
-    box.set_xticks([])
-    box.set_ylabel(f"Test RMSE{unit}")
-    quiet_grid(box)
-    top = max(values.max(), ours)
-    width = _bin_width(values)
-    bars.hist(values, np.arange(0.0, top + 2 * width, width), fc="#9fc3dd", ec="white", lw=0.8)
-    bars.axvline(ours, color=RED, lw=1.6, dashes=(4, 2))
-    bars.plot([ours], [0.0], "D", color=RED, ms=7.0, clip_on=False, zorder=5)
-    bars.set_xlim(0.0, top * 1.05)
-    bars.set_xlabel(f"Test RMSE{unit}")
-    bars.set_ylabel("Published results")
-    bars.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
-    quiet_grid(bars)
-    bars.annotate(
-        f"this run\n{quantity(ours, output.unit)}",
-        xy=(ours, 0.97),
-        xycoords=("data", "axes fraction"),
-        xytext=(6.0 if ours < 0.7 * top else -6.0, 0.0),
-        textcoords="offset points",
-        ha="left" if ours < 0.7 * top else "right",
-        va="top",
-        color=RED,
-        fontweight="bold",
-        bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
-    )
+    label = f"Test RMSE [{plain(output.unit, 16)}]" if output.unit else "Test RMSE"
+    _box(box, values, ours)
+    box.set_ylabel(label)
+    _histogram(bars, values, ours, quantity(ours, output.unit))
+    bars.set_xlabel(label)
     lower = int((values < ours).sum())
     figure.suptitle(
         f"{plain(run, 40)}: {lower} of {len(values)} published results have a lower test RMSE",
@@ -72,7 +37,52 @@ def draw_standing(entries: Sequence[Entry], ours: float, output: Signal, run: st
     return figure
 
 
-def _beside(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> list[float]:
+def _box(axes: Axes, values: Array, ours: float) -> None:
+    line = {"color": INK, "linewidth": 0.9}
+    axes.boxplot(
+        values,
+        widths=0.4,
+        whis=1.5,
+        showfliers=False,
+        patch_artist=True,
+        boxprops={"facecolor": SHADE, "edgecolor": INK, "linewidth": 0.9},
+        medianprops={"color": INK, "linewidth": 1.6},
+        whiskerprops=line,
+        capprops=line,
+    )
+    axes.plot(_beside(values), values, "o", mfc="white", mec=BLUE, ms=4.0, mew=0.9, zorder=3)
+    axes.plot([1.0], [ours], "D", color=RED, ms=7.0, zorder=5)
+    axes.set_xlim(0.6, 1.7)
+    axes.set_ylim(0.0, max(values.max(), ours) * 1.08)
+    axes.set_xticks([])
+    quiet_grid(axes)
+
+
+def _histogram(axes: Axes, values: Array, ours: float, mark: str) -> None:
+    top, width = max(values.max(), ours), _bin_width(values)
+    axes.hist(values, np.arange(0.0, top + 2 * width, width), fc="#9fc3dd", ec="white", lw=0.8)
+    axes.axvline(ours, color=RED, lw=1.6, dashes=(4, 2))
+    axes.plot([ours], [0.0], "D", color=RED, ms=7.0, clip_on=False, zorder=5)
+    axes.set_xlim(0.0, top * 1.05)
+    axes.set_ylabel("Published results")
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
+    quiet_grid(axes)
+    left = ours < 0.7 * top
+    axes.annotate(
+        f"this run\n{mark}",
+        xy=(ours, 0.97),
+        xycoords=("data", "axes fraction"),
+        xytext=(6.0 if left else -6.0, 0.0),
+        textcoords="offset points",
+        ha="left" if left else "right",
+        va="top",
+        color=RED,
+        fontweight="bold",
+        bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
+    )
+
+
+def _beside(values: Array) -> list[float]:
     """x positions right of the box that keep close values apart."""
     reach = (values.max() - values.min()) / 25.0
     placed: list[tuple[float, float]] = []
@@ -86,7 +96,7 @@ def _beside(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> list[float]
     return [columns[i] for i in range(len(values))]
 
 
-def _bin_width(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+def _bin_width(values: Array) -> float:
     """Freedman and Diaconis (1981), rounded to 1, 2 or 5 times a power of ten."""
     spread = np.subtract(*np.percentile(values, [75, 25])) or values.max()
     width = 2.0 * spread / len(values) ** (1 / 3)

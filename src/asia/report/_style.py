@@ -104,6 +104,11 @@ def shown(*counts: tuple[int, int, str], why: str = "shown") -> str:
     return f" ({', '.join(cut)} {why})" if cut else ""
 
 
+def headline(text: str, width: float) -> str:
+    """`text` as the title of a figure `width` inches wide, on as many lines as it needs."""
+    return textwrap.fill(text, int(11.5 * width))
+
+
 def quiet_grid(axes: Axes) -> None:
     """Faint horizontal lines behind the data."""
     axes.grid(visible=True, axis="y")

@@ -29,7 +29,8 @@ class Cell:
     """A running worker: its pipes, the process to wait for and the way to end it.
 
     kill ends the candidate with everything it started; force is for when that did not end
-    `process` in time; tidy removes what the level left on disk.
+    `process` in time; tidy frees what the level holds beside it. beyond_reach: no candidate can
+    signal `process`.
     """
 
     process: subprocess.Popen[bytes]
@@ -37,13 +38,15 @@ class Cell:
     kill: Callable[[], None]
     force: Callable[[], None]
     tidy: Callable[[], None]
+    beyond_reach: bool
 
     def running(self) -> bool:
         """Whether the worker is still there."""
         return self.process.poll() is None
 
     def exit_code(self) -> int | None:
-        """Exit code (128 + signal) of a worker that has just gone by itself, None if unknown."""
+        """Exit code (128 + signal) of a worker that has just gone by itself, None if unknown;
+        negative: `process` was killed, not what runs below it."""
         return self.process.returncode if self._ended(_EXIT_SECONDS) else None
 
     def end(self) -> None:

@@ -95,6 +95,7 @@ def open_cell(limits: Limits) -> Cell:
         kill=kill,
         force=lambda: kill_quietly(process.pid),
         tidy=lambda: os.close(init),
+        beyond_reach=True,
     )
 
 

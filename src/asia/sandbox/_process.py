@@ -35,6 +35,7 @@ def open_cell(limits: Limits) -> Cell:
         kill=_closing_is_enough,
         force=lambda: _force(process),
         tidy=lambda: shutil.rmtree(home, ignore_errors=True),
+        beyond_reach=False,
     )
 
 

@@ -206,7 +206,7 @@ class Worker:
             return "no array of numbers, or no model with simulate"
         return text if text in _KNOWN_ERRORS else "an exception of its own"
 
-    def _translated(self, error: Exception, late: Reason) -> CandidateError:
+    def _translated(self, error: Exception, late: Reason) -> CandidateError | SandboxError:
         if isinstance(error, LateError):
             seconds = (
                 self._limits.simulate_seconds
@@ -216,9 +216,12 @@ class Worker:
             return self._failure(late, f"no answer within {seconds:g} s")
         if isinstance(error, UnsolicitedError):
             return self._failure(Reason.UNSOLICITED)
+        code = self._cell.exit_code()
+        if self._cell.beyond_reach and code is not None and code < 0:
+            self.close()
+            return SandboxError(f"the sandbox's own process was killed by signal {-code}")
         if self._cases_seen:
             return self._failure(Reason.EXITED)
-        code = self._cell.exit_code()
         said = self._channel.take_output()[-_LAST_WORDS:].strip()
         starved = any(words in said.lower() for words in _OUT_OF_MEMORY)
         how = "" if code is None else f"exit code {code}; "

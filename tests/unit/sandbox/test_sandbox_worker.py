@@ -11,7 +11,7 @@ import pytest
 from asia.candidate import Context
 from asia.errors import CandidateError, Reason, SandboxError
 from asia.problem import ParameterRange, Physics, Signal
-from asia.sandbox import Isolation, Limits, open_worker
+from asia.sandbox import Isolation, Limits, open_worker, probe
 
 GAIN = """
 import numpy as np
@@ -229,6 +229,16 @@ def test_a_worker_that_failed_or_is_closed_answers_no_more(worker, case):
     unused.close()
     with pytest.raises(SandboxError):
         unused.fit(GAIN, case.trajectories, case.context)
+
+
+def test_a_sandbox_killed_from_outside_is_not_the_candidates_fault(case):
+    if probe().level is not Isolation.NAMESPACE:
+        pytest.skip("; ".join(probe().notes))
+    with open_worker(Isolation.NAMESPACE, Limits(60.0, 30.0, 4096)) as one:
+        one.fit(GAIN, case.trajectories, case.context)
+        one._cell.process.kill()
+        with pytest.raises(SandboxError, match="signal 9"):
+            one.simulate(case.past_u, case.past_y, case.u)
 
 
 def test_many_workers_leave_no_descriptor_and_no_child(worker, case):
