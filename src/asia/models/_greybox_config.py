@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 from asia.models._ode import Equations
 
@@ -21,7 +22,8 @@ class Config:
     residual: hidden tanh units of a small network of states and inputs added to the dynamics; 0 is
     none.
     ridge: the cost is the mean squared normalised simulation error plus `ridge` times the sum of
-    squared effects; an effect of 1 is as large as the signal it acts on.
+    squared effects; an effect of 1 is as large as the signal it acts on. residual_ridge: the same
+    for the network.
     robust: Huber threshold in standard deviations of the output; None is least squares.
     substeps: Runge-Kutta steps a sample.
     """
@@ -33,14 +35,17 @@ class Config:
     input_delay: float = 0.0
     residual: int = 0
     ridge: float = 1e-3
+    residual_ridge: float = 1e-2
     robust: float | None = None
     substeps: int = 2
 
     def __post_init__(self) -> None:
         if self.spill and not self.saturation:
             raise ValueError("greybox.Config: spill needs a state in saturation")
-        if self.residual < 0 or self.input_delay < 0 or self.ridge < 0:
-            raise ValueError("greybox.Config: residual, input_delay and ridge must be >= 0")
+        if self.residual < 0 or self.input_delay < 0:
+            raise ValueError("greybox.Config: residual and input_delay must be >= 0")
+        if self.ridge < 0 or self.residual_ridge < 0:
+            raise ValueError("greybox.Config: ridge and residual_ridge must be >= 0")
         if self.substeps < 1:
             raise ValueError("greybox.Config: substeps must be >= 1")
         if self.robust is not None and self.robust <= 0:
@@ -153,5 +158,5 @@ class Layout:
         edges = [0]
         for size in sizes:
             edges.append(edges[-1] + size)
-        slices = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        slices = [slice(a, b) for a, b in pairwise(edges)]
         return cls(*slices, size=edges[-1])

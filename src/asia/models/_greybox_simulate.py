@@ -112,6 +112,8 @@ def prior_residuals(structure: Structure, z: jax.Array) -> jax.Array:
     layout, config = structure.layout, structure.config
     # Parameters are held to their range only as far as the data say nothing of them.
     weights = jnp.full(layout.size, jnp.sqrt(config.ridge)).at[layout.parameters].set(1e-3)
+    network = jnp.sqrt(config.residual_ridge)
+    weights = weights.at[layout.hidden].set(network).at[layout.readout].set(network)
     effect = z.at[layout.spill].set(jnp.exp(z[layout.spill]))
     return weights * effect
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,13 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Record:
-    """One z-scored record: u (T, nu), y (T, ny); weight (T,), 0 where a sample does not count."""
+    """One z-scored record: u (T, nu), y (T, ny); weight (T,), 0 where a sample does not count;
+    measured_u (T, nu): the inputs as past windows show them, where u is delayed."""
 
     u: Array
     y: Array
     weight: Array
+    measured_u: Array
 
     def __len__(self) -> int:
         return len(self.u)
@@ -52,9 +54,8 @@ def check(trajectories: Sequence[Trajectory], context: Context) -> None:
 
 def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[Record]:
     """All samples of each record, z-scored, every sample counting."""
-    return [
-        Record(scaling.inputs(t.u), scaling.outputs(t.y), np.ones(len(t))) for t in trajectories
-    ]
+    pairs = [(scaling.inputs(t.u), scaling.outputs(t.y)) for t in trajectories]
+    return [Record(u, y, np.ones(len(y)), u) for u, y in pairs]
 
 
 def window(past_u: Array, past_y: Array) -> Array:
@@ -69,7 +70,7 @@ def windows(record: Record, context: Context) -> Array:
     rows = np.arange(start, len(record))
     back_u = rows[:, None] + np.arange(-context.n_past_u, 0)
     back_y = rows[:, None] + np.arange(-context.n_past_y, 0)
-    return window(record.u[back_u], record.y[back_y])
+    return window(record.measured_u[back_u], record.y[back_y])
 
 
 def holdout_masks(records: Sequence[Record], fraction: float, blocks: int = 8) -> list[Mask]:
@@ -89,7 +90,7 @@ def holdout_masks(records: Sequence[Record], fraction: float, blocks: int = 8) -
 
 def reweighted(records: Sequence[Record], masks: Sequence[Mask], keep: bool) -> list[Record]:
     """Records whose weight is kept only where the mask equals `keep`."""
-    return [Record(r.u, r.y, r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
+    return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
 
 
 def contiguous_splits(
@@ -106,7 +107,7 @@ def contiguous_splits(
         for r in records:
             count = max(1, min(parts, len(r) // max(shortest, 1)))
             for i, rows in enumerate(np.array_split(np.arange(len(r)), count)):
-                pieces.append(Record(r.u[rows], r.y[rows], r.weight[rows]))
+                pieces.append(Record(r.u[rows], r.y[rows], r.weight[rows], r.measured_u[rows]))
                 membership.append(i)
         groups = [[k for k, m in enumerate(membership) if m == i] for i in sorted(set(membership))]
     if len(groups) < 2:

@@ -107,8 +107,8 @@ def _minimise(
     def step(theta: Any, x: jax.Array, u: jax.Array) -> jax.Array:
         """(n,), (nu,) -> next state and output in one vector (n + ny,)."""
         p = shapes.tree(theta)
-        state, w = structure.split(jnp, p, x, structure.input(jnp, p, u))  # type: ignore[arg-type]
-        return jnp.concatenate([state, structure.output(jnp, p, w)])  # type: ignore[arg-type]
+        state, w = structure.split(jnp, p, x, structure.input(jnp, p, u))
+        return jnp.concatenate([state, structure.output(jnp, p, w)])
 
     def simulate(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
         many = jax.vmap(step, (None, 0, 0))

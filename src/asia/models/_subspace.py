@@ -32,8 +32,8 @@ class Observability:
         if order > self.factor.shape[1] or order > self.factor.shape[0] - self.ny:
             return None
         gamma = self.factor[:, :order]
-        a: Array = np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0]
-        return stabilised(a), gamma[: self.ny]
+        a = np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0]
+        return stabilised(np.asarray(a, np.float64)), gamma[: self.ny]
 
 
 def starts(records: Sequence[Record], max_order: int) -> list[Observability]:
@@ -130,8 +130,8 @@ def _realisation(records: Sequence[Record], max_order: int) -> Observability | N
     regressors, y = np.concatenate(rows), np.concatenate(targets)
     gram = regressors.T @ regressors
     gram += 1e-6 * len(y) * np.eye(len(gram))
-    theta: Array = np.linalg.solve(gram, regressors.T @ y)
-    return _from_arx(theta, lags, nu, ny, max_order)
+    theta = np.linalg.solve(gram, regressors.T @ y)
+    return _from_arx(np.asarray(theta, np.float64), lags, nu, ny, max_order)
 
 
 def _from_arx(theta: Array, lags: int, nu: int, ny: int, max_order: int) -> Observability | None:

@@ -10,12 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
 from asia.models._greybox_config import Config, Range, Structure
-from asia.models._greybox_fit import Fitted, cut_segments, fit
+from asia.models._greybox_fit import Fitted, fit
 from asia.models._greybox_simulate import effects, simulator
+from asia.models._greybox_starts import cut_segments
 from asia.models._lm import LevenbergMarquardt
 from asia.models._ode import equations
 from asia.problem import Array, Bounds, Trajectory
@@ -55,7 +57,7 @@ class GreyBox:
         fitted, config = self._trained(), self.structure.config
         system = self.structure.equations
         with jax.enable_x64(True):
-            effect = jax.device_get(effects(self.structure, fitted.scales, fitted.z))
+            effect = jax.device_get(effects(self.structure, fitted.scales, jnp.asarray(fitted.z)))
         report = dict(zip(system.parameters, effect.parameters, strict=True))
         for i, name in enumerate(system.states):
             if name in config.saturation:

@@ -69,9 +69,9 @@ class LinearStateSpace:
         if self.fitted is None:
             raise UserError("linear model: not trained yet; call linear.train before simulate")
         f = self.fitted
-        past, future = delayed(f.scaling.inputs(past_u), f.scaling.inputs(u), f.delay)
+        past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
         x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
-        _, y = f.system.simulate(x0, future)
+        _, y = f.system.simulate(x0, delayed(past, future, f.delay))
         return f.scaling.physical(y)
 
 
@@ -127,12 +127,12 @@ def shifted(record: Record, delay: int) -> Record:
     return replace(record, u=np.concatenate([held, record.u])[: len(record)])
 
 
-def delayed(past: Array, future: Array, delay: int) -> tuple[Array, Array]:
-    """past (B, n_past_u, nu) and future (B, H, nu) inputs, delayed; the first is held backwards."""
-    inputs = np.concatenate([past, future], axis=1)
-    held = np.repeat(inputs[:, :1], delay, axis=1)
-    late = np.concatenate([held, inputs], axis=1)[:, : inputs.shape[1]]
-    return late[:, : past.shape[1]], late[:, past.shape[1] :]
+def delayed(past: Array, future: Array, delay: int) -> Array:
+    """Inputs (B, H, nu) that act during the simulation, from the measured past (B, n_past_u, nu)
+    and future (B, H, nu); before the first known one it is held backwards."""
+    known = np.concatenate([past, future], axis=1)
+    rows = np.arange(past.shape[1], known.shape[1]) - delay
+    return known[:, np.maximum(rows, 0)]
 
 
 def _affordable(records: Sequence[Record], max_order: int) -> int:

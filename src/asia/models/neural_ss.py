@@ -31,6 +31,9 @@ from asia.models._structure import Basis, Nonlinearity, Structure
 from asia.models.methods import Adam, LevenbergMarquardt
 from asia.problem import Array, Trajectory
 
+_LINEAR = ("a", "b", "c", "d", "offset")
+_NONLINEAR = ("f", "s", "r", "read", "act")
+
 
 @dataclass(frozen=True)
 class Config:
@@ -107,10 +110,10 @@ class NeuralStateSpace:
         if self.fitted is None:
             raise UserError("neural state-space model: not trained yet; call train first")
         f = self.fitted
-        past, future = linear.delayed(f.scaling.inputs(past_u), f.scaling.inputs(u), f.delay)
+        past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
         x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
         with np.errstate(all="ignore"):
-            _, y = f.structure.simulate(f.params, x0, future)
+            _, y = f.structure.simulate(f.params, x0, linear.delayed(past, future, f.delay))
         return f.scaling.physical(y)
 
 
@@ -170,8 +173,8 @@ def _by_lm(
 ) -> tuple[dict[str, Any], Encoder]:
     rng = np.random.default_rng(context.seed)
     starts = [structure.start(found.system, rng) for _ in range(method.starts)]
-    ridge = dict.fromkeys(("a", "b", "c", "d", "offset"), config.linear_ridge)
-    ridge |= dict.fromkeys(("f", "s", "r", "read", "act"), config.ridge)
+    ridge: dict[str, float] = dict.fromkeys(_LINEAR, config.linear_ridge)
+    ridge.update(dict.fromkeys(_NONLINEAR, config.ridge))
     ridge["x0"] = found.error / sum(len(r) for r in records)
     params, x0, history = fit_states(structure, starts, found.x0, records, ridge, method)
     for i, loss in enumerate(history):

@@ -118,6 +118,8 @@ def _curves(axes: Axes, panel: Panel, axis: TimeAxis) -> None:
     axes.set_ylabel(axis_label(panel.signal))
     _dress(axes, panel, axis)
     if len(panel.pieces) > 1:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.15 * (high - low))
         for piece, time in zip(panel.pieces, axis.times, strict=True):
             _name_piece(axes, piece.name, time, 90 // len(panel.pieces))
 

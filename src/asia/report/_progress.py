@@ -211,7 +211,7 @@ def _spread(labels: Sequence[Text], dpi: float) -> None:
 
 def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Search) -> None:
     chosen = _most_telling(search.kept)
-    texts = [textwrap.fill(plain(p.title, 66), 26) for p in chosen]
+    texts = [_balanced(plain(p.title, 66), 26) for p in chosen]
     weights = ["bold" if p is search.kept[-1] else "normal" for p in chosen]
     to_pixels = axes.transData.transform
     tags: list[Tag] = []
@@ -220,7 +220,7 @@ def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Search) -> None:
         box = Text(0, 0, text, fontsize=_TAG_FONT, fontweight=weight, figure=canvas.figure)
         extent = box.get_window_extent(canvas.get_renderer())
         tags.append(Tag((float(x), float(y)), (extent.width + 4.0, extent.height + 4.0)))
-    around = _surroundings(axes, search)
+    around = _surroundings(axes, search, canvas.figure.dpi)
     points = 72.0 / canvas.figure.dpi
     for point, text, weight, tag, found in zip(
         chosen, texts, weights, tags, place(tags, around), strict=True
@@ -250,6 +250,12 @@ def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Search) -> None:
         )
 
 
+def _balanced(text: str, width: int) -> str:
+    """`text` on as few lines of at most `width` characters as it needs, about equally long."""
+    wrapped = [textwrap.wrap(text, w, break_on_hyphens=False) for w in range(width // 2, width + 1)]
+    return "\n".join(next(lines for lines in wrapped if len(lines) <= len(wrapped[-1])))
+
+
 def _most_telling(kept: Sequence[_Point]) -> list[_Point]:
     """The best model, the first one, then by how much each improved on the one before."""
     if len(kept) < 2:
@@ -259,7 +265,7 @@ def _most_telling(kept: Sequence[_Point]) -> list[_Point]:
     return [kept[-1], kept[0], *middle][:_MOST_TAGS]
 
 
-def _surroundings(axes: Axes, search: _Search) -> Surroundings:
+def _surroundings(axes: Axes, search: _Search, dpi: float) -> Surroundings:
     frame = axes.get_window_extent()
     to_pixels = axes.transData.transform
     shown = [(p.number, p.value) for p in (*search.kept, *search.discarded)]
@@ -276,4 +282,5 @@ def _surroundings(axes: Axes, search: _Search) -> Surroundings:
         np.asarray(to_pixels(shown)).reshape(-1, 2),
         8.0,
         np.array(lines).reshape(-1, 4),
+        0.9 * dpi,
     )

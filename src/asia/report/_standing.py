@@ -60,7 +60,9 @@ def _box(axes: Axes, values: Array, ours: float) -> None:
 
 def _histogram(axes: Axes, values: Array, ours: float, mark: str) -> None:
     top, width = max(values.max(), ours), _bin_width(values)
-    axes.hist(values, np.arange(0.0, top + 2 * width, width), fc="#9fc3dd", ec="white", lw=0.8)
+    axes.hist(
+        values, np.arange(0.0, top + 2 * width, width).tolist(), fc="#9fc3dd", ec="white", lw=0.8
+    )
     axes.axvline(ours, color=RED, lw=1.6, dashes=(4, 2))
     axes.plot([ours], [0.0], "D", color=RED, ms=7.0, clip_on=False, zorder=5)
     axes.set_xlim(0.0, top * 1.05)

@@ -1,5 +1,6 @@
 """Find places for text boxes beside the points they speak of: no two overlap, none covers a point,
-none leaves the frame. All lengths share one unit, x to the right and y up."""
+none leaves the frame, no leader line crosses another. All lengths share one unit, x to the right
+and y up."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ _STEP = 4.0
 _GAP = 5.0
 _CROSSED_LINE = 45.0
 _CROSSED_POINT = 90.0
-_CROSSED_LEADER = 200.0
+_ALONG_LINE = 60.0
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,13 @@ class Place:
 @dataclass(frozen=True)
 class Surroundings:
     """frame: (x0, y0, x1, y1); points (m, 2) must stay visible, within `radius`; lines (k, 4) are
-    segments x0, y0, x1, y1 better left uncovered."""
+    segments x0, y0, x1, y1 better left uncovered; `reach` is the longest leader."""
 
     frame: tuple[float, float, float, float]
     points: Array
     radius: float
     lines: Array
+    reach: float
 
 
 def place(tags: Sequence[Tag], around: Surroundings) -> tuple[Place | None, ...]:
@@ -66,7 +68,10 @@ def _box(found: Place, tag: Tag) -> Array:
 
 
 def _best(tag: Tag, around: Surroundings, boxes: Array, leaders: Array) -> Place | None:
+    anchor = np.array(tag.anchor)
     candidates = _grid(tag, around.frame)
+    near = np.clip(anchor, candidates[:, :2], candidates[:, 2:]) - anchor
+    candidates = candidates[np.hypot(near[:, 0], near[:, 1]) < around.reach]
     around_points = np.hstack([around.points - around.radius, around.points + around.radius])
     free = ~_overlap(candidates, _grow(boxes, _GAP)).any(axis=1)
     free &= ~_overlap(candidates, around_points).any(axis=1)
@@ -74,10 +79,9 @@ def _best(tag: Tag, around: Surroundings, boxes: Array, leaders: Array) -> Place
     candidates = candidates[free]
     if len(candidates) == 0:
         return None
-    anchor = np.array(tag.anchor)
     ends = np.clip(anchor, candidates[:, :2], candidates[:, 2:])
     own = np.hstack([np.broadcast_to(anchor, ends.shape), ends])
-    clear = ~crosses(_grow(boxes, 1.0), own).any(axis=0)
+    clear = ~crosses(_grow(boxes, 1.0), own).any(axis=0) & ~_cut(own, leaders).any(axis=1)
     candidates, ends, own = candidates[clear], ends[clear], own[clear]
     if len(candidates) == 0:
         return None
@@ -85,7 +89,8 @@ def _best(tag: Tag, around: Surroundings, boxes: Array, leaders: Array) -> Place
     cost = np.hypot(*(ends - anchor).T)
     cost += _CROSSED_LINE * crosses(_grow(candidates, _GAP), around.lines).sum(axis=1)
     cost += _CROSSED_POINT * crosses(others, own).sum(axis=0)
-    cost += _CROSSED_LEADER * _cut(own, leaders).sum(axis=1)
+    for point in (ends, (ends + anchor) / 2):
+        cost += _ALONG_LINE * _on_line(point, around.lines)
     chosen = int(np.argmin(cost))
     corner, end = candidates[chosen, :2], ends[chosen]
     return Place((float(corner[0]), float(corner[1])), (float(end[0]), float(end[1])))
@@ -97,6 +102,14 @@ def _grid(tag: Tag, frame: tuple[float, float, float, float]) -> Array:
     y = np.arange(frame[1], frame[3] - tag.size[1], _STEP)
     corners = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return np.hstack([corners, corners + np.array(tag.size)])
+
+
+def _on_line(points: Array, lines: Array) -> Mask:
+    """Whether a point lies on one of the lines, so that a leader there would be lost on it."""
+    low = np.minimum(lines[:, :2], lines[:, 2:]) - _STEP
+    high = np.maximum(lines[:, :2], lines[:, 2:]) + _STEP
+    inside = (low < points[:, None]) & (points[:, None] < high)
+    return np.asarray(inside.all(axis=-1).any(axis=-1))
 
 
 def _grow(boxes: Array, by: float) -> Array:

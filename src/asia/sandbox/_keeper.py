@@ -3,7 +3,7 @@
 Run as a script, in a process of its own. As a subreaper it inherits every daemon the candidate
 makes, so that none is lost and none of another worker is touched. It works until the worker ends
 or the request pipe closes, which a killed parent does too.
-Arguments: request fd, reply fd, then the worker's command line.
+Arguments: request fd, reply fd, the worker's home, then its command line.
 """
 
 from __future__ import annotations
@@ -46,13 +46,15 @@ def descendants(root: int, *, alive: bool = False) -> list[int]:
 
 def main(arguments: list[str]) -> NoReturn:
     requests, replies = int(arguments[0]), int(arguments[1])
+    home, command = arguments[2], arguments[3:]
+    parent = os.getppid()
     prctl = _prctl()
     prctl(_PR_SET_CHILD_SUBREAPER, 1)
     worker = os.fork()
     if worker == 0:
         prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         os.setsid()
-        os.execv(arguments[2], arguments[2:])
+        os.execv(command[0], command)
     # The worker alone holds these: their end of file tells the parent that it has gone.
     os.close(replies)
     nothing = os.open(os.devnull, os.O_RDWR)
@@ -68,6 +70,10 @@ def main(arguments: list[str]) -> NoReturn:
         ended = _reap(worker)
         status = ended if status is None else status
         time.sleep(0.001)
+    if os.getppid() != parent:  # killed: nobody else will tidy up
+        import shutil
+
+        shutil.rmtree(home, ignore_errors=True)
     os._exit(status)
 
 

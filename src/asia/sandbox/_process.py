@@ -22,7 +22,7 @@ def open_cell(limits: Limits) -> Cell:
     pipes = PipePairs(os.pipe(), os.pipe())
     requests, replies = pipes.child_ends
     keeper = str(package_folder() / "sandbox" / "_keeper.py")
-    command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies)]
+    command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
     command += child_command(requests, replies, limits)
     try:
         process = start(command, pipes, env=environment(home), cwd=home)

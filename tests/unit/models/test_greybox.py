@@ -15,7 +15,7 @@ from asia.candidate import Context
 from asia.errors import UserError
 from asia.models import greybox
 from asia.models._lm import LevenbergMarquardt
-from asia.problem import Array, Bounds, ParameterRange, Physics, Trajectory
+from asia.problem import Array, Bounds, Physics, Trajectory
 
 from .greybox_systems import (
     DUFFING,
@@ -163,3 +163,148 @@ def test_finds_an_input_delay() -> None:
     delayed = Trajectory(np.roll(record.u, -2, axis=0)[:-2], record.y[:-2], 0.15)
     model = fitted(greybox.Config(input_delay=5.0, ridge=1e-6), [delayed], context)
     assert model.parameters()["force delay"] == pytest.approx(2.0, abs=0.2)
+
+
+def test_additions_explain_what_the_equations_lack(duffing_context: Context) -> None:
+    """A constant force and a bias of the sensor, which the equations do not know."""
+    record, new = (duffing_record(200, seed, NOISE) for seed in (0, 8))
+
+    def biased(r: Trajectory) -> Trajectory:
+        return Trajectory(r.u + 0.8, r.y + 0.5, r.sampling_time)
+
+    plain = fitted(greybox.Config(), [biased(record)], duffing_context)
+    config = greybox.Config(offset=("velocity", "y"), ridge=1e-6)
+    model = fitted(config, [biased(record)], duffing_context)
+    assert model.parameters()["y offset"] == pytest.approx(0.5, abs=0.05)
+    assert error(model, biased(new)) < 0.2 * error(plain, biased(new))
+
+
+def test_linear_term_makes_up_for_missing_damping(duffing_context: Context) -> None:
+    undamped = replace(
+        DUFFING,
+        parameters={k: v for k, v in DUFFING.parameters.items() if k != "c"},
+        dynamics={"position": "velocity", "velocity": "-k*position - a*position**3 + b*force"},
+    )
+    context = replace(duffing_context, physics=undamped)
+    record, new = (duffing_record(200, seed, NOISE) for seed in (0, 8))
+    plain = fitted(greybox.Config(), [record], context)
+    model = fitted(greybox.Config(linear=True, ridge=1e-5), [record], context)
+    assert error(model, new) < 0.2 * error(plain, new)
+
+
+def test_a_strong_ridge_holds_additions_at_no_effect(duffing_context: Context) -> None:
+    record = duffing_record(150, 0, NOISE)
+    plain = fitted(greybox.Config(), [record], duffing_context)
+    held = fitted(
+        greybox.Config(linear=True, residual=2, ridge=1e6, residual_ridge=1e6),
+        [record],
+        duffing_context,
+    )
+    case = split(duffing_record(80, 5))
+    np.testing.assert_allclose(held.simulate(*case), plain.simulate(*case), atol=1e-3)
+
+
+def test_robust_loss_withstands_outliers(duffing_context: Context) -> None:
+    record = duffing_record(200, 0, NOISE)
+    spoiled = record.y.copy()
+    spoiled[::17] += 8.0
+    records = [Trajectory(record.u, spoiled, 0.15)]
+    least_squares = fitted(greybox.Config(), records, duffing_context)
+    robust = fitted(greybox.Config(robust=0.05), records, duffing_context)
+    new = duffing_record(150, 7)
+    assert error(robust, new) < 0.5 * error(least_squares, new)
+
+
+KINEMATICS = Physics(
+    states=("px", "py"),
+    dynamics={"px": "v*cos(heading)", "py": "v*sin(heading)"},
+    observation={"east": "px", "north": "py"},
+    constants={"gain": 1.0},
+)
+
+
+@pytest.mark.parametrize(("n_past_u", "n_past_y"), [(0, 1), (3, 1), (1, 3), (0, 0)])
+def test_known_kinematics_with_two_inputs_and_outputs(n_past_u: int, n_past_y: int) -> None:
+    context = context_for(
+        KINEMATICS, "v heading", "east north", 0.1, n_past_u=n_past_u, n_past_y=n_past_y
+    )
+    rng = np.random.default_rng(0)
+    u = np.column_stack([np.full(40, 1.0), np.cumsum(rng.normal(scale=0.1, size=40))])
+    steps = 0.1 * np.column_stack([u[:, 0] * np.cos(u[:, 1]), u[:, 0] * np.sin(u[:, 1])])
+    y = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)[:-1]])
+    records = [Trajectory(u, y, 0.1), Trajectory(u[:30], y[:30], 0.1)]
+    model = fitted(greybox.Config(), records, context, LevenbergMarquardt(iterations=5))
+    assert model.parameters() == {}
+    y_hat = model.simulate(*split(records[0], n_past_u, n_past_y))[0]
+    n_past = max(n_past_u, n_past_y)
+    assert y_hat.shape == (40 - n_past, 2)
+    tolerance = 0.12 if n_past_u < n_past_y else 2e-2
+    if n_past_y:
+        np.testing.assert_allclose(y_hat, y[n_past:], atol=tolerance)
+
+
+def test_with_a_horizon_it_learns_from_windows(duffing_context: Context) -> None:
+    context = replace(duffing_context, horizon=30)
+    records = [duffing_record(140, 0, NOISE), duffing_record(100, 1, NOISE)]
+    model = fitted(greybox.Config(), records, context)
+    for name, value in DUFFING_TRUTH.items():
+        assert model.parameters()[name] == pytest.approx(value, rel=0.05)
+
+
+def test_bounds_hold_in_the_simulation(duffing_context: Context) -> None:
+    physics = Physics(("x",), {"x": "u"}, bounds={"x": Bounds(0.0, 1.0)}, observation={"y": "x"})
+    context = context_for(physics, "u", "y", 1.0, n_past_u=1, n_past_y=1)
+    u = held_steps(60, 0, -1.0, 1.0)
+    y = np.clip(np.concatenate([[[0.0]], np.cumsum(u[:-1], axis=0)]), 0.0, 1.0)
+    model = fitted(greybox.Config(), [Trajectory(u, y, 1.0)], context)
+    y_hat = model.simulate(u[None, :1], y[None, :1], np.ones((1, 5, 1)))
+    assert y_hat.max() == 1.0
+    assert model.simulate(u[None, :1], y[None, :1], -np.ones((1, 5, 1))).min() == 0.0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"spill": True},
+        {"residual": -1},
+        {"input_delay": -1.0},
+        {"ridge": -1.0},
+        {"residual_ridge": -1.0},
+        {"substeps": 0},
+        {"robust": 0.0},
+    ],
+)
+def test_settings_out_of_range_are_refused(arguments: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"greybox\.Config"):
+        greybox.Config(**arguments)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [greybox.Config(saturation=("speed",)), greybox.Config(offset=("speed",))],
+)
+def test_names_that_are_not_in_the_physics_are_refused(
+    config: greybox.Config, duffing_context: Context
+) -> None:
+    with pytest.raises(ValueError, match="'speed', known are position, velocity"):
+        greybox.build(config, duffing_context)
+
+
+def test_a_problem_without_physics_is_refused() -> None:
+    with pytest.raises(ValueError, match="no \\[physics\\]"):
+        greybox.build(greybox.Config(), context_for(None, "force", "y", 0.15))
+
+
+def test_physics_that_do_not_fit_the_signals_are_refused() -> None:
+    with pytest.raises(UserError, match="undefined symbol 'force'"):
+        greybox.build(greybox.Config(), context_for(DUFFING, "torque", "y", 0.15))
+
+
+def test_use_before_training_and_wrong_past_windows_are_refused(
+    duffing: greybox.GreyBox, duffing_context: Context
+) -> None:
+    past_u, past_y, u = split(duffing_record(80, 5))
+    with pytest.raises(ValueError, match="not trained"):
+        greybox.build(greybox.Config(), duffing_context).simulate(past_u, past_y, u)
+    with pytest.raises(ValueError, match="past windows of 4 and 5 samples"):
+        duffing.simulate(past_u[:, :4], past_y, u)

@@ -18,13 +18,15 @@ def test_tags_keep_clear_of_each_other_of_points_and_of_the_frame(seed: int) -> 
     rng = np.random.default_rng(seed)
     points = rng.uniform((20.0, 20.0), (780.0, 380.0), (25, 2))
     tags = [Tag((float(x), float(y)), (110.0, 24.0)) for x, y in points[:10]]
-    found = place(tags, Surroundings(FRAME, points, 6.0, NO_LINES))
+    found = place(tags, Surroundings(FRAME, points, 6.0, NO_LINES, 200.0))
     boxes = [
         np.array([*p.corner, p.corner[0] + t.size[0], p.corner[1] + t.size[1]])
         for p, t in zip(found, tags, strict=True)
         if p is not None
     ]
     assert len(boxes) >= 8
+    leaders = [(t.anchor, p.leader) for p, t in zip(found, tags, strict=True) if p is not None]
+    assert all(np.hypot(a[0] - b[0], a[1] - b[1]) < 200.0 for a, b in leaders)
     for i, box in enumerate(boxes):
         assert (box[:2] >= 0.0).all()
         assert (box[2:] <= FRAME[2:]).all()
@@ -36,7 +38,7 @@ def test_tags_keep_clear_of_each_other_of_points_and_of_the_frame(seed: int) -> 
 def test_a_tag_without_room_has_no_place() -> None:
     tags = [Tag((5.0, 5.0), (90.0, 30.0)), Tag((50.0, 5.0), (90.0, 30.0))]
     around = Surroundings(
-        (0.0, 0.0, 100.0, 60.0), np.array([[5.0, 5.0], [50.0, 5.0]]), 2.0, NO_LINES
+        (0.0, 0.0, 100.0, 60.0), np.array([[5.0, 5.0], [50.0, 5.0]]), 2.0, NO_LINES, 200.0
     )
     first, second = place(tags, around)
     assert first is not None
@@ -45,7 +47,7 @@ def test_a_tag_without_room_has_no_place() -> None:
 
 def test_a_tag_lies_beside_its_point_and_off_a_line() -> None:
     line = np.array([[0.0, 200.0, 800.0, 200.0]])
-    around = Surroundings(FRAME, np.array([[400.0, 200.0]]), 6.0, line)
+    around = Surroundings(FRAME, np.array([[400.0, 200.0]]), 6.0, line, 200.0)
     (found,) = place([Tag((400.0, 200.0), (100.0, 20.0))], around)
     assert found is not None
     assert np.hypot(found.leader[0] - 400.0, found.leader[1] - 200.0) < 20.0

@@ -12,6 +12,7 @@ from asia.candidate import Context
 from asia.errors import CandidateError, Reason, SandboxError
 from asia.problem import ParameterRange, Physics, Signal
 from asia.sandbox import Isolation, Limits, open_worker, probe
+from asia.sandbox._channel import select_one
 
 GAIN = """
 import numpy as np
@@ -237,6 +238,8 @@ def test_a_sandbox_killed_from_outside_is_not_the_candidates_fault(case):
     with open_worker(Isolation.NAMESPACE, Limits(60.0, 30.0, 4096)) as one:
         one.fit(GAIN, case.trajectories, case.context)
         one._cell.process.kill()
+        one._cell.process.wait()
+        assert _wait_for(lambda: select_one(one._cell.pipes.replies)), "the worker lives on"
         with pytest.raises(SandboxError, match="signal 9"):
             one.simulate(case.past_u, case.past_y, case.u)
 
@@ -325,13 +328,15 @@ def test_a_killed_parent_takes_worker_and_daemons_with_it(level: Isolation, tmp_
     source = tmp_path / "source.py"
     source.write_text(DAEMON.replace("NAME", name))
     command = [sys.executable, "-c", PARENT, level.value, str(source)]
-    parent = subprocess.Popen(command, start_new_session=True)
+    env = os.environ | {"TMPDIR": str(tmp_path)}
+    parent = subprocess.Popen(command, start_new_session=True, env=env)
     try:
         assert _wait_for(lambda: _named(name) >= 2), "the candidate did not start"
     finally:
         os.killpg(parent.pid, signal.SIGKILL)
         parent.wait()
     assert _wait_for(lambda: _named(name) == 0), "processes outlived their parent"
+    assert _wait_for(lambda: os.listdir(tmp_path) == ["source.py"]), "a folder was left behind"
 
 
 def _wait_for(condition, seconds: float = 30.0) -> bool:

@@ -1,0 +1,277 @@
+"""Kill searches at random moments and see whether their ledgers come out the same.
+
+python benchmarks/kill.py [--kills 10] [--experiments 6] [--seed 0] [--agent random] [--out DIR]
+
+One search runs undisturbed. The same command then runs again elsewhere, its whole process group is
+killed (SIGKILL) at a random moment, and it is started again, until the kills are used up; a search
+that ends before its kill is compared and the next one begun. Each search, once at its end, must hold
+the same events as the undisturbed one (time and seconds apart), must verify, must have kept every
+record that was there at a kill, must have evaluated no experiment twice, and no process may outlive
+its kill. Prints a table; exits with 1 on any difference.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+NAME = "killed"
+ASIA = str(Path(sys.executable).parent / "asia")
+ENVELOPE = ("seq", "prev", "self", "time")
+CLOCKS = ("seconds", "fit_seconds")
+SAMPLES = {"train": 240, "test": 120}
+DIE_SECONDS = 5.0
+# Kills fall into this share of an undisturbed search, so that most searches meet several.
+SHARE = 0.6
+
+
+@dataclass
+class Bench:
+    """What all searches share, and what went wrong."""
+
+    command: tuple[str, ...]
+    out: Path
+    random: np.random.Generator
+    faults: list[str] = field(default_factory=list)
+
+    def start(self, runs: Path) -> subprocess.Popen[bytes]:
+        """The search in a session of its own."""
+        log = (self.out / f"{runs.name}.log").open("ab")
+        with log:
+            return subprocess.Popen(
+                [*self.command, "--runs", str(runs)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
+
+    def fault(self, runs: Path, words: str) -> None:
+        """Note what must not be."""
+        self.faults.append(f"{runs.name}: {words}")
+
+
+@dataclass(frozen=True)
+class Kill:
+    """One kill: seconds after the start, records on disk, workers alive then and afterwards."""
+
+    search: str
+    after: float
+    records: int
+    last: str
+    processes: int
+    left: int
+
+
+def main() -> int:
+    """Run, compare, print; 1 when anything differs."""
+    options = _options()
+    out = Path(options.out or tempfile.mkdtemp(prefix="asia-kill-"))
+    problem = _write_problem(out / "problem")
+    command = [ASIA, "run", str(problem), "--agent", options.agent, "--name", NAME]
+    command += ["--experiments", str(options.experiments), "--seed", str(options.seed)]
+    bench = Bench(tuple(command), out, np.random.default_rng(options.seed))
+    begin = time.monotonic()
+    reference = out / "undisturbed"
+    _finish(bench, reference)
+    duration = time.monotonic() - begin
+    expected = _events(reference)
+    print(f"undisturbed search: {len(expected)} records, {duration:.1f} s; files in {out}")
+    kills = _kill_often(bench, options.kills, SHARE * duration, expected)
+    print(f"{'search':<10}{'kill at s':>10}{'records':>9}  {'during':<22}{'alive':>6}{'left':>6}")
+    for k in kills:
+        print(
+            f"{k.search:<10}{k.after:>10.1f}{k.records:>9}  {k.last:<22}{k.processes:>6}{k.left:>6}"
+        )
+    for fault in bench.faults:
+        print(f"DIFFERENT  {fault}")
+    searches = len({k.search for k in kills})
+    verdict = "differences found" if bench.faults else "all the same, all verify"
+    print(f"{len(kills)} kills over {searches} searches: {verdict}")
+    if options.out is None and not bench.faults:
+        shutil.rmtree(out)
+    return 1 if bench.faults else 0
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--experiments", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=0, help="of the search and of the moments")
+    parser.add_argument("--agent", default="random")
+    parser.add_argument("--out", help="an empty directory; default: a temporary one")
+    return parser.parse_args()
+
+
+def _kill_often(
+    bench: Bench, count: int, longest: float, expected: list[dict[str, Any]]
+) -> list[Kill]:
+    kills: list[Kill] = []
+    number = 0
+    while len(kills) < count:
+        number += 1
+        runs = bench.out / f"search{number}"
+        ended = False
+        while len(kills) < count and not ended:
+            kill = _kill_once(bench, runs, float(bench.random.uniform(0.0, longest)))
+            ended = kill is None
+            if kill is not None:
+                kills.append(kill)
+                print(f"kill {len(kills)}/{count}", file=sys.stderr, flush=True)
+        if not ended:
+            before = _whole_lines(runs)
+            _finish(bench, runs)
+            _check_prefix(bench, runs, before)
+        _compare(bench, runs, expected)
+    return kills
+
+
+def _kill_once(bench: Bench, runs: Path, after: float) -> Kill | None:
+    """Start, kill after so many seconds; None when the search ended by itself before."""
+    before = _whole_lines(runs)
+    process = bench.start(runs)
+    try:
+        code = process.wait(after)
+    except subprocess.TimeoutExpired:
+        # Stopped first: nothing new is started between the look and the kill.
+        os.killpg(process.pid, signal.SIGSTOP)
+        alive = _below(process.pid)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        left = _outliving(alive)
+        if left:
+            bench.fault(runs, f"outlived the kill: {', '.join(left.values())}")
+        _check_prefix(bench, runs, before)
+        lines = _whole_lines(runs)
+        last = json.loads(lines[-1]) if lines else {"event": "nothing"}
+        words = f"after {last['event']} {last.get('experiment', '')}".strip()
+        return Kill(runs.name, after, len(lines), words, len(alive), len(left))
+    if code != 0:
+        bench.fault(runs, f"ended with exit code {code}: see {runs.name}.log")
+    _check_prefix(bench, runs, before)
+    return None
+
+
+def _finish(bench: Bench, runs: Path) -> None:
+    code = bench.start(runs).wait()
+    if code != 0:
+        sys.exit(f"asia ended with exit code {code}: see {bench.out / runs.name}.log")
+
+
+def _check_prefix(bench: Bench, runs: Path, before: list[bytes]) -> None:
+    """What was recorded before stands, byte by byte: nothing was redone in its place."""
+    if _whole_lines(runs)[: len(before)] != before:
+        bench.fault(runs, "records that were on disk at a kill have changed")
+
+
+def _compare(bench: Bench, runs: Path, expected: list[dict[str, Any]]) -> None:
+    found = _events(runs)
+    if len(found) != len(expected):
+        bench.fault(runs, f"{len(found)} records, {len(expected)} undisturbed")
+    for number, (a, b) in enumerate(zip(found, expected, strict=False)):
+        for key in sorted({*a, *b}):
+            if a.get(key) != b.get(key):
+                bench.fault(runs, f"record {number} ({b.get('event')}): {key} differs")
+    for kind in ("proposed", "evaluated"):
+        counts = Counter(e["experiment"] for e in found if e["event"] == kind)
+        for experiment in (n for n, times in counts.items() if times > 1):
+            bench.fault(runs, f"experiment {experiment} was {kind} {counts[experiment]} times")
+    verify = subprocess.run(
+        [ASIA, "verify", NAME, "--runs", str(runs)], capture_output=True, text=True, check=False
+    )
+    if verify.returncode != 0:
+        bench.fault(runs, f"asia verify: {verify.stderr.strip()}")
+
+
+def _whole_lines(runs: Path) -> list[bytes]:
+    path = runs / NAME / "ledger.jsonl"
+    if not path.is_file():
+        return []
+    return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
+
+
+def _events(runs: Path) -> list[dict[str, Any]]:
+    """Every record without its envelope and without measured time."""
+    bodies = [json.loads(line) for line in _whole_lines(runs)]
+    return [_timeless({k: v for k, v in b.items() if k not in ENVELOPE}) for b in bodies]
+
+
+def _timeless(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _timeless(v) for k, v in value.items() if k not in CLOCKS}
+    if isinstance(value, list):
+        return [_timeless(v) for v in value]
+    return value
+
+
+def _processes() -> dict[int, tuple[int, str, str]]:
+    """Living processes: pid -> parent, moment of birth, command line."""
+    found: dict[int, tuple[int, str, str]] = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (path / "stat").read_bytes().rpartition(b")")[2].split()
+            line = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        except OSError:
+            continue
+        if words[0] not in (b"Z", b"X"):
+            found[int(path.name)] = int(words[1]), words[19].decode(), line[:80]
+    return found
+
+
+def _below(root: int) -> dict[tuple[int, str], str]:
+    """The process and all below it: (pid, moment of birth) -> command line."""
+    found = _processes()
+    wanted, grown = {root}, True
+    while grown:
+        more = {pid for pid, (parent, _, _) in found.items() if parent in wanted} - wanted
+        wanted |= more
+        grown = bool(more)
+    return {(pid, found[pid][1]): found[pid][2] for pid in wanted if pid in found}
+
+
+def _outliving(alive: dict[tuple[int, str], str]) -> dict[tuple[int, str], str]:
+    """Those still there after a moment of grace."""
+    end = time.monotonic() + DIE_SECONDS
+    while True:
+        now = {(pid, born) for pid, (_, born, _) in _processes().items()}
+        left = {key: line for key, line in alive.items() if key in now}
+        if not left or time.monotonic() > end:
+            return left
+        time.sleep(0.05)
+
+
+def _write_problem(directory: Path) -> Path:
+    """Second-order linear system with a saturating input and a little noise, as CSV files."""
+    random = np.random.default_rng(1)
+    directory.mkdir(parents=True)
+    for name, samples in SAMPLES.items():
+        u = random.standard_normal(samples)
+        y = np.zeros(samples)
+        for k in range(2, samples):
+            v = np.tanh(u[k - 2 : k])
+            y[k] = 1.2 * y[k - 1] - 0.5 * y[k - 2] + 0.4 * v[1] + 0.2 * v[0]
+        table = np.stack([u, y + 0.01 * random.standard_normal(samples)], axis=1)
+        np.savetxt(directory / f"{name}.csv", table, delimiter=",", header="u,y", comments="")
+    (directory / "problem.toml").write_text(
+        'name = "toy"\nsampling_time = 0.1\ninputs = ["u"]\noutputs = ["y"]\n'
+        '[data]\ntrain = ["train.csv"]\ntest = ["test.csv"]\n'
+        "[protocol]\npast_inputs = 5\npast_outputs = 5\n"
+    )
+    return directory
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,184 @@
+"""Identification on synthetic systems whose noise-free output is known.
+
+python benchmarks/synthetic.py [--systems linear,duffing] [--agents expert,random]
+    [--experiments 10] [--seed 0] [--out DIR]
+
+Every search runs through the library with folds in parallel, one search at a time. Finished parts
+of an interrupted run are not redone when --out is given again. Progress goes to stderr, the table
+as Markdown to stdout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from systems import KINDS, System, make_system, write_problem
+
+from asia.agents import AGENTS, make_agent
+from asia.errors import UserError
+from asia.ledger import Evaluated, Event, SearchView, Store, Unsealed
+from asia.problem.load import Problem, load_problem
+from asia.scoring import Score
+from asia.search import prepare, search, unseal
+
+FLOOR = "simulated truth"
+LINEAR = "linear model"
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one search came to. `ratio`: test error against the noise-free truth over the standard
+    deviation of the noise, mean over the channels; None when no candidate had a score."""
+
+    linear: float | None
+    floor: float | None
+    best: float | None
+    number: int | None
+    family: str
+    ratio: float | None
+    failures: int
+    seconds: float
+
+
+def main() -> None:
+    """Run the searches that are asked for and print the table."""
+    options = _options()
+    with tempfile.TemporaryDirectory(prefix="asia-synthetic-") as scratch:
+        out = options.out or Path(scratch)
+        rows: dict[str, dict[str, Found]] = {}
+        for name in options.systems:
+            system = make_system(KINDS[name], options.seed)
+            directory = write_problem(system, out / "problems" / name, options.experiments)
+            problem = load_problem(directory)
+            rows[name] = {
+                agent: _search(system, problem, agent, options.seed, out / "runs")
+                for agent in options.agents
+            }
+    print(_table(rows, options.agents))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--systems", type=_words(KINDS), default=list(KINDS), metavar="A,B")
+    parser.add_argument("--agents", type=_words(AGENTS), default=list(AGENTS), metavar="A,B")
+    parser.add_argument("--experiments", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0, help="of the systems and of the searches")
+    parser.add_argument("--out", type=Path, help="keep problems and runs here, and resume")
+    return parser.parse_args()
+
+
+def _words(known: Sequence[str] | dict[str, object]):  # noqa: ANN202
+    def parse(text: str) -> list[str]:
+        words = text.split(",")
+        for word in words:
+            if word not in known:
+                raise argparse.ArgumentTypeError(f"'{word}' is none of {', '.join(known)}")
+        return words
+
+    return parse
+
+
+def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path) -> Found:
+    """One search with the truth as a rung beside it, unsealed; resumes what is in `runs`."""
+    count = problem.budget.experiments
+    problem = replace(problem, truth=(system.train.truth,))
+    name = f"{problem.name}-{agent}-s{seed}-n{count}"
+    ready = prepare(problem, agent, seed=seed, runs=runs, name=name)
+    start = time.monotonic()
+
+    def on_event(event: Event, view: SearchView) -> None:
+        if isinstance(event, Evaluated):
+            outcome = event.outcome
+            value = f"V={outcome.value:.4f}" if isinstance(outcome, Score) else outcome.reason.value
+            title = view.experiment(event.experiment).proposed.title
+            words = f"{event.experiment}/{count} {event.status:<8}{value:<12}{event.seconds:6.1f} s"
+            print(f"{name}  {words}  {title}", file=sys.stderr, flush=True)
+
+    view = search(ready, make_agent(agent), on_event, lambda view: None)
+    try:
+        ratio = _error_over_noise(system, problem, unseal(ready.directory).record, ready.directory)
+    except UserError as error:
+        print(f"{name}  {error}", file=sys.stderr)
+        ratio = None
+    found = _found(view, ratio)
+    print(
+        f"{name}  error over noise {_number(ratio)}, evaluations {found.seconds:.0f} s, "
+        f"wall {time.monotonic() - start:.0f} s",
+        file=sys.stderr,
+        flush=True,
+    )
+    return found
+
+
+def _error_over_noise(
+    system: System, problem: Problem, record: Unsealed, directory: Path
+) -> float:
+    """The ensemble on the test record against the truth there."""
+    store = Store(directory / "artifacts")
+    ny = len(problem.outputs)
+    (y_hat,) = store.get_arrays(record.ensemble.y_hat, [(n, ny) for n in record.lengths])
+    truth = system.test.truth[problem.protocol.past :]
+    error = np.sqrt(np.mean((truth - y_hat) ** 2, axis=0))
+    return float(np.mean(error / system.noise_std))
+
+
+def _found(view: SearchView, ratio: float | None) -> Found:
+    rungs = {r.name: r.outcome.value for r in view.rungs if isinstance(r.outcome, Score)}
+    best = view.best
+    return Found(
+        linear=rungs.get(LINEAR),
+        floor=rungs.get(FLOOR),
+        best=best.score.value if best and best.score else None,
+        number=best.number if best else None,
+        family=best.proposed.family if best else "none",
+        ratio=ratio,
+        failures=sum(e.failure is not None for e in view.finished),
+        seconds=view.seconds,
+    )
+
+
+def _table(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> str:
+    heads = ["system", "noise floor in V", "V linear model"]
+    for agent in agents:
+        heads += [f"V {agent}", "best at", "family", "failed"]
+    heads += [f"error over noise, {agent}" for agent in agents]
+    lines = [heads, ["---"] * len(heads)]
+    for name, found in rows.items():
+        first = found[agents[0]]
+        cells = [name, _number(first.floor), _number(first.linear)]
+        for agent in agents:
+            f = found[agent]
+            at = "-" if f.number is None else f"#{f.number}"
+            cells += [_number(f.best), at, f.family, str(f.failures)]
+        lines.append([*cells, *(_number(found[agent].ratio) for agent in agents)])
+    lines.append(_medians(rows, agents))
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _medians(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> list[str]:
+    """Medians over the systems; a search without a scored model counts as infinite."""
+    firsts = [found[agents[0]] for found in rows.values()]
+    cells = ["**median**", _median([f.floor for f in firsts]), _median([f.linear for f in firsts])]
+    for agent in agents:
+        cells += [_median([found[agent].best for found in rows.values()]), "", "", ""]
+    return [*cells, *(_median([f[agent].ratio for f in rows.values()]) for agent in agents)]
+
+
+def _median(values: Sequence[float | None]) -> str:
+    return f"**{median(float('inf') if v is None else v for v in values):.3g}**"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+if __name__ == "__main__":
+    main()

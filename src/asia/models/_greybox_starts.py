@@ -1,0 +1,220 @@
+"""Where the fit of a grey-box starts: records cut to segments, draws, screening, scales."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from asia.models._greybox_config import Structure
+from asia.models._greybox_simulate import Scales, simulate_states
+from asia.models._lm import LMResult
+from asia.models._ode import Equations
+from asia.problem import Array, Trajectory
+from asia.problem._expressions import Name
+
+# Where an addition has no effect: a limit far above any state, a fraction of zero.
+_NO_LIMIT = 20.0
+_NO_SPILL = -30.0
+_SCREENED_PER_START = 16
+_MOST_INITIAL_STATES = 240
+_OPEN = 1e9
+
+
+class Segments(NamedTuple):
+    """Training records side by side: u (S, T, nu), y (S, T, ny), mask (S, T), 0 in the padding."""
+
+    u: Array
+    y: Array
+    mask: Array
+
+
+class Starts(NamedTuple):
+    """Starting points, one a row: coordinates and initial states with their normalisation."""
+
+    z: Array
+    shift: Array
+    x_guess: Array
+    scales: Scales
+
+
+def cut_segments(
+    structure: Structure, trajectories: Sequence[Trajectory], horizon: int | None
+) -> Segments:
+    """Whole records, or, with a horizon, windows of past and horizon spread over them."""
+    pieces: list[Trajectory] = list(trajectories)
+    if horizon is not None:
+        length = structure.n_past + horizon
+        pieces = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
+        pieces = [t for t in pieces if len(t) == length] or list(trajectories)
+        most = max(1, _MOST_INITIAL_STATES // structure.nx)
+        if len(pieces) > most:
+            chosen = np.linspace(0, len(pieces) - 1, most).round().astype(int)
+            pieces = [pieces[i] for i in chosen]
+    longest = max(len(t) for t in pieces)
+
+    def pad(values: Array) -> Array:
+        return np.pad(values, ((0, longest - len(values)), (0, 0)), mode="edge")
+
+    mask = np.array([np.arange(longest) < len(t) for t in pieces], dtype=np.float64)
+    return Segments(
+        np.stack([pad(t.u) for t in pieces]), np.stack([pad(t.y) for t in pieces]), mask
+    )
+
+
+def initial_states(structure: Structure, starts: Starts, result: LMResult, i: int) -> Array:
+    """Initial states (S, nx) that fit `i` ended with."""
+    shift = np.asarray(result.theta[i, structure.layout.size :]).reshape(-1, structure.nx)
+    return starts.x_guess[i] + shift * starts.scales.x_scale[i]
+
+
+def _measured(equations: Equations) -> dict[int, int]:
+    """Output index of each state that is observed as it is."""
+    pairs = [
+        (equations.states.index(expression.root.name), k)
+        for k, expression in enumerate(equations.observation)
+        if isinstance(expression.root, Name) and expression.root.name in equations.states
+    ]
+    return dict(pairs)
+
+
+def _first_guess(structure: Structure, segments: Segments) -> Array:
+    """Initial states (S, nx): the first measurement, else the middle of the bounds, else 0."""
+    low, high = np.array(structure.low), np.array(structure.high)
+    closed = np.isfinite(low) & np.isfinite(high)
+    middle = np.where(closed, 0.5 * (np.where(closed, low, 0.0) + np.where(closed, high, 0.0)), 0.0)
+    guess = np.tile(np.clip(middle, low, high), (segments.u.shape[0], 1))
+    for state, output in _measured(structure.equations).items():
+        guess[:, state] = segments.y[:, 0, output]
+    return guess
+
+
+def _base_scales(structure: Structure, segments: Segments) -> Scales:
+    """Scales before any state is known."""
+    nx, inside = structure.nx, segments.mask > 0
+
+    def deviation(values: Array) -> Array:
+        spread = values[inside].std(axis=0)
+        return np.where(spread > 0, spread, 1.0)
+
+    return Scales(
+        x_center=np.zeros(nx),
+        x_scale=np.ones(nx),
+        x_max=np.ones(nx),
+        rate=np.ones(nx),
+        u_center=segments.u[inside].mean(axis=0),
+        u_scale=deviation(segments.u),
+        y_scale=deviation(segments.y),
+        low=np.full(nx, -_OPEN),
+        high=np.full(nx, _OPEN),
+        hidden=np.zeros((structure.config.residual, nx + structure.nu + 1)),
+    )
+
+
+@lru_cache(maxsize=64)
+def simulate_many(structure: Structure) -> Any:
+    """Compiled: (z (P, size), scales, x0 (P, S, nx), u (S, T, nu)) -> outputs, states."""
+
+    def one(z: jax.Array, scales: Scales, x0: jax.Array, u: jax.Array) -> Any:
+        return jax.vmap(lambda x, v: simulate_states(structure, scales, z, x, v))(x0, u)
+
+    return jax.jit(jax.vmap(one, in_axes=(0, None, 0, None)))
+
+
+def _neutral(structure: Structure) -> Array:
+    z = np.zeros(structure.layout.size)
+    z[structure.layout.limits] = _NO_LIMIT
+    z[structure.layout.spill] = _NO_SPILL
+    return z
+
+
+def screen(
+    structure: Structure, segments: Segments, count: int, rng: np.random.Generator
+) -> Starts:
+    """The `count` best of many points drawn in the parameter ranges, the middle among them."""
+    layout, base = structure.layout, _base_scales(structure, segments)
+    drawn = count * _SCREENED_PER_START if structure.ranges else count
+    z = np.tile(_neutral(structure), (drawn, 1))
+    z[1:, layout.parameters] = rng.uniform(-1.0, 1.0, (drawn - 1, len(structure.ranges)))
+    guess = np.tile(_first_guess(structure, segments), (drawn, 1, 1))
+    simulate = simulate_many(structure)
+    states = np.asarray(simulate(z, base, guess, segments.u)[1])
+    center, scale = _spread(states, segments)
+    hidden = [i for i in range(structure.nx) if i not in _measured(structure.equations)]
+    guess[:, :, hidden] = center[:, None, hidden]
+    outputs = np.asarray(simulate(z, base, guess, segments.u)[0])
+    error = ((outputs - segments.y) / base.y_scale) ** 2 * segments.mask[:, :, None]
+    best = np.argsort(error.sum(axis=(1, 2, 3)), kind="stable")[:count]
+    scales = _repeat(base, count)._replace(x_center=center[best], x_scale=scale[best])
+    return Starts(z[best], np.zeros_like(guess[best]), guess[best], scales)
+
+
+def _spread(states: Array, segments: Segments) -> tuple[Array, Array]:
+    """Mean and standard deviation (P, nx) of simulated states (P, S, T, nx)."""
+    inside = states[:, segments.mask > 0]
+    deviation = inside.std(axis=1)
+    # A start that runs away would make its own initial state weightless.
+    floor = 1e-3 * np.maximum(np.abs(inside).max(axis=1), 1e-6)
+    return inside.mean(axis=1), np.clip(np.maximum(deviation, floor), 1e-9, 1e6)
+
+
+def _repeat(scales: Scales, count: int) -> Scales:
+    return jax.tree.map(lambda a: np.tile(a, (count,) + (1,) * np.ndim(a)), scales)
+
+
+def augment(
+    structure: Structure,
+    segments: Segments,
+    starts: Starts,
+    result: LMResult,
+    rng: np.random.Generator,
+) -> Starts:
+    """Starting points around the best fits of the equations alone, with the additions drawn."""
+    layout, size = structure.layout, structure.layout.size
+    count = len(starts.z)
+    order = np.argsort(result.cost, kind="stable")
+    # The better half of the first fits, in turn: others have often ended in a poor minimum.
+    parents = np.resize(order[: max(1, count // 2)], count)
+    z = np.asarray(result.theta)[parents, :size].copy()
+    x0 = np.stack([initial_states(structure, starts, result, int(i)) for i in parents])
+    plain = np.tile(_neutral(structure), (count, 1))
+    plain[:, layout.parameters] = z[:, layout.parameters]
+    scales = _state_scales(structure, segments, plain, x0)
+    z[:, layout.limits] = rng.uniform(np.log(0.5), 0.0, z[:, layout.limits].shape)
+    z[:, layout.spill] = rng.uniform(-2.0, 1.0, z[:, layout.spill].shape)
+    z[:, layout.delay] = rng.uniform(0.0, 0.8, z[:, layout.delay].shape)
+    # One start with next to no effect, so that additions do not begin worse than the equations.
+    z[0, layout.limits], z[0, layout.spill], z[0, layout.delay] = 0.0, -4.0, 0.0
+    return Starts(z, np.zeros_like(x0), x0, scales)
+
+
+def add_network(
+    structure: Structure, starts: Starts, result: LMResult, rng: np.random.Generator
+) -> Starts:
+    """The best fit again and again, each time with another first layer of the network."""
+    count, best = len(starts.z), int(np.argmin(result.cost))
+    inner = structure.nx + structure.nu + 1
+    z = np.tile(np.asarray(result.theta)[best, : structure.layout.size], (count, 1))
+    x0 = np.tile(initial_states(structure, starts, result, best), (count, 1, 1))
+    scales = _repeat(jax.tree.map(lambda a: a[best], starts.scales), count)
+    hidden = rng.normal(size=(count, structure.config.residual, inner)) / np.sqrt(inner)
+    return Starts(z, np.zeros_like(x0), x0, scales._replace(hidden=hidden))
+
+
+def _state_scales(structure: Structure, segments: Segments, z: Array, x0: Array) -> Scales:
+    """Scales, one row a start, from simulations with coordinates z from x0 (P, S, nx)."""
+    base = _base_scales(structure, segments)
+    states = np.asarray(simulate_many(structure)(z, base, x0, segments.u)[1])
+    center, scale = _spread(states, segments)
+    inside = segments.mask > 0
+    moves = np.diff(states, axis=2)[:, inside[:, 1:]]
+    rate = np.sqrt((moves**2).mean(axis=1)) / structure.sampling_time
+    return _repeat(base, len(z))._replace(
+        x_center=center,
+        x_scale=scale,
+        x_max=states[:, inside].max(axis=1),
+        rate=np.maximum(rate, 1e-9),
+    )

@@ -1,0 +1,60 @@
+"""Hybrid: a grey-box, and a small network for what its equations leave over.
+
+    model = hybrid.build(hybrid.Config(units=4), context)
+    model = hybrid.train(model, trajectories, context, LevenbergMarquardt(iterations=60, starts=8))
+
+The grey-box is fitted first. The network is a function of states and inputs, added to the
+dynamics; its output layer starts at zero and every step is refused that would raise the cost, so
+that on its training records a hybrid never has a higher regularised cost than its grey-box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from asia.candidate import Context
+from asia.models import greybox
+from asia.models._lm import LevenbergMarquardt
+from asia.models.greybox import GreyBox
+from asia.problem import Trajectory
+
+__all__ = ["Config", "build", "train"]
+
+
+@dataclass(frozen=True)
+class Config:
+    """base: the grey-box under the network; units: hidden tanh units; ridge: weight of the
+    network's squared coefficients beside the mean squared normalised error."""
+
+    base: greybox.Config = field(default_factory=greybox.Config)
+    units: int = 4
+    ridge: float = 1e-2
+
+    def __post_init__(self) -> None:
+        if self.units < 1 or self.ridge < 0:
+            raise ValueError("hybrid.Config: units must be >= 1 and ridge >= 0")
+        if self.base.residual:
+            raise ValueError("hybrid.Config: give the network's size as units, not in base")
+
+
+def build(config: Config, context: Context) -> GreyBox:
+    """The untrained model. Raises ValueError when the problem has no physics, UserError when the
+    physics do not fit the signals."""
+    if context.physics is None:
+        raise ValueError(
+            "hybrid: the problem has no [physics]; give states and dynamics, or use a black-box "
+            "family"
+        )
+    with_network = replace(config.base, residual=config.units, residual_ridge=config.ridge)
+    return greybox.build(with_network, context)
+
+
+def train(
+    model: GreyBox,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt,
+) -> GreyBox:
+    """The grey-box fitted to the simulation error, then the whole with its network."""
+    return greybox.train(model, trajectories, context, method)

@@ -1,0 +1,79 @@
+"""The documents' commands run, and their tables say what the code knows."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.problem import Budget, ProtocolRule
+from asia.problem._expressions import FUNCTIONS
+
+ROOT = Path(__file__).parents[3]
+README = (ROOT / "README.md").read_text()
+
+
+def blocks(text: str) -> list[list[str]]:
+    """Commands of each sh block, comments cut."""
+    found = re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL)
+    return [[line.split("#")[0].strip() for line in b.splitlines() if line.strip()] for b in found]
+
+
+def run(command: str, directory: Path) -> str:
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        shlex.split(command), cwd=directory, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, f"{command}: {done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture
+def records(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    for name in ("run1", "run2", "run3"):
+        u = rng.normal(size=150)
+        y = np.convolve(u, 0.8 ** np.arange(20))[:150] + 0.05 * rng.normal(size=150)
+        table = np.stack([u, y], axis=1)
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="u,y", comments="")
+    return tmp_path
+
+
+def test_the_commands_for_ones_own_records_run_as_written(records: Path) -> None:
+    commands = next(b for b in blocks(README) if b[0].startswith("asia init"))
+    for command in commands:
+        output = run(command.replace("--experiments 10", "--experiments 2"), records)
+        if command == "asia status --json":
+            assert '"experiments": 2' in output
+    assert (records / "runs" / "mill-expert-s0" / "report" / "test.png").is_file()
+
+
+def test_every_command_in_the_readme_exists(tmp_path: Path) -> None:
+    words = {c.split()[1] for b in blocks(README) for c in b if c.startswith("asia ")}
+    assert words == {"run", "show", "unseal", "init", "check", "status", "report"}
+    for word in sorted(words):
+        assert word in run(f"asia {word} --help", tmp_path)
+
+
+def test_the_problem_page_names_the_defaults() -> None:
+    page = (ROOT / "docs" / "problem.md").read_text()
+    for key, value in (
+        ("budget.experiments", Budget().experiments),
+        ("budget.fit_seconds", f"{Budget().fit_seconds:g}"),
+        ("budget.memory_mb", Budget().memory_mb),
+        ("budget.patience", Budget().patience),
+        ("protocol.past_inputs`, `past_outputs", f"{ProtocolRule().past_inputs}, 10"),
+    ):
+        assert f"| `{key}` | {value} |" in page
+    for name in FUNCTIONS:
+        assert re.search(rf"\b{name}\b", page), f"{name} is not documented"
+
+
+def test_links_between_documents_lead_somewhere() -> None:
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]:
+        for target in re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"

@@ -1,0 +1,131 @@
+"""Linear state-space models."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import cloudpickle
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.models import linear
+from asia.models._linear_fit import Refinement, fit, refine, simulation_error
+from asia.models._linear_system import LinearSystem, powers, states_of
+from asia.models._records import Record
+from asia.problem import Trajectory
+from tests.unit.models.black_box_systems import Case, case, filtered, late, two_by_two
+
+
+def fitted(config: linear.Config, data: Case) -> linear.LinearStateSpace:
+    return linear.train(linear.build(config, data.context), data.training, data.context)
+
+
+def test_chosen_order_simulates_below_the_noise() -> None:
+    data = case(filtered)
+    model = fitted(linear.Config(), data)
+    assert data.ratio(model) < 0.4
+    assert model.fitted is not None
+    assert model.fitted.system.order == 2
+
+
+def test_two_inputs_and_outputs_from_records_of_unequal_length() -> None:
+    data = case(two_by_two, channels=2, lengths=(250, 120, 60))
+    assert data.ratio(fitted(linear.Config(order=3), data)) < 0.5
+
+
+def test_delay_is_estimated() -> None:
+    data = case(late)
+    model = fitted(linear.Config(order=2, delay=None), data)
+    assert model.fitted is not None
+    # The system itself has one more sample of delay than its feedthrough could express.
+    assert model.fitted.delay in (5, 6)
+    assert data.ratio(model) < 0.5
+
+
+def test_past_window_sets_the_initial_state() -> None:
+    data = case(filtered, noise=0.01)
+    model = fitted(linear.Config(order=2), data)
+    first = np.abs(data.simulated(model)[:10] - data.truth[8:18]).max()
+    assert first < 0.1 * data.truth.std()
+
+
+def test_convolution_gives_the_states_of_the_recursion() -> None:
+    rng = np.random.default_rng(0)
+    system = LinearSystem(
+        0.9 * np.linalg.qr(rng.standard_normal((3, 3)))[0],
+        rng.standard_normal((3, 2)),
+        rng.standard_normal((1, 3)),
+        np.zeros((1, 2)),
+        np.zeros(1),
+    )
+    u, x0 = rng.standard_normal((77, 2)), rng.standard_normal(3)
+    by_recursion = system.simulate(x0[None], u[None])[0][0]
+    by_convolution = states_of(system, powers(system.a, 77), x0, u)
+    np.testing.assert_allclose(by_convolution, by_recursion, atol=1e-10)
+
+
+def test_refinement_lowers_the_simulation_error_and_ignores_unweighted_samples() -> None:
+    data = case(filtered, noise=0.2)
+    t = data.training[0]
+    weight = np.ones(len(t))
+    weight[100:150] = 0.0
+    y = (t.y - t.y.mean()) / t.y.std()
+    u = t.u - t.u.mean()
+    record = Record(u, y, weight, u)
+    start = fit([record], 2, Refinement(iterations=0))
+    better = refine([record], start, Refinement())
+    assert better.error < start.error
+    spoiled = y.copy()
+    spoiled[100:150] = 1e3
+    error = simulation_error([replace(record, y=spoiled)], better.system, better.x0)
+    assert error == pytest.approx(better.error)
+
+
+def test_integrator_stays_simulable() -> None:
+    rng = np.random.default_rng(2)
+    u = rng.standard_normal((300, 1))
+    y = np.cumsum(0.1 * u, axis=0)
+    data = case(filtered)
+    t = [Trajectory(u, y, 1.0)]
+    model = linear.train(linear.build(linear.Config(order=1), data.context), t, data.context)
+    y_hat = model.simulate(u[None, :8], y[None, :8], u[None, 8:])
+    assert np.abs(y_hat[0] - y[9 - 1 :]).max() < y.std()
+
+
+def test_reloads_bitwise_in_a_fresh_process() -> None:
+    data = case(filtered)
+    model = fitted(linear.Config(order=2), data)
+    again = fitted(linear.Config(order=2), data)
+    expected = data.simulated(model)
+    assert expected.tobytes() == data.simulated(again).tobytes()
+    u, y = data.unseen.u, data.unseen.y
+    program = (
+        "import sys, cloudpickle; m, a = cloudpickle.load(sys.stdin.buffer);"
+        "sys.stdout.buffer.write(m.simulate(*a).tobytes())"
+    )
+    payload = cloudpickle.dumps((model, (u[None, :8], y[None, :8], u[None, 8:])))
+    done = subprocess.run(
+        [sys.executable, "-c", program], input=payload, capture_output=True, check=True
+    )
+    assert done.stdout == expected.tobytes()
+
+
+def test_record_shorter_than_its_past_window_is_refused() -> None:
+    data = case(filtered)
+    short = [data.training[0][:8]]
+    with pytest.raises(UserError, match="past window of 8"):
+        linear.train(linear.build(linear.Config(order=1), data.context), short, data.context)
+
+
+def test_untrained_model_says_so() -> None:
+    data = case(filtered)
+    with pytest.raises(UserError, match="not trained"):
+        data.simulated(linear.build(linear.Config(), data.context))
+
+
+def test_package_loads_no_numerical_library() -> None:
+    program = "import sys, asia.models; sys.exit('jax' in sys.modules or 'scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

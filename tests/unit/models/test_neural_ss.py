@@ -1,0 +1,91 @@
+"""Neural state-space models."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.models import linear, neural_ss
+from asia.models._structure import Structure
+from asia.models.methods import Adam, LevenbergMarquardt
+from tests.unit.models.black_box_systems import Case, case, filtered, late, two_by_two, wiener
+
+
+def fitted(
+    config: neural_ss.Config, data: Case, method: LevenbergMarquardt | Adam
+) -> neural_ss.NeuralStateSpace:
+    model = neural_ss.build(config, data.context)
+    return neural_ss.train(model, data.training, data.context, method)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"nonlinearity": "state"},
+        {"nonlinearity": "output"},
+        {"nonlinearity": "both", "hidden": 5},
+        {"nonlinearity": "output", "basis": "polynomial", "degree": 5},
+    ],
+)
+def test_wiener_system_is_simulated_below_the_noise(options: dict[str, Any]) -> None:
+    data = case(wiener, lengths=(800,))
+    line = linear.train(
+        linear.build(linear.Config(order=2), data.context), data.training, data.context
+    )
+    model = fitted(neural_ss.Config(order=2, **options), data, LevenbergMarquardt(60))
+    assert data.ratio(model) < min(1.0, 0.5 * data.ratio(line))
+
+
+def test_a_few_channels_suffice_for_a_function_of_one_signal() -> None:
+    data = case(lambda u: filtered(np.tanh(2 * u)), lengths=(800,))
+    config = neural_ss.Config(order=2, channels=1)
+    assert data.ratio(fitted(config, data, LevenbergMarquardt(60, starts=2))) < 1.0
+
+
+def test_no_iterations_leave_the_linear_model() -> None:
+    data = case(wiener, lengths=(150, 90))
+    line = linear.train(
+        linear.build(linear.Config(order=2), data.context), data.training, data.context
+    )
+    model = fitted(neural_ss.Config(order=2, encoder=0), data, LevenbergMarquardt(0))
+    np.testing.assert_allclose(data.simulated(model), data.simulated(line), rtol=1e-6)
+
+
+def test_delay_and_two_channels() -> None:
+    data = case(late, lengths=(300,))
+    model = fitted(neural_ss.Config(order=2, delay=None), data, LevenbergMarquardt(5))
+    assert data.ratio(model) < 1.0
+    data = case(two_by_two, channels=2, lengths=(200, 90))
+    assert data.ratio(fitted(neural_ss.Config(order=3), data, LevenbergMarquardt(5))) < 1.0
+
+
+def test_adam_improves_on_the_linear_start() -> None:
+    data = case(wiener)
+    before = fitted(neural_ss.Config(order=2), data, LevenbergMarquardt(0))
+    method = Adam(steps=300, learning_rate=5e-3, truncation=64)
+    assert data.ratio(fitted(neural_ss.Config(order=2), data, method)) < 0.7 * data.ratio(before)
+
+
+def test_same_seed_gives_the_same_model_whatever_the_precision_of_the_caller() -> None:
+    data = case(wiener, lengths=(150,))
+    config, method = neural_ss.Config(order=2), LevenbergMarquardt(10)
+    first = data.simulated(fitted(config, data, method))
+    with jax.enable_x64(True):
+        second = data.simulated(fitted(config, data, method))
+    assert first.tobytes() == second.tobytes()
+
+
+def test_polynomials_are_the_monomials_up_to_the_degree() -> None:
+    structure = Structure(1, 1, 1, "input", "polynomial", 1, 3, None)
+    start: dict[str, Any] = {"s": {"w2": np.array([[2.0], [3.0]])}}
+    u = np.array([[0.5], [-1.0]])
+    np.testing.assert_allclose(structure.input(np, start, u), u + 2 * u**2 + 3 * u**3)
+
+
+def test_channels_go_with_a_state_nonlinearity_only() -> None:
+    with pytest.raises(UserError, match="channels"):
+        neural_ss.Config(nonlinearity="input", channels=1)
