@@ -43,10 +43,11 @@ def run(
     from asia.problem.load import load_problem
     from asia.report import write_report
     from asia.sandbox import Isolation
-    from asia.search import prepare, search
+    from asia.search import check_baseline, prepare, search
 
     chosen = make_agent(agent)
     loaded = load_problem(problem)
+    check_baseline(loaded)
     budget = loaded.budget
     loaded = replace(
         loaded,

@@ -138,7 +138,8 @@ def _advance(
         loss, gradient = jax.value_and_grad(loss_of)(state.params, jax.random.fold_in(root, step))
         change, optimiser_state = optimiser.update(gradient, state.optimiser, state.params)
         moved = _State(optax.apply_updates(state.params, change), optimiser_state, loss)
-        finite = jnp.isfinite(optax.global_norm(gradient))
+        squares = [jnp.sum(g**2) for g in jax.tree.leaves(gradient)]
+        finite = jnp.isfinite(jnp.sum(jnp.stack(squares)))
         return jax.tree.map(lambda new, old: jnp.where(finite, new, old), moved, state)
 
     return jax.lax.fori_loop(first, last, update, state)

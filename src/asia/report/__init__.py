@@ -30,7 +30,8 @@ def write_report(directory: Path) -> tuple[Path, ...]:
 
 
 def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
-    """Draw the training records, folds and past windows into `directory/data.png` and `.pdf`.
+    """Draw the training records, folds and past windows into `directory/data.png` and `.pdf`, and
+    the problem's equations, if it has any, into `equations`.
 
     Returns the paths written. Raises UserError when the records do not make folds.
     """

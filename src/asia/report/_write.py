@@ -13,6 +13,7 @@ from asia.problem._problem import BenchmarkSource
 from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._data import draw_data
+from asia.report._equations import draw_equations
 from asia.report._leaderboard import leaderboard
 from asia.report._progress import draw_progress
 from asia.report._residuals import draw_residuals
@@ -32,7 +33,11 @@ def write(directory: Path) -> tuple[Path, ...]:
 
 def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
     """See `asia.report.draw_problem`."""
-    return save(iter([("data", lambda: draw_data(problem))]), directory)
+    drawn: list[Picture] = [("data", lambda: draw_data(problem))]
+    physics = problem.physics
+    if physics is not None:
+        drawn.append(("equations", lambda: draw_equations(physics)))
+    return save(iter(drawn), directory)
 
 
 def pictures(run: Run, problem: Problem) -> Iterator[Picture]:

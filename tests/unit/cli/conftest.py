@@ -1,0 +1,84 @@
+import contextlib
+import io
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from asia.cli import main
+
+from ..search.toy import write_problem
+
+
+@dataclass(frozen=True)
+class Done:
+    code: int
+    out: str
+    err: str
+
+
+Asia = Callable[..., Done]
+
+
+def command_line(*words: object) -> Done:
+    """`asia WORDS` in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    before, sys.argv = sys.argv, ["asia", *(str(w) for w in words)]
+    code = 0
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            main()
+    except SystemExit as stop:
+        code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    finally:
+        sys.argv = before
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A finished search of one experiment: what it printed, and a copy of it to change at will."""
+
+    printed: Done
+    problem: Path
+    runs: Path
+    name: str = "toy-random-s0"
+
+    @property
+    def directory(self) -> Path:
+        return self.runs / self.name
+
+
+@pytest.fixture(scope="session")
+def searched_once(tmp_path_factory: pytest.TempPathFactory) -> Searched:
+    root = tmp_path_factory.mktemp("search")
+    problem = write_problem(root / "toy")
+    runs = root / "runs"
+    printed = command_line(
+        "run", problem, "--agent", "random", "--experiments", 1, "--runs", runs, "--json"
+    )
+    return Searched(printed, problem, runs)
+
+
+@pytest.fixture
+def searched(searched_once: Searched, tmp_path: Path) -> Searched:
+    runs = tmp_path / "runs"
+    shutil.copytree(searched_once.runs, runs)
+    return Searched(searched_once.printed, searched_once.problem, runs)
+
+
+@pytest.fixture
+def problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A good problem, in the directory the commands run in."""
+    monkeypatch.chdir(tmp_path)
+    return write_problem(tmp_path / "toy")
+
+
+@pytest.fixture
+def asia(monkeypatch: pytest.MonkeyPatch) -> Asia:
+    monkeypatch.setenv("COLUMNS", "160")
+    monkeypatch.delenv("ASIA_RUNS", raising=False)
+    return command_line

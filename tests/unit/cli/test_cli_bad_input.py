@@ -1,0 +1,149 @@
+"""Whatever a person can mend: one sentence, exit code 2, nothing written."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from .conftest import Asia
+
+PHYSICS = """
+[physics]
+states = ["x"]
+[physics.parameters]
+a = { min = 0.1, max = 1.0 }
+[physics.observation]
+y = "x"
+[physics.dynamics]
+x = "%s"
+"""
+Spoil = Callable[[Path], object]
+
+
+def in_toml(before: str, after: str) -> Spoil:
+    def spoil(problem: Path) -> None:
+        text = (problem / "problem.toml").read_text()
+        assert before in text
+        (problem / "problem.toml").write_text(text.replace(before, after, 1))
+
+    return spoil
+
+
+def physics(dynamics: str) -> Spoil:
+    def spoil(problem: Path) -> None:
+        with (problem / "problem.toml").open("a") as stream:
+            stream.write(PHYSICS % dynamics)
+
+    return spoil
+
+
+def in_rows(change: Callable[[list[str]], list[str]], name: str = "train.csv") -> Spoil:
+    """Changes the rows below the header."""
+
+    def spoil(problem: Path) -> None:
+        header, *rows = (problem / name).read_text().splitlines()
+        (problem / name).write_text("\n".join([header, *change(rows)]) + "\n")
+
+    return spoil
+
+
+def unfinished_column(rows: list[str]) -> list[str]:
+    return [*rows[:-5], *(row.split(",")[0] + "," for row in rows[-5:])]
+
+
+def not_a_number(rows: list[str]) -> list[str]:
+    return [*rows[:9], "nan," + rows[9].split(",")[1], *rows[10:]]
+
+
+def replaced_by_directory(problem: Path) -> None:
+    (problem / "train.csv").unlink()
+    (problem / "train.csv").mkdir()
+
+
+SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
+    "unknown key": (in_toml("past_inputs", "past_inptus"), ("past_inptus", "past_inputs")),
+    "no TOML": (in_toml('name = "toy"', 'name = "toy'), ("problem.toml",)),
+    "missing column": (in_toml('["u"]', '["volt"]'), ("train.csv", "'volt'", "u, y")),
+    "unequal lengths": (in_rows(unfinished_column), ("train.csv", "unequal lengths", "'y'")),
+    "NaN in an input": (in_rows(not_a_number), ("train.csv", "line 11", "'u'")),
+    "NaN in the test": (in_rows(not_a_number, "test.csv"), ("test.csv", "line 11", "'u'")),
+    "too few samples": (in_rows(lambda rows: rows[:20]), ("20 samples", "at least 29")),
+    "too short a test": (in_rows(lambda rows: rows[:3], "test.csv"), ("test", "3 samples")),
+    "no such file": (lambda p: (p / "train.csv").unlink(), ("no such file", "train.csv")),
+    "no such test": (lambda p: (p / "test.csv").unlink(), ("no such file", "test.csv")),
+    "not a file": (replaced_by_directory, ("cannot read", "train.csv")),
+    "not text": (lambda p: (p / "train.csv").write_bytes(b"\0\1\2"), ("train.csv", "text")),
+    "undefined symbol": (physics("-b*x + u"), ("'b'", "[physics.dynamics] x")),
+    "call that is not in the table": (physics("-a*system(x)"), ("system", "[physics.dynamics] x")),
+    "no baseline": (lambda p: (p / "baseline.py").write_text("def"), ("baseline.py",)),
+}
+
+
+def files(root: Path) -> dict[Path, bytes]:
+    return {p: p.read_bytes() if p.is_file() else b"" for p in root.rglob("*")}
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+@pytest.mark.parametrize("case", SPOILT)
+def test_bad_problem(problem: Path, tmp_path: Path, asia: Asia, case: str, command: str) -> None:
+    spoil, expected = SPOILT[case]
+    spoil(problem)
+    before = files(tmp_path)
+    done = asia(command, "toy")
+    assert done.code == 2
+    assert done.out == ""
+    assert done.err.startswith("asia: ")
+    assert done.err.count("\n") == 1
+    for words in expected:
+        assert words in done.err
+    assert files(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("run", "toy", "--agent", "clever"), "no agent 'clever'; there is: expert, random"),
+        (("run", "toy", "--isolation", "moat"), "namespace, landlock, process"),
+        (("run", "two_tank_sim"), "did you mean 'two_tanks_sim'?"),
+        (("check", "."), "has no problem.toml"),
+        (("status",), "no runs under runs; start one with: asia run PROBLEM"),
+        (("status", "nowhere"), "no run 'nowhere' under runs; there is: none"),
+        (("show", "nowhere", "1"), "no run 'nowhere'"),
+        (("diff", "1", "2"), "no runs under runs"),
+        (("unseal", "nowhere", "--yes"), "no run 'nowhere'"),
+        (("report", "nowhere"), "no run 'nowhere'"),
+        (("verify", "nowhere"), "no run 'nowhere'"),
+    ],
+)
+def test_bad_words(
+    problem: Path, tmp_path: Path, asia: Asia, words: tuple[str, ...], expected: str
+) -> None:
+    before = files(tmp_path)
+    done = asia(*words)
+    assert done.code == 2
+    assert done.out == ""
+    assert done.err.startswith("asia: ")
+    assert expected in done.err
+    assert done.err.count("\n") == 1
+    assert files(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "toy", "--experiments", "0"),
+        ("run", "toy", "--experiments", "many"),
+        ("run", "toy", "--nonsense"),
+        ("run", "toy", "--seed", "-1"),
+        ("check",),
+        ("nonsense",),
+        ("init", "new"),
+    ],
+)
+def test_bad_usage(problem: Path, tmp_path: Path, asia: Asia, words: tuple[str, ...]) -> None:
+    before = files(tmp_path)
+    done = asia(*words)
+    assert done.code == 2
+    assert done.out == ""
+    assert "Usage" in done.err
+    assert files(tmp_path) == before

@@ -1,0 +1,77 @@
+from pathlib import Path
+
+import pytest
+
+from asia.cli import spread
+from asia.problem.load import load_problem
+
+from .conftest import Asia
+
+SIGNALS = ("--inputs", "u", "--outputs", "y", "--sampling-time", "0.5")
+
+
+@pytest.fixture
+def data(problem: Path, tmp_path: Path) -> tuple[str, str]:
+    """Two records beside the future problem."""
+    for name in ("train", "test"):
+        (problem / f"{name}.csv").rename(tmp_path / f"{name}.csv")
+    return "train.csv", "test.csv"
+
+
+def test_words_after_a_list_option_belong_to_it() -> None:
+    words = "init new --train a.csv b.csv --sampling-time 0.1 --inputs u v --outputs y".split()
+    expected = (
+        "init new --train a.csv --train b.csv --sampling-time 0.1 --inputs u --inputs v --outputs y"
+    )
+    assert spread(words) == expected.split()
+    assert spread(["show", "--train", "a", "b"]) == ["show", "--train", "a", "b"]
+
+
+def test_several_records_and_back(data: tuple[str, str], asia: Asia) -> None:
+    done = asia("init", "new", "--train", *data, "--no-seal", *SIGNALS)
+    assert done.code == 0, done.err
+    assert "no test data" in done.out
+    assert "asia check new" in done.out
+    loaded = load_problem("new")
+    assert loaded.name == "new"
+    assert [len(t) for t in loaded.train] == [240, 120]
+    assert loaded.sampling_time == 0.5
+    checked = asia("check", "new", "--no-draw")
+    assert checked.code == 0, checked.err
+    assert "record train: 240 samples" in checked.out
+    assert "test: none" in checked.out
+
+
+def test_named_test_is_sealed(data: tuple[str, str], asia: Asia) -> None:
+    done = asia("init", "new", "--train", data[0], "--test", data[1], *SIGNALS)
+    assert done.code == 0, done.err
+    assert "no test data" not in done.out
+    assert "test (120 samples)" in asia("check", "new", "--no-draw").out
+
+
+def test_last_fifth_is_sealed(data: tuple[str, str], asia: Asia, tmp_path: Path) -> None:
+    done = asia("init", "new", "--train", data[0], "--seal", *SIGNALS)
+    assert done.code == 0, done.err
+    assert "the last 20 % of each record" in done.out
+    rows = (tmp_path / data[0]).read_text().splitlines()[1:]
+    kept = (tmp_path / "new" / "train_train.csv").read_text().splitlines()[1:]
+    sealed = (tmp_path / "new" / "train_sealed.csv").read_text().splitlines()[1:]
+    assert kept == rows[:192]
+    assert sealed == rows[192:]
+    assert len(load_problem("new").train[0]) == 192
+
+
+def test_nothing_is_overwritten(data: tuple[str, str], asia: Asia, problem: Path) -> None:
+    before = (problem / "problem.toml").read_text()
+    done = asia("init", "toy", "--train", data[0], *SIGNALS)
+    assert done.code == 2
+    assert "nothing is overwritten" in done.err
+    assert (problem / "problem.toml").read_text() == before
+
+
+def test_wrong_column_writes_nothing(data: tuple[str, str], asia: Asia, tmp_path: Path) -> None:
+    done = asia("init", "new", "--train", data[0], *SIGNALS[:3], "level", *SIGNALS[4:])
+    assert done.code == 2
+    assert done.err.startswith("asia: ")
+    assert "'level'" in done.err
+    assert not (tmp_path / "new").exists()
