@@ -107,7 +107,7 @@ def _option(view: AgentView, case: Case, move: Move, share: float) -> _Option | 
     source = recipe.source(_summary(label, recipe))
     if view.is_known(source):
         return None
-    title = f"{label}: {move.name}"
+    title = f"{label}: {move.title(case)}"
     before = [t for t in view.trials if t.title == title and t.status != "keep"]
     proposal = Proposal(
         source=source,

@@ -33,7 +33,8 @@ class Case:
 
 @dataclass(frozen=True)
 class Move:
-    """`weight` is how promising the move is on a case, 0 when it does not apply."""
+    """`weight` is how promising the move is on a case, 0 when it does not apply; `{state}` in the
+    name is the state it acts on."""
 
     name: str
     families: tuple[str, ...]
@@ -41,6 +42,13 @@ class Move:
     change: Callable[[Case], Recipe]
     hypothesis: str
     expected: str
+
+    def title(self, case: Case) -> str:
+        """The name with its state filled in."""
+        full = case.recipe.get("saturation")
+        spilling = full[0] if isinstance(full, tuple) and full else ""
+        state = spilling if "spill" in self.name else _next_state(case)[-1:]
+        return self.name.format(state="".join(state))
 
 
 def _next_state(case: Case) -> tuple[str, ...]:
@@ -79,7 +87,7 @@ GREY = ("greybox", "hybrid")
 
 MOVES: tuple[Move, ...] = (
     Move(
-        name="saturation of the next state",
+        name="{state} saturates",
         families=GREY,
         weight=_saturation_weight,
         change=lambda c: c.recipe.configured(saturation=_next_state(c)),
@@ -88,7 +96,7 @@ MOVES: tuple[Move, ...] = (
         expected="Lower error near the top of the output; the limit settles inside the data.",
     ),
     Move(
-        name="spill into the next state",
+        name="a full {state} spills over",
         families=GREY,
         weight=_spill_weight,
         change=lambda c: c.recipe.configured(spill=True),

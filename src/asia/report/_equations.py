@@ -74,10 +74,21 @@ def typeset(text: str) -> str:
     expression = parse_expression(text, "physics")
     values = {name: sympy.Symbol(name) for name in expression.names}
     with sympy.evaluate(False):
-        formula = sympy.sympify(expression.evaluate(values, _FUNCTIONS))
+        formula = _flat(sympy.sympify(expression.evaluate(values, _FUNCTIONS)))
     names = {symbol: _symbol(name) for name, symbol in values.items()}
     text = str(latex(formula, order="none", full_prec=False, symbol_names=names))
     return _WHOLE_FLOAT.sub(r"\1", text)
+
+
+def _flat(formula: Any) -> Any:
+    """Sums of sums and products of products as one, so that they need no parentheses."""
+    if not formula.args:
+        return formula
+    parts: list[Any] = []
+    for part in map(_flat, formula.args):
+        nested = formula.func in (sympy.Add, sympy.Mul) and part.func is formula.func
+        parts += part.args if nested else [part]
+    return formula.func(*parts, evaluate=False)
 
 
 def _symbol(name: str) -> str:

@@ -78,13 +78,13 @@ def test_a_grey_box_that_fails_on_top_gets_a_saturation_then_a_spill() -> None:
     trials = climb(known, {"greybox": 0.3})
     first = replace(trials[0], diagnostics=(replace(CLEAN, top_error=2.0),))
     trials = (first, *trials[1:])
-    assert next_title(known, trials) == "grey-box: saturation of the next state"
+    assert next_title(known, trials) == "grey-box: x1 saturates"
     proposal = ExpertAgent().propose(view(known, trials, "refine"))
     assert proposal is not None
     assert proposal.parent == first.number
     assert 'saturation=("x1",)' in proposal.source
     better = trial(proposal, len(trials) + 1, 0.2)
-    assert next_title(known, (*trials, better)) == "grey-box: spill into the next state"
+    assert next_title(known, (*trials, better)) == "grey-box: a full x1 spills over"
 
 
 def test_a_biased_grey_box_gets_an_offset_before_other_things() -> None:

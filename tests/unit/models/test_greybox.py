@@ -71,15 +71,15 @@ def test_recovers_the_parameters_with_unknown_initial_states(duffing: greybox.Gr
 
 
 def test_simulates_a_new_record_from_its_past_window(duffing: greybox.GreyBox) -> None:
-    record = duffing_record(150, 7, NOISE)
+    record = duffing_record(80, 7, NOISE)
     assert error(duffing, record) < 3 * NOISE
     assert error(duffing, record) < 0.05 * record.y.std()
 
 
 def test_a_case_does_not_depend_on_its_batch(duffing: greybox.GreyBox) -> None:
-    cases = [split(duffing_record(60, seed)) for seed in (11, 12, 13)]
+    cases = [split(duffing_record(80, seed)) for seed in (11, 12, 13)]
     together = duffing.simulate(*(np.concatenate(part) for part in zip(*cases, strict=True)))
-    assert together.shape == (3, 55, 1)
+    assert together.shape == (3, 75, 1)
     for i, case in enumerate(cases):
         np.testing.assert_allclose(together[i], duffing.simulate(*case)[0], rtol=1e-6, atol=1e-8)
 
@@ -137,7 +137,7 @@ def tank_record(samples: int, seed: int) -> Trajectory:
         x = np.maximum(x, 0.0)
         out = 0.3 * np.sqrt(x[0])
         inflow = 0.25 * u[0] - out
-        over = max(inflow, 0.0) / (1.0 + np.exp(-300.0 * (x[0] - 4.0)))
+        over = max(inflow, 0.0) * np.clip(50.0 * (x[0] - 3.98), 0.0, 1.0)
         return np.array([inflow - over, out - 0.25 * np.sqrt(x[1]) + 0.5 * over])
 
     u = held_steps(samples, seed, 0.5, 4.5, hold=20)

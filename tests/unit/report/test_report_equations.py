@@ -11,7 +11,7 @@ def test_terms_stay_in_the_order_the_person_wrote() -> None:
 
 
 def test_names_that_mean_something_to_sympy_are_only_names() -> None:
-    assert typeset("N + S + E + beta*I") == r"N + S + E + \beta I"
+    assert typeset("N + S + Q + beta*I") == r"N + S + Q + \beta I"
 
 
 def test_every_function_of_the_table_is_drawn() -> None:
