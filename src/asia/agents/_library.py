@@ -54,16 +54,12 @@ def state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
     return (*single, states) if len(states) > 1 else single
 
 
-def _output_names(facts: Facts) -> tuple[str, ...]:
-    return tuple(s.name for s in facts.outputs)
-
-
 def _greybox_choices(facts: Facts) -> Choices:
     return (
         ("saturation", ((), *state_sets(facts))),
         ("spill", (False, True)),
         ("linear", (False, True)),
-        ("offset", ((), _output_names(facts))),
+        ("offset", ((), *state_sets(facts)[-1:])),
         ("residual", (0, 4)),
         ("ridge", (1e-4, 1e-3, 1e-2, 1e-1)),
     )

@@ -80,7 +80,21 @@ def _spill_weight(case: Case) -> float:
 
 
 def _outputs(case: Case) -> tuple[str, ...]:
-    return tuple(s.name for s in case.facts.outputs)
+    """Outputs that are not states by name, whose offsets would be confused."""
+    return tuple(s.name for s in case.facts.outputs if s.name not in _states(case))
+
+
+def _states(case: Case) -> tuple[str, ...]:
+    return case.facts.physics.states if case.facts.physics else ()
+
+
+def _offsets(case: Case) -> tuple[str, ...]:
+    value = case.recipe.get("offset")
+    return value if isinstance(value, tuple) else ()
+
+
+def _lacks(case: Case, names: tuple[str, ...]) -> bool:
+    return bool(names) and not set(names) & set(_offsets(case))
 
 
 GREY = ("greybox", "hybrid")
@@ -106,10 +120,19 @@ MOVES: tuple[Move, ...] = (
     Move(
         name="output offset",
         families=GREY,
-        weight=lambda c: 0 if c.recipe.get("offset") else 0.8 if biased(c.trial) else 0.5,
-        change=lambda c: c.recipe.configured(offset=_outputs(c)),
+        weight=lambda c: (0.8 if biased(c.trial) else 0.4) * _lacks(c, _outputs(c)),
+        change=lambda c: c.recipe.configured(offset=(*_offsets(c), *_outputs(c))),
         hypothesis="The sensor's zero is not the equations' zero.",
         expected="Less bias; the fit at low outputs improves most.",
+    ),
+    Move(
+        name="constant in and outflow",
+        families=GREY,
+        weight=lambda c: (0.75 if coloured(c.trial) else 0.5) * _lacks(c, _states(c)),
+        change=lambda c: c.recipe.configured(offset=(*_offsets(c), *_states(c))),
+        hypothesis="Each balance lacks a constant: a leak, a dead zone, a level whose zero is not "
+        "where the equations put it.",
+        expected="Lower error away from the mean level, on every fold.",
     ),
     Move(
         name="linear term",
