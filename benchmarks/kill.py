@@ -1,13 +1,14 @@
 """Kill searches at random moments and see whether their ledgers come out the same.
 
-python benchmarks/kill.py [--kills 10] [--experiments 6] [--seed 0] [--agent random] [--out DIR]
+python benchmarks/kill.py [--kills 10] [--experiments 6] [--seed 0] [--agent random]
+    [--isolation process] [--out DIR]
 
-One search runs undisturbed. The same command then runs again elsewhere, its whole process group is
-killed (SIGKILL) at a random moment, and it is started again, until the kills are used up; a search
-that ends before its kill is compared and the next one begun. Each search, once at its end, must hold
-the same events as the undisturbed one (time and seconds apart), must verify, must have kept every
-record that was there at a kill, must have evaluated no experiment twice, and no process may outlive
-its kill. Prints a table; exits with 1 on any difference.
+One search runs undisturbed. The same command then runs again elsewhere, its whole process group
+is killed (SIGKILL) at a random moment, and it is started again, until the kills are used up; a
+search that ends before its kill is compared and the next one begun. Each search, once at its end,
+must hold the same events as the undisturbed one (time and seconds apart), must verify, must have
+kept every record that was there at a kill, must have evaluated no experiment twice, and no process
+may outlive its kill. Prints a table; exits with 1 on any difference.
 """
 
 from __future__ import annotations
@@ -83,6 +84,7 @@ def main() -> int:
     problem = _write_problem(out / "problem")
     command = [ASIA, "run", str(problem), "--agent", options.agent, "--name", NAME]
     command += ["--experiments", str(options.experiments), "--seed", str(options.seed)]
+    command += ["--isolation", options.isolation] if options.isolation else []
     bench = Bench(tuple(command), out, np.random.default_rng(options.seed))
     begin = time.monotonic()
     reference = out / "undisturbed"
@@ -112,6 +114,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--experiments", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0, help="of the search and of the moments")
     parser.add_argument("--agent", default="random")
+    parser.add_argument("--isolation", help="a level instead of the strongest: process")
     parser.add_argument("--out", help="an empty directory; default: a temporary one")
     return parser.parse_args()
 

@@ -38,7 +38,7 @@ LIMITS = {"numpy": 0.3, "jax": 1.0}
 
 # Both answer with the seconds their simulate took as the first output, and log the seconds of
 # their imports and of their fit as the first and the second row of the training curve.
-NUMPY = '''
+NUMPY = """
 import time
 BEGIN = time.perf_counter()
 import numpy as np
@@ -72,8 +72,8 @@ def fit(trajectories, context):
     context.log(0, IMPORTED)
     context.log(1, time.perf_counter() - begin)
     return Model(weights)
-'''
-JAX = '''
+"""
+JAX = """
 import time
 BEGIN = time.perf_counter()
 import jax
@@ -122,7 +122,7 @@ def fit(trajectories, context):
     context.log(0, IMPORTED)
     context.log(1, time.perf_counter() - begin)
     return Model(weights)
-'''
+"""
 SOURCES = {"numpy": NUMPY, "jax": JAX}
 
 
@@ -221,10 +221,10 @@ def main() -> int:
     for note in found.notes:
         print(f"not available: {note}")
     print(f"{SAMPLES} samples, 2 folds, median over {repeats} repeats of each fold; seconds")
-    print(f"{os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f}: above 1 the times are high")
+    print(f"{os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} (fair up to 1)")
     heads = ("isolation", "candidate", "overhead", "limit", "", "of it imports", "reload check")
     heads += ("fold", "bare", "fold/bare", "least overhead")
-    lines = [heads]
+    lines: list[tuple[str, ...]] = [heads]
     broken = False
     for level in levels:
         for name, source in SOURCES.items():

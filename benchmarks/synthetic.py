@@ -14,13 +14,12 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
-from systems import KINDS, System, make_system, write_problem
 
 from asia.agents import AGENTS, make_agent
 from asia.errors import UserError
@@ -28,6 +27,7 @@ from asia.ledger import Evaluated, Event, SearchView, Store, Unsealed
 from asia.problem.load import Problem, load_problem
 from asia.scoring import Score
 from asia.search import prepare, search, unseal
+from systems import KINDS, System, make_system, write_problem
 
 FLOOR = "simulated truth"
 LINEAR = "linear model"
@@ -75,7 +75,7 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _words(known: Sequence[str] | dict[str, object]):  # noqa: ANN202
+def _words(known: Iterable[str]) -> Callable[[str], list[str]]:
     def parse(text: str) -> list[str]:
         words = text.split(",")
         for word in words:
@@ -118,9 +118,7 @@ def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path)
     return found
 
 
-def _error_over_noise(
-    system: System, problem: Problem, record: Unsealed, directory: Path
-) -> float:
+def _error_over_noise(system: System, problem: Problem, record: Unsealed, directory: Path) -> float:
     """The ensemble on the test record against the truth there."""
     store = Store(directory / "artifacts")
     ny = len(problem.outputs)

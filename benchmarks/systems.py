@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from scipy import signal
 Array = NDArray[np.float64]
 Response = Callable[[Array], Array]
 """u (T, nu), held between samples, from rest -> noise-free y (T, ny)."""
+Excite = Callable[[np.random.Generator, int], Array]
+"""Random numbers and a length T -> u (T, nu)."""
 
 SAMPLES = 1000
 SETTLE = 200
@@ -32,7 +35,7 @@ class Kind:
     description: str
     sampling_time: float
     ny: int
-    excite: Callable[[np.random.Generator, int], Array]
+    excite: Excite
     draw: Callable[[np.random.Generator], Response]
     physics: str = ""
 
@@ -103,9 +106,6 @@ def write_problem(system: System, directory: Path, experiments: int) -> Path:
     return directory
 
 
-# Inputs
-
-
 def _multisine(rng: np.random.Generator, samples: int, band: float) -> Array:
     """Random-phase multisine (Schoukens & Ljung 2019), flat up to `band` of the Nyquist frequency,
     with unit standard deviation. (T,)"""
@@ -123,18 +123,14 @@ def _steps(rng: np.random.Generator, samples: int, shortest: int, longest: int) 
     return np.array(values[:samples])
 
 
-def _waves(band: float, scale: float = 1.0, mean: float = 0.0, count: int = 1) -> Callable[..., Array]:
+def _waves(band: float, scale: float = 1.0) -> Excite:
     def excite(rng: np.random.Generator, samples: int) -> Array:
-        return mean + scale * np.stack(
-            [_multisine(rng, samples, band) for _ in range(count)], axis=1
-        )
+        return scale * _multisine(rng, samples, band)[:, None]
 
     return excite
 
 
-def _levels(
-    shortest: int, longest: int, scale: float, mean: float = 0.0, count: int = 1
-) -> Callable[..., Array]:
+def _levels(shortest: int, longest: int, scale: float, mean: float = 0.0, count: int = 1) -> Excite:
     def excite(rng: np.random.Generator, samples: int) -> Array:
         return mean + scale * np.stack(
             [_steps(rng, samples, shortest, longest) for _ in range(count)], axis=1
@@ -143,14 +139,11 @@ def _levels(
     return excite
 
 
-# Building blocks
-
-
 def _resonance(rng: np.random.Generator, low: float, high: float) -> tuple[Array, Array]:
     """Discrete second-order system of unit static gain; its frequency in rad per sample."""
     w, d = rng.uniform(low, high), rng.uniform(0.15, 0.5)
-    b, a, _ = signal.cont2discrete(([w * w], [1.0, 2 * d * w, w * w]), 1.0)
-    return b.ravel(), a
+    discrete: Any = signal.cont2discrete(([w * w], [1.0, 2 * d * w, w * w]), 1.0)
+    return np.ravel(discrete[0]), np.ravel(discrete[1])
 
 
 def _lag(rng: np.random.Generator, low: float, high: float) -> tuple[Array, Array]:
@@ -160,7 +153,7 @@ def _lag(rng: np.random.Generator, low: float, high: float) -> tuple[Array, Arra
 
 
 def _filter(block: tuple[Array, Array], u: Array) -> Array:
-    return signal.lfilter(*block, u, axis=0)
+    return np.asarray(signal.lfilter(*block, u, axis=0))
 
 
 def _integrate(
@@ -189,9 +182,6 @@ def _integrate(
                 for v, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
             ]
     return answer
-
-
-# The systems
 
 
 def _linear(rng: np.random.Generator) -> Response:
@@ -389,9 +379,7 @@ KINDS: dict[str, Kind] = {
             _tanks,
             _TANKS,
         ),
-        Kind(
-            "delay", "A linear process behind a long pipe.", 1.0, 1, _levels(2, 15, 1.0), _delay
-        ),
+        Kind("delay", "A linear process behind a long pipe.", 1.0, 1, _levels(2, 15, 1.0), _delay),
         Kind(
             "mimo",
             "Four tanks and two pumps, each of which feeds two tanks across; the levels of the "

@@ -15,7 +15,14 @@ from rich.status import Status as Spinner
 from rich.text import Text
 
 from asia import __version__
-from asia.cli._format import duration, event_object, experiment_line, rung_value, stop_words
+from asia.cli._format import (
+    duration,
+    event_object,
+    experiment_line,
+    rung_value,
+    stop_words,
+)
+from asia.cli._options import DEFAULT_RUNS
 from asia.ledger import (
     Evaluated,
     Event,
@@ -23,6 +30,7 @@ from asia.ledger import (
     Refitted,
     RungScored,
     SearchView,
+    error_value,
 )
 from asia.problem.load import Problem
 from asia.search import Prepared
@@ -167,16 +175,16 @@ class TextDisplay:
         """Say where things are and what to type next."""
         if self.footer is not None:
             self.footer.stop()
-        run, best = view.started.run, view.best
+        run, best = self._run_word(), view.best
         self._print("")
         if view.stopped is not None:
             self._print(f"stopped  {stop_words(view.stopped.reason, view)}")
         if best is None or best.score is None:
             self._print("best     none: every candidate failed; asia show says why")
         else:
-            folds = ", ".join(f"{f.value:.4f}" for f in best.score.folds)
+            folds = ", ".join(error_value(f.value) for f in best.score.folds)
             self._print(
-                f"best     #{best.number:02d} V={best.score.value:.4f} (folds {folds})  "
+                f"best     #{best.number:02d} V={error_value(best.score.value)} (folds {folds})  "
                 f"{best.proposed.title}",
                 style="bold",
             )
@@ -186,9 +194,16 @@ class TextDisplay:
         for picture in pictures:
             if picture.suffix == ".png":
                 self._print(f"picture  {picture}")
-        self._print(f"next     asia show {run}        the winner: source, folds, evidence")
+        show, unseal = f"asia show {run}", f"asia unseal {run}"
+        width = len(unseal) + 4
+        self._print(f"next     {show:<{width}}the winner: source, folds, evidence")
         if view.started.test_digest and view.unsealed is None:
-            self._print(f"         asia unseal {run}      score it on the sealed test, once")
+            self._print(f"         {unseal:<{width}}score it on the sealed test, once")
+
+    def _run_word(self) -> str:
+        """What names the run on a command line: its path where the default would not find it."""
+        directory = self.prepared.directory
+        return directory.name if directory.parent == DEFAULT_RUNS else str(directory)
 
     def _experiment(self, number: int, view: SearchView) -> None:
         experiment = view.experiment(number)

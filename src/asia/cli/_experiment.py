@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from asia.ledger import Experiment, Run, describe_result
+from asia.ledger import Experiment, Run, describe_result, error_value
 
 
 def wide_console() -> Console:
@@ -18,10 +19,11 @@ def describe(console: Console, run: Run, experiment: Experiment) -> None:
     """Print reasons, result, fold table and training-side evidence."""
     p, r = experiment.proposed, experiment.result
     parent = f", made from #{p.parent:02d}" if p.parent else ""
-    console.print(f"[bold]#{p.experiment:02d} {p.title}[/bold]  ({p.family}, {p.phase}{parent})")
-    console.print(f"hypothesis  {p.hypothesis}")
-    console.print(f"expected    {p.expected}")
-    console.print(f"result      {describe_result(experiment)}")
+    title = Text(f"#{p.experiment:02d} {p.title}", style="bold")
+    console.print(title, Text(f" ({p.family}, {p.phase}{parent})"))
+    console.print(Text(f"hypothesis  {p.hypothesis}"))
+    console.print(Text(f"expected    {p.expected}"))
+    console.print(Text(f"result      {describe_result(experiment)}"))
     if r is None:
         return
     console.print(f"decision    {r.status}")
@@ -52,10 +54,10 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
         d = kept.diagnostics
         table.add_row(
             str(k),
-            f"{fold.value:.4f}",
+            error_value(fold.value),
             *(f"{v:.4g}" for v in fold.rmse),
             *(f"{v:.1f}" for v in fold.fit_index),
-            f"{d.train_error:.4f}",
+            error_value(d.train_error),
             f"{d.bias:.3f}",
             f"{d.whiteness:.2f}",
             f"{d.input_correlation:.2f}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from asia.ledger import Evaluated, Event, Experiment, RungScored, SearchView
+from asia.ledger import Evaluated, Event, Experiment, RungScored, SearchView, error_value
 from asia.scoring import Score
 
 
@@ -21,7 +21,7 @@ def duration(seconds: float) -> str:
 def rung_value(rung: RungScored) -> str:
     """V of a rung, or why there is none."""
     outcome = rung.outcome
-    return f"{outcome.value:.4f}" if isinstance(outcome, Score) else outcome.reason.value
+    return error_value(outcome.value) if isinstance(outcome, Score) else outcome.reason.value
 
 
 def experiment_line(experiment: Experiment, view: SearchView) -> str:
@@ -31,11 +31,14 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     assert r is not None
     if experiment.score:
         worst = min(min(f.fit_index) for f in experiment.score.folds)
-        found = f"V={experiment.score.value:.4f}  fit {worst:5.1f} %"
+        fit = f"{worst:5.1f} %" if worst > -999 else "<-999 %"
+        found = f"V={error_value(experiment.score.value)}  fit {fit}"
     else:
         found = f"{r.outcome.reason.value if not isinstance(r.outcome, Score) else '':<20}"
     best = incumbent_at(experiment.number, view)
-    tail = f"best #{best.number:02d} {best.score.value:.4f}" if best and best.score else "best none"
+    tail = "best none"
+    if best and best.score:
+        tail = f"best #{best.number:02d} {error_value(best.score.value)}"
     title = experiment.proposed.title
     return (
         f"#{experiment.number:02d} {r.status:<8}{found:<22}  {duration(r.seconds):>6}  "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Annotated
 
@@ -46,6 +47,7 @@ def run(
     from asia.search import check_baseline, prepare, search
 
     chosen = make_agent(agent)
+    _check_name(name)
     loaded = load_problem(problem)
     check_baseline(loaded)
     budget = loaded.budget
@@ -66,3 +68,14 @@ def run(
         view = search(ready, chosen, display.on_event, display.on_start)
         pictures = write_report(ready.directory)
         display.finish(view, pictures)
+
+
+def _check_name(name: str | None) -> None:
+    """A number would be taken for an experiment, a path would leave the directory of the runs."""
+    from asia.errors import UserError
+
+    if name is not None and (not re.fullmatch(r"\w[\w.+-]*", name) or name.isdecimal()):
+        raise UserError(
+            f"--name '{name}': expected letters, digits and . _ + - that begin with a letter or "
+            "digit and are not a number alone"
+        )

@@ -19,6 +19,7 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
     """Where a run stands: state, experiments, best so far."""
     from asia.cli._format import duration, experiment_line, rung_value
     from asia.ledger import find_run, open_run
+    from asia.scoring import Score
 
     opened = open_run(find_run(runs, run))
     view, best = opened.view, opened.view.best
@@ -36,7 +37,7 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
             if best and best.score
             else None,
             "rungs": {
-                r.name: float(rung_value(r)) if hasattr(r.outcome, "value") else None
+                r.name: r.outcome.value if isinstance(r.outcome, Score) else None
                 for r in view.rungs
             },
         }

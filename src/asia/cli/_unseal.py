@@ -77,6 +77,8 @@ def _scores(record: Unsealed, model: TestRecord) -> dict[str, Any]:
 
 
 def _print_text(record: Unsealed) -> None:
+    from asia.ledger import error_value
+
     print(f"sealed test, experiment #{record.experiment:02d}, {record.skip} samples skipped")
     models = [("ensemble of the fold models", record.ensemble)]
     if record.refit is not None:
@@ -87,7 +89,7 @@ def _print_text(record: Unsealed) -> None:
                 f"{name} {value:.4g}"
                 for name, value in zip(record.channels, score.per_channel, strict=True)
             )
-            print(f"{title:<28} {score.metric.upper()} {score.value:.4f}  ({channels})")
+            print(f"{title:<28} {score.metric.upper()} {error_value(score.value)}  ({channels})")
             if len(score.per_trajectory) > 1:
                 for name, value in zip(record.trajectories, score.per_trajectory, strict=True):
-                    print(f"    {name:<24} {value:.4f}")
+                    print(f"    {name:<24} {error_value(value)}")

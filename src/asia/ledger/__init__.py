@@ -16,7 +16,7 @@ from asia.ledger._events import (
     TestRecord,
     Unsealed,
 )
-from asia.ledger._exports import describe_result, journal, results_table, write_exports
+from asia.ledger._exports import describe_result, error_value, journal, results_table, write_exports
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, verify
 from asia.ledger._view import Experiment, Run, SearchView, State, find_run, open_run, replay
@@ -46,6 +46,7 @@ __all__ = [
     "Unsealed",
     "Verified",
     "describe_result",
+    "error_value",
     "find_run",
     "in_use",
     "journal",

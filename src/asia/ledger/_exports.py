@@ -51,11 +51,16 @@ def _entry(view: SearchView, e: Experiment, position: int) -> str:
     )
 
 
+def error_value(value: float) -> str:
+    """Four decimals; powers of ten where a simulation ran away."""
+    return f"{value:.4f}" if value < 1e4 else f"{value:.2e}"
+
+
 def describe_result(e: Experiment) -> str:
     """One line: V and its folds, or the failure with advice."""
     if e.score:
-        folds = ", ".join(f"{f.value:.4f}" for f in e.score.folds)
-        return f"V = {e.score.value:.4f} (folds {folds})"
+        folds = ", ".join(error_value(f.value) for f in e.score.folds)
+        return f"V = {error_value(e.score.value)} (folds {folds})"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         detail = f" ({e.failure.detail.splitlines()[-1]})" if e.failure.detail.strip() else ""

@@ -13,7 +13,9 @@ from asia.models._ode import Equations
 class Config:
     """A grey-box: the problem's equations and what is added to them.
 
-    Every addition has no effect at its prior mean; `ridge` holds it there.
+    Every addition has no effect at its prior mean. A ridge holds it there: `residual_ridge` the
+    network; `ridge` linear term, offsets and delay; limits and spilled fractions, being physical,
+    are held as weakly as the parameters of the equations.
 
     saturation: states with a learned upper limit (a full tank). spill: what a full state cannot
     hold goes, by a learned fraction, into the next state of the physics. linear: a linear term in
@@ -22,8 +24,7 @@ class Config:
     residual: hidden tanh units of a small network of states and inputs added to the dynamics; 0 is
     none.
     ridge: the cost is the mean squared normalised simulation error plus `ridge` times the sum of
-    squared effects; an effect of 1 is as large as the signal it acts on. residual_ridge: the same
-    for the network.
+    squared effects; an effect of 1 is as large as the signal it acts on.
     robust: Huber threshold in standard deviations of the output; None is least squares.
     substeps: Runge-Kutta steps a sample.
     """

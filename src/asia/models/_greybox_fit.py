@@ -17,6 +17,7 @@ from asia.models._greybox_starts import (
     Starts,
     add_network,
     augment,
+    draws,
     initial_states,
     screen,
     simulate_many,
@@ -25,7 +26,7 @@ from asia.models._greybox_window import window_prior
 from asia.models._lm import LevenbergMarquardt, LMResult, levenberg_marquardt
 from asia.problem import Array
 
-_INITIAL_RIDGE = 1e-4
+_INITIAL_RIDGE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -170,10 +171,13 @@ def _finish(
     z = np.asarray(result.theta)[best, : structure.layout.size]
     scales: Scales = jax.tree.map(lambda a: a[best], starts.scales)
     x0 = initial_states(structure, starts, result, best)
-    # As many rows as there are starts: the program is then compiled already.
-    rows = len(starts.z)
+    # As many rows as there were draws: the program is then compiled already.
+    rows = draws(structure, segments, len(starts.z))
     simulated = simulate_many(structure)(
-        np.tile(z, (rows, 1)), scales, np.tile(x0, (rows, 1, 1)), segments.u
+        np.tile(z, (rows, 1)),
+        jax.tree.map(lambda a: np.tile(a, (rows,) + (1,) * np.ndim(a)), scales),
+        np.tile(x0, (rows, 1, 1)),
+        segments.u,
     )
     y, x = (np.asarray(part[0]) for part in simulated)
     inside = segments.mask > 0

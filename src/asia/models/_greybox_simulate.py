@@ -110,8 +110,10 @@ def effects(structure: Structure, scales: Scales, z: jax.Array) -> Effects:
 def prior_residuals(structure: Structure, z: jax.Array) -> jax.Array:
     """Square roots of the penalties on coordinates z."""
     layout, config = structure.layout, structure.config
-    # Parameters are held to their range only as far as the data say nothing of them.
-    weights = jnp.full(layout.size, jnp.sqrt(config.ridge)).at[layout.parameters].set(1e-3)
+    weights = jnp.full(layout.size, jnp.sqrt(config.ridge))
+    # Physical quantities are held only as far as the data say nothing of them.
+    for part in (layout.parameters, layout.limits, layout.spill):
+        weights = weights.at[part].set(1e-3)
     network = jnp.sqrt(config.residual_ridge)
     weights = weights.at[layout.hidden].set(network).at[layout.readout].set(network)
     effect = z.at[layout.spill].set(jnp.exp(z[layout.spill]))
@@ -181,14 +183,13 @@ def _confine(structure: Structure, scales: Scales, effect: Effects, x: jax.Array
     spilled = jnp.zeros(())
     for i, name in enumerate(structure.equations.states):
         value = x[i] + spilled
-        top = jnp.minimum(scales.high[i], structure.high[i])
+        spilled = jnp.zeros(())
         if name in structure.config.saturation:
-            top = jnp.minimum(top, effect.limits[i])
-            spilled = effect.spill[i] * jnp.maximum(value - top, 0.0)
-        else:
-            spilled = jnp.zeros(())
+            excess = jnp.maximum(value - effect.limits[i], 0.0)
+            spilled, value = effect.spill[i] * excess, value - excess
+        top = jnp.minimum(scales.high[i], structure.high[i])
         bottom = jnp.maximum(scales.low[i], structure.low[i])
-        kept.append(jnp.maximum(jnp.minimum(value, top), bottom))
+        kept.append(jnp.clip(value, bottom, top))
     return jnp.stack(kept)
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from asia.models._greybox_config import Structure
 from asia.models._greybox_simulate import Scales, simulate_states
@@ -20,7 +21,10 @@ from asia.problem._expressions import Name
 _NO_LIMIT = 20.0
 _NO_SPILL = -30.0
 _SCREENED_PER_START = 16
+_MOST_SCREENED_VALUES = 20_000_000
 _MOST_INITIAL_STATES = 240
+# Of the width of a parameter's range, where 2 spans it.
+_SPREAD_OF_PARAMETERS = 0.3
 _OPEN = 1e9
 
 
@@ -116,12 +120,12 @@ def _base_scales(structure: Structure, segments: Segments) -> Scales:
 
 @lru_cache(maxsize=64)
 def simulate_many(structure: Structure) -> Any:
-    """Compiled: (z (P, size), scales, x0 (P, S, nx), u (S, T, nu)) -> outputs, states."""
+    """Compiled: (z (P, size), scales (P, ...), x0 (P, S, nx), u (S, T, nu)) -> outputs, states."""
 
     def one(z: jax.Array, scales: Scales, x0: jax.Array, u: jax.Array) -> Any:
         return jax.vmap(lambda x, v: simulate_states(structure, scales, z, x, v))(x0, u)
 
-    return jax.jit(jax.vmap(one, in_axes=(0, None, 0, None)))
+    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
 
 
 def _neutral(structure: Structure) -> Array:
@@ -131,25 +135,41 @@ def _neutral(structure: Structure) -> Array:
     return z
 
 
+def draws(structure: Structure, segments: Segments, count: int) -> int:
+    """Points drawn to choose `count` starts from: as many as memory allows, at most 16 times."""
+    values = segments.mask.size * structure.config.substeps * structure.nx * count
+    return count * int(np.clip(_MOST_SCREENED_VALUES // values, 1, _SCREENED_PER_START))
+
+
 def screen(
     structure: Structure, segments: Segments, count: int, rng: np.random.Generator
 ) -> Starts:
     """The `count` best of many points drawn in the parameter ranges, the middle among them."""
     layout, base = structure.layout, _base_scales(structure, segments)
-    drawn = count * _SCREENED_PER_START if structure.ranges else count
+    drawn = draws(structure, segments, count)
     z = np.tile(_neutral(structure), (drawn, 1))
     z[1:, layout.parameters] = rng.uniform(-1.0, 1.0, (drawn - 1, len(structure.ranges)))
     guess = np.tile(_first_guess(structure, segments), (drawn, 1, 1))
-    simulate = simulate_many(structure)
-    states = np.asarray(simulate(z, base, guess, segments.u)[1])
+    repeated = _repeat(base, drawn)
+    states = np.asarray(simulate_many(structure)(z, repeated, guess, segments.u)[1])
     center, scale = _spread(states, segments)
     hidden = [i for i in range(structure.nx) if i not in _measured(structure.equations)]
     guess[:, :, hidden] = center[:, None, hidden]
-    outputs = np.asarray(simulate(z, base, guess, segments.u)[0])
-    error = ((outputs - segments.y) / base.y_scale) ** 2 * segments.mask[:, :, None]
-    best = np.argsort(error.sum(axis=(1, 2, 3)), kind="stable")[:count]
-    scales = _repeat(base, count)._replace(x_center=center[best], x_scale=scale[best])
-    return Starts(z[best], np.zeros_like(guess[best]), guess[best], scales)
+    scales = repeated._replace(x_center=center, x_scale=scale)
+    order = _ranking(structure, segments, Starts(z, np.zeros_like(guess), guess, repeated))
+    return _take(Starts(z, np.zeros_like(guess), guess, scales), order[:count])
+
+
+def _ranking(structure: Structure, segments: Segments, starts: Starts) -> NDArray[np.intp]:
+    """Starts from the smallest simulation error to the greatest."""
+    outputs = simulate_many(structure)(starts.z, starts.scales, starts.x_guess, segments.u)[0]
+    error = (np.asarray(outputs) - segments.y) / starts.scales.y_scale[0]
+    cost = (error**2 * segments.mask[:, :, None]).sum(axis=(1, 2, 3))
+    return np.argsort(cost, kind="stable")
+
+
+def _take(starts: Starts, rows: NDArray[np.intp]) -> Starts:
+    return jax.tree.map(lambda a: a[rows], starts)
 
 
 def _spread(states: Array, segments: Segments) -> tuple[Array, Array]:
@@ -175,12 +195,16 @@ def augment(
     """Starting points around the best fits of the equations alone, with the additions drawn."""
     layout, size = structure.layout, structure.layout.size
     count = len(starts.z)
-    order = np.argsort(result.cost, kind="stable")
+    drawn = draws(structure, segments, count)
     # The better half of the first fits, in turn: others have often ended in a poor minimum.
-    parents = np.resize(order[: max(1, count // 2)], count)
+    order = np.argsort(result.cost, kind="stable")[: max(1, count // 2)]
+    parents = np.resize(order, drawn)
     z = np.asarray(result.theta)[parents, :size].copy()
     x0 = np.stack([initial_states(structure, starts, result, int(i)) for i in parents])
-    plain = np.tile(_neutral(structure), (count, 1))
+    z[len(order) :, layout.parameters] += rng.normal(
+        scale=_SPREAD_OF_PARAMETERS, size=(drawn - len(order), len(structure.ranges))
+    )
+    plain = np.tile(_neutral(structure), (drawn, 1))
     plain[:, layout.parameters] = z[:, layout.parameters]
     scales = _state_scales(structure, segments, plain, x0)
     z[:, layout.limits] = rng.uniform(np.log(0.5), 0.0, z[:, layout.limits].shape)
@@ -188,7 +212,9 @@ def augment(
     z[:, layout.delay] = rng.uniform(0.0, 0.8, z[:, layout.delay].shape)
     # One start with next to no effect, so that additions do not begin worse than the equations.
     z[0, layout.limits], z[0, layout.spill], z[0, layout.delay] = 0.0, -4.0, 0.0
-    return Starts(z, np.zeros_like(x0), x0, scales)
+    drawn_starts = Starts(z, np.zeros_like(x0), x0, scales)
+    ranking = _ranking(structure, segments, drawn_starts)
+    return _take(drawn_starts, np.concatenate([[0], ranking[ranking != 0]])[:count])
 
 
 def add_network(
@@ -206,13 +232,13 @@ def add_network(
 
 def _state_scales(structure: Structure, segments: Segments, z: Array, x0: Array) -> Scales:
     """Scales, one row a start, from simulations with coordinates z from x0 (P, S, nx)."""
-    base = _base_scales(structure, segments)
+    base = _repeat(_base_scales(structure, segments), len(z))
     states = np.asarray(simulate_many(structure)(z, base, x0, segments.u)[1])
     center, scale = _spread(states, segments)
     inside = segments.mask > 0
     moves = np.diff(states, axis=2)[:, inside[:, 1:]]
     rate = np.sqrt((moves**2).mean(axis=1)) / structure.sampling_time
-    return _repeat(base, len(z))._replace(
+    return base._replace(
         x_center=center,
         x_scale=scale,
         x_max=states[:, inside].max(axis=1),

@@ -93,6 +93,18 @@ def reweighted(records: Sequence[Record], masks: Sequence[Mask], keep: bool) -> 
     return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
 
 
+def shortened(records: Sequence[Record], samples: int) -> list[Record]:
+    """The first part of each record, the same fraction of all, about `samples` in total."""
+    fraction = samples / sum(len(r) for r in records)
+    if fraction >= 1:
+        return list(records)
+    return [_rows(r, slice(0, max(1, round(fraction * len(r))))) for r in records]
+
+
+def _rows(r: Record, rows: slice) -> Record:
+    return Record(r.u[rows], r.y[rows], r.weight[rows], r.measured_u[rows])
+
+
 def contiguous_splits(
     records: Sequence[Record], parts: int, shortest: int
 ) -> list[tuple[list[Record], list[Record]]]:
@@ -107,7 +119,7 @@ def contiguous_splits(
         for r in records:
             count = max(1, min(parts, len(r) // max(shortest, 1)))
             for i, rows in enumerate(np.array_split(np.arange(len(r)), count)):
-                pieces.append(Record(r.u[rows], r.y[rows], r.weight[rows], r.measured_u[rows]))
+                pieces.append(_rows(r, slice(int(rows[0]), int(rows[-1]) + 1)))
                 membership.append(i)
         groups = [[k for k, m in enumerate(membership) if m == i] for i in sorted(set(membership))]
     if len(groups) < 2:

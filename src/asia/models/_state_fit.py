@@ -31,6 +31,15 @@ class Data(NamedTuple):
     pull: Any
 
 
+class StateFit(NamedTuple):
+    """Initial states x0 (R, n), parameters, cost, and the root of the cost by iteration."""
+
+    x0: Array
+    params: dict[str, Any]
+    cost: float
+    history: Array
+
+
 def padded(records: Sequence[Record]) -> tuple[Array, Array, Array]:
     """u, y, weight of all records, padded with zeros to the longest."""
     longest = max(len(r) for r in records)
@@ -51,12 +60,12 @@ def fit_states(
     records: Sequence[Record],
     ridge: dict[str, float],
     method: LevenbergMarquardt,
-) -> tuple[dict[str, Any], Array, Array]:
-    """Best of several starts -> parameters, initial states (R, n) and the history of the root of
-    its cost. `ridge` maps each top-level parameter name, and "x0", to its ridge."""
+) -> list[StateFit]:
+    """A fit from each start, the least cost first. `ridge` maps each top-level parameter name,
+    and "x0", to its ridge."""
     u, y, weight = padded(records)
     total = max(float((weight**2).sum()) * y.shape[-1], 1.0)
-    results: list[tuple[float, dict[str, Any], Array, Array]] = []
+    results: list[StateFit] = []
     for start in starts:
         tree = {**start, "x0": x0}
         pull = {
@@ -69,9 +78,8 @@ def fit_states(
             result = _minimise(structure, method, _shapes(tree), theta, data)
             best = jax.tree.map(np.asarray, unravel(result.theta))
         history = np.sqrt(np.asarray(result.history))[: int(result.iterations) + 1]
-        results.append((float(result.cost), best, best.pop("x0"), history))
-    _, best, states, history = min(results, key=lambda r: r[0])
-    return best, states, history
+        results.append(StateFit(best.pop("x0"), best, float(result.cost), history))
+    return sorted(results, key=lambda r: r.cost)
 
 
 def _flat(tree: Any) -> tuple[Any, Any]:

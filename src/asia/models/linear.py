@@ -17,7 +17,7 @@ from asia.errors import UserError
 from asia.models._encoder import Encoder
 from asia.models._linear_fit import LinearFit, Refinement, choose_order, encoder_of, fit
 from asia.models._linear_system import LinearSystem
-from asia.models._records import Record, check, scaled, window
+from asia.models._records import Record, check, scaled, shortened, window
 from asia.models._scaling import Scaling
 from asia.problem import Array, Trajectory
 
@@ -145,8 +145,8 @@ def _estimate_delay(records: Sequence[Record], config: Config) -> int:
     within 1 %."""
     order = min(config.order or 2, _affordable(records, config.max_order))
     quick = Refinement(iterations=5)
+    part = shortened(records, 3000)
     errors = [
-        fit([shifted(r, d) for r in records], order, quick).error
-        for d in range(config.max_delay + 1)
+        fit([shifted(r, d) for r in part], order, quick).error for d in range(config.max_delay + 1)
     ]
     return next(d for d, error in enumerate(errors) if error <= 1.02 * min(errors))

@@ -42,7 +42,8 @@ class Config:
     basis, hidden (units of the tanh layer), degree (of the polynomial); ridge: weight, against
     the mean squared error in z-scores, of the squared distance of the nonlinear weights from
     their start; linear_ridge: the same for A, B, C, D; encoder: tanh units of the map from the
-    past window to the initial state; delay: as in `linear.Config`."""
+    past window to the initial state; members: with Levenberg-Marquardt, how many of the fits from
+    its starts are kept, the median of their outputs taken; delay: as in `linear.Config`."""
 
     order: int | None = None
     nonlinearity: Nonlinearity = "state"
@@ -53,11 +54,12 @@ class Config:
     ridge: float = 1e-5
     linear_ridge: float = 1e-7
     encoder: int = 30
+    members: int = 1
     delay: int | None = 0
 
     def __post_init__(self) -> None:
-        if self.hidden < 1 or self.degree < 2 or (self.order or 1) < 1:
-            raise UserError("neural_ss.Config: order and hidden must be >= 1, degree >= 2")
+        if min(self.hidden, self.members) < 1 or self.degree < 2 or (self.order or 1) < 1:
+            raise UserError("neural_ss.Config: order, hidden and members must be >= 1, degree >= 2")
         if self.channels is not None and (self.channels < 1 or self.nonlinearity != "state"):
             raise UserError(
                 "neural_ss.Config: channels must be >= 1 and go with nonlinearity state"
@@ -66,13 +68,13 @@ class Config:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What training found; params as `Structure` reads them, in z-scores."""
+    """What training found; members hold parameters as `Structure` reads them, in z-scores, and
+    the map from the past window to the initial state."""
 
     structure: Structure
-    params: dict[str, Any]
+    members: tuple[tuple[dict[str, Any], Encoder], ...]
     delay: int
     scaling: Scaling
-    encoder: Encoder
 
 
 @dataclass(frozen=True)
@@ -111,10 +113,14 @@ class NeuralStateSpace:
             raise UserError("neural state-space model: not trained yet; call train first")
         f = self.fitted
         past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
-        x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
+        features = window(past, f.scaling.outputs(past_y))
+        inputs = linear.delayed(past, future, f.delay)
         with np.errstate(all="ignore"):
-            _, y = f.structure.simulate(f.params, x0, linear.delayed(past, future, f.delay))
-        return f.scaling.physical(y)
+            outputs = [
+                f.structure.simulate(params, encoder(features), inputs)[1]
+                for params, encoder in f.members
+            ]
+        return f.scaling.physical(np.median(outputs, axis=0))
 
 
 def build(config: Config, context: Context) -> NeuralStateSpace:
@@ -132,8 +138,9 @@ def train(
     """Fits the linear model, then all parameters to the simulation error of all records.
 
     Levenberg-Marquardt suits short records and few parameters (its Jacobian takes samples x
-    outputs x parameters numbers); `method.starts` initialisations are tried and the lowest
-    training cost wins. Raises UserError for records too short or mis-shaped.
+    outputs x parameters numbers); `method.starts` initialisations are tried and the
+    `config.members` with the lowest training cost are kept. Raises UserError for records too
+    short or mis-shaped.
     """
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
@@ -146,10 +153,10 @@ def train(
         c.channels,
     )  # fmt: skip
     if isinstance(method, Adam):
-        params, encoder = _by_adam(structure, c, found, late, context, method)
+        members = [_by_adam(structure, c, found, late, context, method)]
     else:
-        params, encoder = _by_lm(structure, c, found, late, context, method)
-    return replace(model, fitted=Fitted(structure, params, delay, scaling, encoder))
+        members = _by_lm(structure, c, found, late, context, method)
+    return replace(model, fitted=Fitted(structure, tuple(members), delay, scaling))
 
 
 def _linear_start(
@@ -170,22 +177,26 @@ def _by_lm(
     records: Sequence[Record],
     context: Context,
     method: LevenbergMarquardt,
-) -> tuple[dict[str, Any], Encoder]:
+) -> list[tuple[dict[str, Any], Encoder]]:
     rng = np.random.default_rng(context.seed)
     starts = [structure.start(found.system, rng) for _ in range(method.starts)]
     ridge: dict[str, float] = dict.fromkeys(_LINEAR, config.linear_ridge)
     ridge.update(dict.fromkeys(_NONLINEAR, config.ridge))
     ridge["x0"] = found.error / sum(len(r) for r in records)
-    params, x0, history = fit_states(structure, starts, found.x0, records, ridge, method)
-    for i, loss in enumerate(history):
+    fits = fit_states(structure, starts, found.x0, records, ridge, method)
+    for i, loss in enumerate(fits[0].history):
         context.log(i, float(loss))
     skip = past_length(context)
-    states = [
-        structure.simulate(params, x[None], r.u[None])[0][0, skip:]
-        for x, r in zip(x0, records, strict=True)
-    ]
     features = [windows(r, context) for r in records]
-    return params, fit_encoder(features, states, config.encoder, context.seed)
+    members: list[tuple[dict[str, Any], Encoder]] = []
+    for one in fits[: config.members]:
+        states = [
+            structure.simulate(one.params, x[None], r.u[None])[0][0, skip:]
+            for x, r in zip(one.x0, records, strict=True)
+        ]
+        encoder = fit_encoder(features, states, config.encoder, context.seed)
+        members.append((one.params, encoder))
+    return members
 
 
 def _by_adam(

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import compileall
+
 from asia.errors import SandboxError
 from asia.sandbox import _namespace, _process
+from asia.sandbox._surroundings import package_folder
 from asia.sandbox._types import Isolation, Limits, Probe
 from asia.sandbox._worker import Worker
 
 
 def probe() -> Probe:
-    """The strongest level that works here, found by starting something at it."""
+    """The strongest level that works here, found by starting something at it.
+
+    Also byte-compiles this package where its folder can be written: workers write nothing, so each
+    of them would compile it anew.
+    """
+    compileall.compile_dir(package_folder(), quiet=2)
     reason = _namespace.why_not()
     if reason is None:
         return Probe(Isolation.NAMESPACE)

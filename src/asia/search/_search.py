@@ -154,7 +154,8 @@ def _probe(wanted: Isolation | None) -> Probe:
         return found
     if wanted is Isolation.PROCESS:
         return Probe(wanted, ("asked for by the user",))
-    raise UserError(f"isolation '{wanted.value}' cannot run here: {'; '.join(found.notes)}")
+    reason = "; ".join(found.notes) or "not part of this release"
+    raise UserError(f"isolation '{wanted.value}' cannot run here: {reason}")
 
 
 def _environment() -> dict[str, str]:

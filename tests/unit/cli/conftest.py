@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from asia.cli import main
-
-from ..search.toy import write_problem
+from tests.unit.search.toy import write_problem
 
 
 @dataclass(frozen=True)

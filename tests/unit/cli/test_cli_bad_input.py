@@ -104,6 +104,8 @@ def test_bad_problem(problem: Path, tmp_path: Path, asia: Asia, case: str, comma
     [
         (("run", "toy", "--agent", "clever"), "no agent 'clever'; there is: expert, random"),
         (("run", "toy", "--isolation", "moat"), "namespace, landlock, process"),
+        (("run", "toy", "--name", "../toy"), "--name '../toy': expected letters"),
+        (("run", "toy", "--name", "7"), "--name '7': expected letters"),
         (("run", "two_tank_sim"), "did you mean 'two_tanks_sim'?"),
         (("check", "."), "has no problem.toml"),
         (("status",), "no runs under runs; start one with: asia run PROBLEM"),

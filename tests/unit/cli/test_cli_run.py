@@ -35,8 +35,8 @@ def test_same_command_again_prints_the_result(searched: Searched, asia: Asia) ->
     assert any(line.startswith("#01 keep") and "| best #01" in line for line in lines)
     assert any(line.startswith("best     #01 V=") for line in lines)
     assert any(line.endswith(".png") for line in lines)
-    assert "asia show toy-random-s0" in done.out
-    assert "asia unseal toy-random-s0" in done.out
+    assert f"next     asia show {searched.directory} " in done.out
+    assert f"asia unseal {searched.directory} " in done.out
     assert ledger.read_bytes() == before
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -77,6 +78,22 @@ def test_same_seed_gives_the_same_model_whatever_the_precision_of_the_caller() -
     with jax.enable_x64(True):
         second = data.simulated(fitted(config, data, method))
     assert first.tobytes() == second.tobytes()
+
+
+def test_members_are_the_best_fits_and_answer_by_their_median() -> None:
+    data = case(wiener, lengths=(150,))
+    method = LevenbergMarquardt(10, starts=3)
+    best = data.simulated(fitted(neural_ss.Config(order=2), data, method))
+    all_three = fitted(neural_ss.Config(order=2, members=3), data, method)
+    assert all_three.fitted is not None
+    members = all_three.fitted.members
+    apart = [
+        data.simulated(replace(all_three, fitted=replace(all_three.fitted, members=(m,))))
+        for m in members
+    ]
+    np.testing.assert_array_equal(apart[0], best)
+    np.testing.assert_allclose(data.simulated(all_three), np.median(apart, axis=0), rtol=1e-9)
+    assert len({y.tobytes() for y in apart}) == 3
 
 
 def test_polynomials_are_the_monomials_up_to_the_degree() -> None:

@@ -1,0 +1,41 @@
+import io
+from dataclasses import replace
+
+from rich.console import Console
+
+from asia.cli._experiment import describe
+from asia.cli._format import duration, experiment_line
+from asia.ledger import error_value, open_run
+from asia.scoring import Score
+
+from .conftest import Searched
+
+
+def test_numbers() -> None:
+    assert [error_value(v) for v in (0.13104, 12.5, 6.5e35)] == ["0.1310", "12.5000", "6.50e+35"]
+    assert [duration(s) for s in (6.6, 185.0, 3720.0)] == ["7s", "3m05s", "1h02m"]
+
+
+def test_a_simulation_that_ran_away_keeps_to_its_column(searched: Searched) -> None:
+    view = open_run(searched.directory).view
+    (experiment,) = view.finished
+    assert experiment.score
+    assert experiment.result
+    usual = experiment_line(experiment, view)
+    folds = tuple(replace(f, value=6.5e35, fit_index=(-1e38,)) for f in experiment.score.folds)
+    far = replace(experiment, result=replace(experiment.result, outcome=Score(6.5e35, folds)))
+    assert "V=6.50e+35" in experiment_line(far, view)
+    assert len(experiment_line(far, view)) - len(usual) <= 2
+
+
+def test_brackets_of_an_agent_are_shown_as_they_are(searched: Searched) -> None:
+    run = open_run(searched.directory)
+    (experiment,) = run.view.finished
+    words = "[bold]clip[/] x[0] to [0, 1]"
+    bracketed = replace(
+        experiment, proposed=replace(experiment.proposed, title=words, hypothesis=words)
+    )
+    console = Console(file=io.StringIO(), width=200)
+    describe(console, run, bracketed)
+    assert isinstance(console.file, io.StringIO)
+    assert console.file.getvalue().count(words) == 2
