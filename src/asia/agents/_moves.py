@@ -97,7 +97,7 @@ def _lacks(case: Case, names: tuple[str, ...]) -> bool:
     return bool(names) and not set(names) & set(_offsets(case))
 
 
-GREY = ("greybox", "hybrid")
+GREY = ("greybox",)
 
 MOVES: tuple[Move, ...] = (
     Move(
@@ -158,15 +158,32 @@ MOVES: tuple[Move, ...] = (
         weight=lambda c: (
             0.75 if overfit(c.trial) > 2.0 else 0.45 if overfit(c.trial) > 1.3 else 0.1
         ),
-        change=lambda c: c.recipe.configured(ridge=10 * c.recipe.number("ridge", _ridge(c))),
+        change=lambda c: _with_ridge(c, 10.0),
         hypothesis="V is well above the training error: the additions follow their own fold.",
         expected="A slightly higher training error and a lower V.",
     ),
     Move(
+        name="much more ridge",
+        families=("neural_ss",),
+        weight=lambda c: 0.85 if overfit(c.trial) > 2.0 else 0.5 if overfit(c.trial) > 1.3 else 0.1,
+        change=lambda c: _with_ridge(c, 30.0),
+        hypothesis="V is well above the training error: the nonlinear weights follow their own "
+        "fold, or run away outside it.",
+        expected="A higher training error and a lower V.",
+    ),
+    Move(
+        name="median of several fits",
+        families=("neural_ss",),
+        weight=lambda c: 0 if c.recipe.get("members") else 0.55,
+        change=lambda c: c.recipe.configured(members=3).trained(starts=4),
+        hypothesis="Fits from different starts err differently; their median errs less.",
+        expected="A lower and steadier V at the same training error.",
+    ),
+    Move(
         name="less ridge",
         families=(*GREY, "neural_ss"),
-        weight=lambda c: 0.5 if overfit(c.trial) < 1.3 else 0.2,
-        change=lambda c: c.recipe.configured(ridge=0.1 * c.recipe.number("ridge", _ridge(c))),
+        weight=lambda c: 0.5 if overfit(c.trial) < 1.3 else 0.15,
+        change=lambda c: _with_ridge(c, 0.1),
         hypothesis="V is near the training error: the priors hold the model back.",
         expected="Lower training error, V follows.",
     ),
@@ -244,6 +261,15 @@ MOVES: tuple[Move, ...] = (
         expected="Higher training error, lower V.",
     ),
     Move(
+        name="noise on the inputs in training",
+        families=("ltc", "recurrent"),
+        weight=lambda c: 0 if c.recipe.get("noise") else 0.5 if overfit(c.trial) > 1.5 else 0.25,
+        change=lambda c: c.recipe.trained(noise=0.1),
+        hypothesis="The network has learned the input record by heart: noise on it teaches the "
+        "neighbourhood as well.",
+        expected="A higher training error and a lower V.",
+    ),
+    Move(
         name="longer training",
         families=("ltc", "recurrent"),
         weight=lambda c: 0.4 if overfit(c.trial) < 1.5 else 0.1,
@@ -262,9 +288,13 @@ MOVES: tuple[Move, ...] = (
 )
 
 
-def _ridge(case: Case) -> float:
-    """The library's default where a recipe does not set it."""
-    return 1e-5 if case.recipe.family == "neural_ss" else 1e-3
+def _with_ridge(case: Case, factor: float) -> Recipe:
+    """The ridge that holds most of the weights: the network's, where a grey-box has one."""
+    recipe = case.recipe
+    if recipe.family == "neural_ss":
+        return recipe.configured(ridge=factor * recipe.number("ridge", 1e-5))
+    name, default = ("residual_ridge", 1e-2) if recipe.get("residual") else ("ridge", 1e-3)
+    return recipe.configured(**{name: factor * recipe.number(name, default)})
 
 
 def _order(case: Case) -> int:

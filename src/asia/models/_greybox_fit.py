@@ -184,7 +184,14 @@ def _finish(
     low, high = x[inside].min(axis=0), x[inside].max(axis=0)
     span = np.maximum(high - low, 1e-6 + 1e-3 * np.abs(high))
     scales = scales._replace(low=low - 10.0 * span, high=high + 10.0 * span)
-    error = (y - segments.y)[inside]
-    deviation = np.maximum(np.sqrt((error**2).mean(axis=0)), 1e-3 * np.asarray(scales.y_scale))
+    deviation = _deviation(structure, (y - segments.y)[inside])
+    deviation = np.maximum(deviation, 1e-3 * np.asarray(scales.y_scale))
     prior = window_prior(structure, segments, scales, x, deviation)
     return Fitted(np.asarray(z), scales, prior, np.asarray(history))
+
+
+def _deviation(structure: Structure, error: Array) -> Array:
+    """Size of the simulation error (N, ny) per output, deaf to outliers where the loss is."""
+    if structure.config.robust is not None:
+        return 1.4826 * np.median(np.abs(error), axis=0)
+    return np.sqrt((error**2).mean(axis=0))
