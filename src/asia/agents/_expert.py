@@ -16,6 +16,7 @@ from asia.agents._view import AgentView, Proposal, Trial
 REPEAT = 0.4
 BEHIND = 0.5
 UNTRIED = 0.3
+NEAR = 0.6
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,14 @@ def _refinements(view: AgentView) -> list[_Option]:
 
 
 def _share(trial: Trial, best: Trial, *, leader: bool) -> float:
-    """1 for the leading family, less the further another family is behind."""
+    """1 for the leading family, less the further another is behind. A grey-box near the lead counts
+    as leading: what its equations lack can still be added, and it extrapolates."""
     if leader or trial.value is None or best.value is None:
         return 1.0
-    return BEHIND * (best.value / trial.value) ** 2
+    ratio = best.value / trial.value
+    if trial.family == "greybox" and ratio > NEAR:
+        return 1.0
+    return BEHIND * ratio**2
 
 
 def _option(view: AgentView, case: Case, move: Move, share: float) -> _Option | None:

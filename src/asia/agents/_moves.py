@@ -47,8 +47,8 @@ class Move:
         """The name with its state filled in."""
         full = case.recipe.get("saturation")
         spilling = full[0] if isinstance(full, tuple) and full else ""
-        state = spilling if "spill" in self.name else _next_state(case)[-1:]
-        return self.name.format(state="".join(state))
+        state = spilling if "a full" in self.name else "".join(_next_state(case)[-1:])
+        return self.name.format(state=state)
 
 
 def _next_state(case: Case) -> tuple[str, ...]:
@@ -72,6 +72,13 @@ def _saturation_weight(case: Case) -> float:
     first = not case.recipe.get("saturation")
     evidence = fails_on_top(case.trial) or plateau_share(case.facts) > 0.02
     return (0.95 if evidence else 0.6) if first else (0.35 if evidence else 0.15)
+
+
+def _overflow_weight(case: Case) -> float:
+    """A little above saturation alone while a next state exists to take the spill."""
+    chain = len(_states(case)) > len(_next_state(case))
+    fresh = not case.recipe.get("saturation")
+    return 1.02 * _saturation_weight(case) if chain and fresh else 0.0
 
 
 def _spill_weight(case: Case) -> float:
@@ -108,6 +115,16 @@ MOVES: tuple[Move, ...] = (
         hypothesis="A state has an upper limit that the equations do not know: errors gather where "
         "the output is high or stands still.",
         expected="Lower error near the top of the output; the limit settles inside the data.",
+    ),
+    Move(
+        name="{state} runs over",
+        families=GREY,
+        weight=_overflow_weight,
+        change=lambda c: c.recipe.configured(saturation=_next_state(c), spill=True),
+        hypothesis="A state has an upper limit that the equations do not know, and part of what it "
+        "cannot hold enters the next state: the next state moves with the input at once when the "
+        "first is full.",
+        expected="Lower error where the output is high, on every fold where the limit is reached.",
     ),
     Move(
         name="a full {state} spills over",

@@ -73,18 +73,18 @@ def test_the_ladder_tries_each_family_once_and_physics_first() -> None:
     assert not {"greybox", "hybrid"} & set(without)
 
 
-def test_a_grey_box_that_fails_on_top_gets_a_saturation_then_a_spill() -> None:
+def test_a_grey_box_that_fails_on_top_gets_an_overflow_then_a_limit_alone() -> None:
     known = facts(physics=True)
     trials = climb(known, {"greybox": 0.3})
     first = replace(trials[0], diagnostics=(replace(CLEAN, top_error=2.0),))
     trials = (first, *trials[1:])
-    assert next_title(known, trials) == "grey-box: x1 saturates"
+    assert next_title(known, trials) == "grey-box: x1 runs over"
     proposal = ExpertAgent().propose(view(known, trials, "refine"))
     assert proposal is not None
     assert proposal.parent == first.number
-    assert 'saturation=("x1",)' in proposal.source
-    better = trial(proposal, len(trials) + 1, 0.2)
-    assert next_title(known, (*trials, better)) == "grey-box: a full x1 spills over"
+    assert 'saturation=("x1",), spill=True' in proposal.source
+    worse = trial(proposal, len(trials) + 1, 0.35)
+    assert next_title(known, (*trials, worse)) == "grey-box: x1 saturates"
 
 
 def test_a_biased_grey_box_gets_an_offset_before_other_things() -> None:
