@@ -154,7 +154,7 @@ MOVES: tuple[Move, ...] = (
     Move(
         name="linear term",
         families=GREY,
-        weight=lambda c: 0 if c.recipe.get("linear") else 0.7 if coloured(c.trial) else 0.4,
+        weight=lambda c: 0 if c.recipe.get("linear") else 0.5 if coloured(c.trial) else 0.3,
         change=lambda c: c.recipe.configured(linear=True),
         hypothesis="The residual is not white: a small linear term in states and inputs stands for "
         "dynamics the equations leave out.",
