@@ -7,8 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from rich.console import Console
 from rich.status import Status as Spinner
@@ -41,15 +40,6 @@ STYLES = {"keep": "bold green", "discard": "dim", "crash": "red", "timeout": "ye
 class Display(Protocol):
     """Listens to a search."""
 
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
-
     def on_start(self, view: SearchView) -> None:
         """The run directory is open; `view` is what it holds so far."""
         ...
@@ -62,6 +52,10 @@ class Display(Protocol):
         """The search has ended."""
         ...
 
+    def close(self) -> None:
+        """Leave the terminal as it was, whatever happened."""
+        ...
+
 
 def make_display(problem: Problem, prepared: Prepared, *, json: bool) -> Display:
     """JSON lines, or text for people."""
@@ -71,17 +65,6 @@ def make_display(problem: Problem, prepared: Prepared, *, json: bool) -> Display
 @dataclass
 class JsonDisplay:
     """JSON lines on stdout: `start`, one object an event, `done`."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        return
 
     def on_start(self, view: SearchView) -> None:
         """Print `start`."""
@@ -106,6 +89,9 @@ class JsonDisplay:
             }
         )
 
+    def close(self) -> None:
+        """Nothing to do."""
+
 
 @dataclass
 class TextDisplay:
@@ -115,18 +101,6 @@ class TextDisplay:
     prepared: Prepared
     console: Console = field(default_factory=lambda: Console(highlight=False, soft_wrap=True))
     footer: Spinner | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self.footer is not None:
-            self.footer.stop()
 
     def on_start(self, view: SearchView) -> None:
         """Say what is searched and how well it is isolated; repeat what is there already."""
@@ -173,8 +147,7 @@ class TextDisplay:
 
     def finish(self, view: SearchView, pictures: Sequence[Path]) -> None:
         """Say where things are and what to type next."""
-        if self.footer is not None:
-            self.footer.stop()
+        self.close()
         run, best = self._run_word(), view.best
         self._print("")
         if view.stopped is not None:
@@ -199,6 +172,11 @@ class TextDisplay:
         self._print(f"next     {show:<{width}}the winner: source, folds, evidence")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
+
+    def close(self) -> None:
+        """Stop the footer."""
+        if self.footer is not None:
+            self.footer.stop()
 
     def _run_word(self) -> str:
         """What names the run on a command line: its path where the default would not find it."""

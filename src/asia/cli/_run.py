@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import closing
 from dataclasses import replace
 from typing import Annotated
 
@@ -64,7 +65,7 @@ def run(
         raise UserError(f"--isolation {isolation}: expected one of {', '.join(levels)}")
     level = Isolation(isolation) if isolation else None
     ready = prepare(loaded, chosen.name, seed=seed, runs=runs, name=name, isolation=level)
-    with make_display(loaded, ready, json=json) as display:
+    with closing(make_display(loaded, ready, json=json)) as display:
         view = search(ready, chosen, display.on_event, display.on_start)
         pictures = write_report(ready.directory)
         display.finish(view, pictures)

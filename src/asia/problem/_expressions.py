@@ -10,12 +10,12 @@ import ast
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import isfinite, pi
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 from asia.errors import UserError
+from asia.problem._nearest import nearest
 
 T = TypeVar("T")
 
@@ -141,14 +141,6 @@ def parse_expression(text: str, where: str) -> Expression:
             f"{where}: the expression is nested too deeply; split it into [physics.definitions]"
         ) from None
     return Expression(text, root, names)
-
-
-def nearest(name: str, known: Mapping[str, object] | frozenset[str] | set[str]) -> str:
-    """`; did you mean 'x'?` for the nearest known name, or the list of what is known."""
-    close = get_close_matches(name, list(known), n=1)
-    if close:
-        return f"; did you mean '{close[0]}'?"
-    return f"; known are {', '.join(sorted(known))}" if known else ""
 
 
 def _convert(node: ast.expr, where: str) -> Node:
