@@ -1,3 +1,57 @@
-"""ASIA: the Autonomous System Identification Agent."""
+"""ASIA: the Autonomous System Identification Agent.
+
+    import asia
+    run = asia.run("two_tanks_sim", experiments=8)
+    print(run.view.best)
+
+Names load what they need when they are first used: a sandboxed worker imports this package too.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from asia._api import run
+    from asia.candidate import Context, Model
+    from asia.ledger import open_run
+    from asia.problem import Signal, Trajectory
+    from asia.problem.load import Problem, load_problem
+    from asia.report import write_report
+    from asia.search import unseal
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Context",
+    "Model",
+    "Problem",
+    "Signal",
+    "Trajectory",
+    "load_problem",
+    "open_run",
+    "run",
+    "unseal",
+    "write_report",
+]
+
+_HOMES = {
+    "Context": "asia.candidate",
+    "Model": "asia.candidate",
+    "Problem": "asia.problem.load",
+    "Signal": "asia.problem",
+    "Trajectory": "asia.problem",
+    "load_problem": "asia.problem.load",
+    "open_run": "asia.ledger",
+    "run": "asia._api",
+    "unseal": "asia.search",
+    "write_report": "asia.report",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'asia' has no attribute '{name}'")
+    from importlib import import_module
+
+    return getattr(import_module(_HOMES[name]), name)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from asia.agents._evidence import overfit
 from asia.agents._library import Family, families, family
 from asia.agents._moves import MOVES, Case, Move
 from asia.agents._recipe import Recipe, read_recipe
@@ -17,6 +18,7 @@ REPEAT = 0.4
 BEHIND = 0.5
 UNTRIED = 0.3
 NEAR = 0.6
+PROMISING = 0.75
 
 
 @dataclass(frozen=True)
@@ -90,14 +92,19 @@ def _refinements(view: AgentView) -> list[_Option]:
 
 
 def _share(trial: Trial, best: Trial, *, leader: bool) -> float:
-    """1 for the leading family, less the further another is behind. A grey-box near the lead counts
-    as leading: what its equations lack can still be added, and it extrapolates."""
-    if leader or trial.value is None or best.value is None:
+    """1 for the leading family, less the further another is behind.
+
+    A grey-box near the lead counts as leading: what its equations lack can still be added. A model
+    that knows its own fold better than the leader knows the others' has only to be held back.
+    """
+    train = trial.train_error
+    if leader or trial.value is None or best.value is None or train is None:
         return 1.0
     ratio = best.value / trial.value
     if trial.family == "greybox" and ratio > NEAR:
         return 1.0
-    return BEHIND * ratio**2
+    share = BEHIND * ratio**2
+    return max(share, PROMISING) if train < best.value and overfit(trial) > 2.0 else share
 
 
 def _option(view: AgentView, case: Case, move: Move, share: float) -> _Option | None:

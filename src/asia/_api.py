@@ -1,0 +1,42 @@
+"""The library's front door: what the command line does, in a function."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from asia.agents import Agent, make_agent
+from asia.ledger import Event, Run, SearchView, open_run
+from asia.problem.load import Problem, load_problem
+from asia.search import prepare, search
+
+
+def run(
+    problem: Problem | str | Path,
+    *,
+    agent: Agent | str = "expert",
+    experiments: int | None = None,
+    seed: int = 0,
+    runs: Path | str = "runs",
+    name: str | None = None,
+) -> Run:
+    """Search for a model; the finished run, with its view and artifacts.
+
+    problem: a loaded problem, a built-in name or a path. The same call again resumes; more
+    `experiments` extends. Raises UserError for anything the caller can mend.
+    """
+    loaded = problem if isinstance(problem, Problem) else load_problem(problem)
+    if experiments is not None:
+        loaded = replace(loaded, budget=replace(loaded.budget, experiments=experiments))
+    chosen = make_agent(agent) if isinstance(agent, str) else agent
+    ready = prepare(loaded, chosen.name, seed=seed, runs=Path(runs), name=name)
+    search(ready, chosen, _silent, _silent_start)
+    return open_run(ready.directory)
+
+
+def _silent(event: Event, view: SearchView) -> None:
+    del event, view
+
+
+def _silent_start(view: SearchView) -> None:
+    del view
