@@ -22,6 +22,7 @@ from asia.cli._format import (
     stop_words,
 )
 from asia.cli._options import DEFAULT_RUNS
+from asia.evaluation import TRUTH
 from asia.ledger import (
     Evaluated,
     Event,
@@ -190,7 +191,8 @@ class TextDisplay:
         self._print(experiment_line(experiment, view), style=STYLES.get(status, "magenta"))
 
     def _rung(self, rung: RungScored) -> None:
-        self._print(f"rung    {rung.name:<18} V={rung_value(rung)}", style="cyan")
+        note = "   the noise floor" if rung.name == TRUTH else ""
+        self._print(f"rung    {rung.name:<18} V={rung_value(rung)}{note}", style="cyan")
 
     def _foot(self, view: SearchView) -> None:
         if self.footer is None:

@@ -2,6 +2,15 @@
 what goes to a worker is a `Case`, what is scored stays here."""
 
 from asia.evaluation._evaluator import Evaluation, Evaluator, FoldResult, derive_seed
-from asia.evaluation._rungs import LINEAR, Rung, score_rungs
+from asia.evaluation._rungs import LINEAR, TRUTH, Rung, score_rungs
 
-__all__ = ["LINEAR", "Evaluation", "Evaluator", "FoldResult", "Rung", "derive_seed", "score_rungs"]
+__all__ = [
+    "LINEAR",
+    "TRUTH",
+    "Evaluation",
+    "Evaluator",
+    "FoldResult",
+    "Rung",
+    "derive_seed",
+    "score_rungs",
+]

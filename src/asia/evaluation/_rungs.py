@@ -12,6 +12,7 @@ from asia.problem import Array
 from asia.protocol import Block, Fold
 from asia.scoring import Outcome
 
+TRUTH = "simulated truth"
 LINEAR = '''"""Best linear model: state-space, order and delay chosen inside the training data."""
 
 from asia.models import linear
@@ -59,9 +60,7 @@ def score_rungs(
         "linear model": lambda: evaluator.evaluate(LINEAR).outcome,
     }
     if truth is not None:
-        rungs["simulated truth"] = lambda: score(
-            lambda _, block: truth[block.record][block.start : block.stop]
-        )
+        rungs[TRUTH] = lambda: score(lambda _, block: truth[block.record][block.start : block.stop])
     for name, outcome in rungs.items():
         if name not in known:
             yield Rung(name, outcome())
