@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from asia.problem import Signal, Trajectory
     from asia.problem.load import Problem, load_problem
     from asia.report import write_report
-    from asia.search import unseal
+    from asia.search import simulate, unseal
 
 __version__ = "0.1.0"
 
@@ -31,6 +31,7 @@ __all__ = [
     "load_problem",
     "open_run",
     "run",
+    "simulate",
     "unseal",
     "write_report",
 ]
@@ -44,6 +45,7 @@ _HOMES = {
     "load_problem": "asia.problem.load",
     "open_run": "asia.ledger",
     "run": "asia._api",
+    "simulate": "asia.search",
     "unseal": "asia.search",
     "write_report": "asia.report",
 }

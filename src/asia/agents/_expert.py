@@ -65,16 +65,16 @@ def _untried(view: AgentView) -> list[_Option]:
 def _first(row: Family, view: AgentView) -> Proposal:
     recipe = row.start(view.facts)
     return Proposal(
-        source=recipe.source(f"{row.label.capitalize()}: {row.use}."),
+        source=recipe.source(f"{_sentence(row.label)}: {row.use}."),
         family=row.name,
         title=row.label,
-        hypothesis=f"{row.label.capitalize()}: {row.use}.",
+        hypothesis=f"{_sentence(row.label)}: {row.use}.",
         expected="A first value for this family, to compare with the others.",
     )
 
 
 def _refinements(view: AgentView) -> list[_Option]:
-    """Every applicable move on the best trial of each of the two best families."""
+    """Every applicable move on the best trial of each family."""
     options: list[_Option] = []
     seen: set[str] = set()
     best = view.best
@@ -134,4 +134,8 @@ def _option(view: AgentView, case: Case, move: Move, share: float) -> _Option | 
 
 def _summary(label: str, recipe: Recipe) -> str:
     settings = ", ".join(f"{k} {v}" for k, v in recipe.config) or "plain"
-    return f"{label.capitalize()}: {settings}."
+    return f"{_sentence(label)}: {settings}."
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]

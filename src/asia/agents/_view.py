@@ -1,7 +1,8 @@
 """What an agent sees of a search, and what it answers.
 
-No measured time, no validation outputs, no test: an agent decides from V per fold, status, the
-candidates' logs and training-side residual analysis.
+No measured time, no validation residuals, no test: an agent decides from V per fold, status, the
+candidates' logs and training-side residual analysis. It may look at the training records, all of
+them, as a person would.
 """
 
 from __future__ import annotations

@@ -10,9 +10,11 @@ import sys
 import typer
 
 from asia.cli import _check, _diff, _init, _report, _run, _show, _status, _unseal, _verify
-from asia.errors import SandboxError, UserError
+from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
+
+INTERRUPTED = 130
 
 app = typer.Typer(
     name="asia",
@@ -46,22 +48,30 @@ def main() -> None:
         app(args=spread(sys.argv[1:]))
     except UserError as error:
         sys.exit(_complain(str(error), 2))
+    except CandidateError as error:
+        sys.exit(_complain(f"the candidate failed: {error.reason.advice}", 1))
     except SandboxError as error:
         sys.exit(_complain(f"the sandbox failed: {error}", 1))
-    except KeyboardInterrupt:
-        sys.exit(_complain("interrupted; the same command goes on from here", 130))
+    except OSError as error:
+        sys.exit(_complain(f"{error.strerror or error}: {error.filename or 'a file'}", 2))
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _complain("interrupted; the same command goes on from here", INTERRUPTED)
+        raise
 
 
 def spread(words: list[str]) -> list[str]:
-    """`--train a.csv b.csv` -> `--train a.csv --train b.csv`, for the list options of init."""
+    """`--train a.csv b.csv` and `--train=a.csv b.csv` with the option before each word, for the
+    list options of init."""
     if words[:1] != ["init"]:
         return words
     option: str | None = None
     answer: list[str] = []
     for word in words:
         if word.startswith("-"):
-            option = word if word in _init.LISTS else None
-            answer += [] if option else [word]
+            name, equals, _ = word.partition("=")
+            option = name if name in _init.LISTS else None
+            answer += [word] if equals or option is None else []
         elif option is not None:
             answer += [option, word]
         else:

@@ -119,6 +119,8 @@ class TextDisplay:
         )
         for note in start.isolation_notes:
             self._print(f"note    {note}", style="dim")
+        if start.environment != self.prepared.started.environment:
+            self._print("note    the run began with other package versions; see its first record")
         if view.experiments:
             self._print(f"resumed after {len(view.finished)} of {view.budget} experiments")
         for rung in view.rungs:
@@ -168,6 +170,10 @@ class TextDisplay:
         for picture in pictures:
             if picture.suffix == ".png":
                 self._print(f"picture  {picture}")
+        if view.refitted is not None and view.refitted.model is not None:
+            self._print(
+                "models   the fold ensemble and the refit on all data: asia.simulate(run, ...)"
+            )
         show, unseal = f"asia show {run}", f"asia unseal {run}"
         width = len(unseal) + 4
         self._print(f"next     {show:<{width}}the winner: source, folds, evidence")

@@ -56,7 +56,7 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
             str(k),
             error_value(fold.value),
             *(f"{v:.4g}" for v in fold.rmse),
-            *(f"{v:.1f}" for v in fold.fit_index),
+            *("-" if v is None else f"{v:.1f}" for v in fold.fit_index),
             error_value(d.train_error),
             f"{d.bias:.3f}",
             f"{d.whiteness:.2f}",

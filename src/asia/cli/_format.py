@@ -30,8 +30,9 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     r = experiment.result
     assert r is not None
     if experiment.score:
-        worst = min(min(f.fit_index) for f in experiment.score.folds)
-        fit = f"{worst:5.1f} %" if worst > -999 else "<-999 %"
+        fits = [f.worst_fit for f in experiment.score.folds if f.worst_fit is not None]
+        worst = min(fits, default=None)
+        fit = "   -  " if worst is None else f"{worst:5.1f} %" if worst > -999 else "<-999 %"
         found = f"V={error_value(experiment.score.value)}  fit {fit}"
     else:
         found = f"{r.outcome.reason.value if not isinstance(r.outcome, Score) else '':<20}"

@@ -27,7 +27,7 @@ def run(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     hours: Annotated[
-        float | None, typer.Option(min=0.0, help="Start no experiment after this many hours.")
+        float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
     ] = None,
     name: Annotated[
         str | None, typer.Option(help="Name of the run; default PROBLEM-AGENT-sSEED.")
@@ -45,12 +45,11 @@ def run(
     from asia.problem.load import load_problem
     from asia.report import write_report
     from asia.sandbox import Isolation
-    from asia.search import check_baseline, prepare, search
+    from asia.search import prepare, search
 
     chosen = make_agent(agent)
     _check_name(name)
     loaded = load_problem(problem)
-    check_baseline(loaded)
     budget = loaded.budget
     loaded = replace(
         loaded,

@@ -12,6 +12,7 @@ from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
 
 if TYPE_CHECKING:
     from asia.ledger import TestRecord, Unsealed
+    from asia.scoring import Failure
 
 
 def register(app: typer.Typer) -> None:
@@ -44,6 +45,9 @@ def unseal(
             raise UserError("the name does not match; nothing was opened")
     result = open_seal(directory)
     pictures = write_report(directory)
+    if result.opened_before:
+        names = ", ".join(result.opened_before)
+        print(f"note: this test was opened before, by {names}", file=sys.stderr)
     if not result.first_time:
         print("already unsealed: this is the first and only result", file=sys.stderr)
     if json:
@@ -66,8 +70,12 @@ def _as_object(record: Unsealed) -> dict[str, Any]:
     return answer
 
 
-def _scores(record: Unsealed, model: TestRecord) -> dict[str, Any]:
-    """The first metric's detail beside the value of every metric."""
+def _scores(record: Unsealed, model: TestRecord | Failure) -> dict[str, Any]:
+    """The first metric's detail beside the value of every metric, or the failure."""
+    from asia.scoring import Failure
+
+    if isinstance(model, Failure):
+        return {"failure": model.reason.value, "advice": model.advice}
     first = model.scores[0]
     return {
         **{score.metric: score.value for score in model.scores},
@@ -78,12 +86,18 @@ def _scores(record: Unsealed, model: TestRecord) -> dict[str, Any]:
 
 def _print_text(record: Unsealed) -> None:
     from asia.ledger import error_value
+    from asia.scoring import Failure
 
     print(f"sealed test, experiment #{record.experiment:02d}, {record.skip} samples skipped")
-    models = [("ensemble of the fold models", record.ensemble)]
+    models: list[tuple[str, TestRecord | Failure]] = [
+        ("ensemble of the fold models", record.ensemble)
+    ]
     if record.refit is not None:
         models.append(("refit on all training data", record.refit))
     for title, model in models:
+        if isinstance(model, Failure):
+            print(f"{title:<28} no score: {model.advice}")
+            continue
         for score in model.scores:
             channels = ", ".join(
                 f"{name} {value:.4g}"

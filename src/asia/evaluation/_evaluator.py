@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 from asia.candidate import Context, check_source
-from asia.errors import CandidateError, Reason
+from asia.errors import CandidateError, Reason, SandboxError
 from asia.executor import Executor
 from asia.problem import Array, Budget, ProtocolRule, Trajectory
 from asia.protocol import Block, Fold, whole
@@ -25,6 +27,8 @@ from asia.scoring import (
     diagnose,
     score_fold,
 )
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,7 @@ class Evaluator:
         self._rule = rule
         self._isolation = isolation
         self._executor = executor
+        self._open: set[Worker] = set()
         self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
 
     def evaluate(self, source: str) -> Evaluation:
@@ -84,7 +89,7 @@ class Evaluator:
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
         jobs = [partial(self._guarded_fold, source, fold) for fold in self.folds]
-        results = self._executor.run(jobs)
+        results = self._run(jobs)
         for result in results:
             if isinstance(result, Failure):
                 return Evaluation(result)
@@ -106,23 +111,43 @@ class Evaluator:
             return None if same else Failure(Reason.NOT_REPRODUCIBLE, "", fold.index + 1)
 
         jobs = [partial(check, f, r) for f, r in zip(self.folds, folds, strict=True)]
-        return next((f for f in self._executor.run(jobs) if f is not None), None)
+        return next((f for f in self._run(jobs) if f is not None), None)
 
     def refit(self, source: str) -> bytes:
         """Fit on all training records; the opaque model. Raises CandidateError."""
-        with self._worker() as worker:
-            worker.fit(source, self._records, self._fold_context("all"))
-            return worker.dump()
+
+        def fit() -> bytes:
+            with self._worker() as worker:
+                worker.fit(source, self._records, self._fold_context("all"))
+                return worker.dump()
+
+        return self._run([fit])[0]
 
     def simulate(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...]]:
         """Simulate `blocks` with stored models, each in a fresh worker. Raises CandidateError."""
         jobs = [partial(self._simulate_model, source, model, blocks) for model in models]
-        return self._executor.run(jobs)
+        return self._run(jobs)
 
-    def _worker(self) -> Worker:
-        return open_worker(self._isolation, self._limits)
+    def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
+        """Results of the jobs; a sandbox that fails is tried once more. When interrupted, no
+        worker is left running."""
+        try:
+            return self._executor.run([partial(_twice, job) for job in jobs])
+        except BaseException:
+            for worker in list(self._open):
+                worker.abort()
+            raise
+
+    @contextmanager
+    def _worker(self) -> Generator[Worker]:
+        with open_worker(self._isolation, self._limits) as worker:
+            self._open.add(worker)
+            try:
+                yield worker
+            finally:
+                self._open.discard(worker)
 
     def _fold_context(self, fold: object) -> Context:
         return replace(
@@ -160,6 +185,13 @@ class Evaluator:
         with self._worker() as worker:
             worker.load(source, model, self._fold_context("load"))
             return _simulate(worker, blocks)
+
+
+def _twice(job: Callable[[], T]) -> T:
+    try:
+        return job()
+    except SandboxError:
+        return job()
 
 
 def _simulate(worker: Worker, blocks: Sequence[Block]) -> tuple[Array, ...]:

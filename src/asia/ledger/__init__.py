@@ -15,10 +15,11 @@ from asia.ledger._events import (
     Stopped,
     TestRecord,
     Unsealed,
+    Unsealing,
 )
 from asia.ledger._exports import describe_result, error_value, journal, results_table, write_exports
 from asia.ledger._store import Store
-from asia.ledger._verify import Verified, verify
+from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, Run, SearchView, State, find_run, open_run, replay
 from asia.scoring import Diagnostics
 
@@ -44,7 +45,9 @@ __all__ = [
     "Store",
     "TestRecord",
     "Unsealed",
+    "Unsealing",
     "Verified",
+    "check_lock",
     "describe_result",
     "error_value",
     "find_run",

@@ -119,10 +119,21 @@ class Chain:
     def append(self, event: Event) -> None:
         """Write one event; on return it is on the disk."""
         line = _encode(len(self.lines), self._prev, event)
-        os.write(self._fd, line + b"\n")
-        os.fsync(self._fd)
+        self._write(line + b"\n")
         self.lines.append(_decode(line, len(self.lines), self._prev, str(self._path)))
         self._prev = _digest(line)
+
+    def _write(self, data: bytes) -> None:
+        """All of it, on the disk; or nothing and UserError."""
+        size = os.fstat(self._fd).st_size
+        try:
+            done = 0
+            while done < len(data):
+                done += os.write(self._fd, data[done:])
+            os.fsync(self._fd)
+        except OSError as error:
+            os.ftruncate(self._fd, size)
+            raise UserError(f"cannot write {self._path}: {error.strerror}") from None
 
     def __enter__(self) -> Self:
         return self

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from asia.scoring import Diagnostics, Outcome, TestScore
+from asia.scoring import Diagnostics, Failure, Outcome, TestScore
 
 Status = Literal["keep", "discard", "crash", "timeout", "invalid"]
 Phase = Literal["baseline", "explore", "refine"]
@@ -23,6 +23,7 @@ class Started:
     agent: str
     seed: int
     experiments: int
+    hours: float | None
     outputs: tuple[str, ...]
     lock_digest: str
     protocol_digest: str
@@ -71,7 +72,8 @@ class FoldRecord:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """What came of a candidate. `duplicate_of` names the experiment whose outcome was reused."""
+    """What came of a candidate. `duplicate_of` names the experiment whose outcome was reused;
+    `deadline` marks an outcome that depends on how fast the machine was."""
 
     experiment: int
     status: Status
@@ -80,14 +82,16 @@ class Evaluated:
     output: str | None
     seconds: float
     duplicate_of: int | None = None
+    deadline: bool = False
     event: Literal["evaluated"] = "evaluated"
 
 
 @dataclass(frozen=True)
 class Extended:
-    """The budget was raised to `experiments`."""
+    """The budget was raised to `experiments` and `hours`; None is open."""
 
     experiments: int
+    hours: float | None = None
     event: Literal["extended"] = "extended"
 
 
@@ -118,8 +122,19 @@ class TestRecord:
 
 
 @dataclass(frozen=True)
+class Unsealing:
+    """The sealed test is about to be opened; from here on the search is over. `opened_before`
+    names the runs beside this one that had opened the same test."""
+
+    experiment: int
+    test_digest: str
+    opened_before: tuple[str, ...]
+    event: Literal["unsealing"] = "unsealing"
+
+
+@dataclass(frozen=True)
 class Unsealed:
-    """The sealed test was opened, once. `ensemble` is the mean of the fold models, `refit` the
+    """What the sealed test said. `ensemble` is the mean of the fold models, `refit` the
     winner fitted on all training data; `measured` is the artifact of the test outputs, one
     (lengths[i], ny) array a trajectory, from the first simulated sample on; `skip` of them are left
     out of the scores."""
@@ -131,11 +146,21 @@ class Unsealed:
     lengths: tuple[int, ...]
     skip: int
     measured: str
-    ensemble: TestRecord
-    refit: TestRecord | None
+    ensemble: TestRecord | Failure
+    refit: TestRecord | Failure | None
     event: Literal["unsealed"] = "unsealed"
 
 
-Event = Started | RungScored | Proposed | Evaluated | Extended | Stopped | Refitted | Unsealed
+Event = (
+    Started
+    | RungScored
+    | Proposed
+    | Evaluated
+    | Extended
+    | Stopped
+    | Refitted
+    | Unsealing
+    | Unsealed
+)
 
 adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

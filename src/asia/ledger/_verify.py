@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia.errors import UserError
-from asia.ledger._events import Evaluated, Event, Proposed, Refitted, Started, Unsealed
+from asia.ledger._events import Evaluated, Event, Proposed, Refitted, Started, TestRecord, Unsealed
 from asia.ledger._view import Run, open_run
 
 
@@ -32,11 +32,18 @@ def verify(directory: Path) -> Verified:
             except UserError as error:
                 raise UserError(f"record {line.seq} of {directory}: {error}") from None
             named.add(digest)
-    lock = (directory / "problem.lock.toml").read_bytes()
-    if hashlib.sha256(lock).hexdigest() != run.view.started.lock_digest:
-        raise UserError(f"{directory}/problem.lock.toml was changed after the search began")
+    check_lock(directory, run.view.started)
     raw = (directory / "ledger.jsonl").read_bytes().splitlines()[len(run.lines) - 1]
     return Verified(len(run.lines), len(named), hashlib.sha256(raw).hexdigest())
+
+
+def check_lock(directory: Path, started: Started) -> None:
+    """Raises UserError when the resolved problem is not the one the search began with."""
+    path = directory / "problem.lock.toml"
+    if not path.is_file():
+        raise UserError(f"{path} is missing: the search cannot be told from another")
+    if hashlib.sha256(path.read_bytes()).hexdigest() != started.lock_digest:
+        raise UserError(f"{path} was changed after the search began")
 
 
 def _artifacts(event: Event) -> Iterator[str]:
@@ -52,8 +59,9 @@ def _artifacts(event: Event) -> Iterator[str]:
             if event.model:
                 yield event.model
         case Unsealed():
-            yield from (event.measured, event.ensemble.y_hat)
-            if event.refit:
-                yield event.refit.y_hat
+            yield event.measured
+            for record in (event.ensemble, event.refit):
+                if isinstance(record, TestRecord):
+                    yield record.y_hat
         case Started() | _:
             return

@@ -19,6 +19,7 @@ from asia.ledger._events import (
     Started,
     Stopped,
     Unsealed,
+    Unsealing,
 )
 from asia.ledger._store import Store
 from asia.scoring import Failure, Score
@@ -53,14 +54,18 @@ class Experiment:
 
 @dataclass(frozen=True)
 class SearchView:
-    """A search as its ledger tells it."""
+    """A search as its ledger tells it. `budget` experiments and `hours` as last extended, which
+    was after experiment `extended_after`; `unsealing` once the test was about to be opened."""
 
     started: Started
     budget: int
+    hours: float | None
+    extended_after: int = 0
     rungs: tuple[RungScored, ...] = ()
     experiments: tuple[Experiment, ...] = ()
     stopped: Stopped | None = None
     refitted: Refitted | None = None
+    unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
 
     @property
@@ -78,6 +83,11 @@ class SearchView:
         """The incumbent: the last one kept."""
         kept = [e for e in self.finished if e.result and e.result.status == "keep"]
         return kept[-1] if kept else None
+
+    @property
+    def complete(self) -> bool:
+        """Stopped, with the winner refitted."""
+        return self.stopped is not None and (self.refitted is not None or self.best is None)
 
     @property
     def seconds(self) -> float:
@@ -101,7 +111,7 @@ def replay(events: Iterable[Event]) -> SearchView:
     first = next(stream, None)
     if not isinstance(first, Started):
         raise UserError("the ledger is empty: the search was stopped before it began")
-    view = SearchView(first, first.experiments)
+    view = SearchView(first, first.experiments, first.hours)
     for event in stream:
         view = _apply(view, event)
     return view
@@ -120,11 +130,20 @@ def _apply(view: SearchView, event: Event) -> SearchView:
             )
             return replace(view, experiments=done)
         case Extended():
-            return replace(view, budget=event.experiments, stopped=None, refitted=None)
+            return replace(
+                view,
+                budget=event.experiments,
+                hours=event.hours,
+                extended_after=len(view.experiments),
+                stopped=None,
+                refitted=None,
+            )
         case Stopped():
             return replace(view, stopped=event)
         case Refitted():
             return replace(view, refitted=event)
+        case Unsealing():
+            return replace(view, unsealing=event)
         case Unsealed():
             return replace(view, unsealed=event)
         case Started():
@@ -157,7 +176,7 @@ class Run:
             return "unsealed"
         if self.busy:
             return "running"
-        return "finished" if self.view.stopped else "interrupted"
+        return "finished" if self.view.complete else "interrupted"
 
 
 def open_run(directory: Path) -> Run:

@@ -57,7 +57,7 @@ def train_adam(
     steps = method.steps
     if held_out is not None:
         errors = _run(cell, params, batch, held_out, method, steps, seed, log)[1]
-        steps = max(1, round(method.steps * (int(np.argmin(errors)) + 1) / _REPORTS))
+        steps = _marks(method)[int(np.argmin(errors))]
         full = replace(batch, weight=batch.weight + held_out.weight)
     return _run(cell, params, full, None, method, steps, seed, log)[0]
 
@@ -76,8 +76,7 @@ def _run(
     other = None if held_out is None else _on_device(held_out, method)
     start = jax.tree.map(jnp.asarray, params)
     state = _State(start, _optimiser(method).init(start), jnp.zeros((), data.u.dtype))
-    marks = [round(method.steps * (i + 1) / _REPORTS) for i in range(_REPORTS)]
-    marks = sorted({min(m, steps) for m in marks if m > 0} | {steps})
+    marks = sorted({min(mark, steps) for mark in _marks(method)})
     errors: list[float] = []
     done = 0
     for mark in marks:
@@ -88,6 +87,13 @@ def _run(
             error = float(_error(cell, state.params, other))
             errors.append(error if np.isfinite(error) else float("inf"))
     return jax.tree.map(np.asarray, state.params), errors
+
+
+def _marks(method: Adam) -> list[int]:
+    """Numbers of steps after which the error is reported: `_REPORTS` of them, fewer when there
+    are fewer steps."""
+    marks = {round(method.steps * (i + 1) / _REPORTS) for i in range(_REPORTS)}
+    return sorted(marks - {0})
 
 
 def _on_device(batch: Batch, method: Adam) -> Data:

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from asia.problem._blocks import blocks, rests
 from asia.problem._digest import data_digest, protocol_digest
 from asia.problem._problem import Problem, Seal
 from asia.problem._types import Array, Signal, Trajectory
@@ -169,16 +170,11 @@ def _excitation_order(parts: Sequence[Array]) -> int:
 
 def _folds(problem: Problem) -> tuple[FoldCheck, ...]:
     rule = problem.protocol
-    count = rule.folds.count
-    blocks = [np.array_split(np.arange(rule.past, len(t)), count) for t in problem.train]
-    total = sum(len(t) - rule.past for t in problem.train)
     folds: list[FoldCheck] = []
-    for k in range(count):
-        held_out = tuple(
-            HeldOut(t.name, int(parts[k][0]) + 1, int(parts[k][-1]) + 1)
-            for t, parts in zip(problem.train, blocks, strict=True)
-        )
-        kept = total - sum(h.last - h.first + 1 for h in held_out)
+    for k in range(rule.folds.count):
+        held = [(t, blocks(len(t), rule)[k]) for t in problem.train]
+        held_out = tuple(HeldOut(t.name, block.start + 1, block.stop) for t, block in held)
+        kept = sum(len(rest) for t, block in held for rest in rests(len(t), block, rule))
         folds.append(FoldCheck(k + 1, held_out, kept))
     return tuple(folds)
 

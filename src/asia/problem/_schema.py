@@ -10,6 +10,7 @@ from asia.problem._types import (
     Bounds,
     Budget,
     FoldRule,
+    Metric,
     ParameterRange,
     Physics,
     ProtocolRule,
@@ -83,7 +84,7 @@ class FoldsTable(Table):
 
 
 class TestTable(Table):
-    metrics: list[Literal["rmse", "mae"]] = Field(default=["rmse"], min_length=1)
+    metrics: list[Metric] = Field(default=["rmse"], min_length=1)
     skip: int = Field(default=0, ge=0)
 
 
@@ -92,7 +93,7 @@ class ProtocolTable(Table):
     folds: FoldsTable = FoldsTable()
     past_inputs: int = Field(default=ProtocolRule.past_inputs, ge=0, le=100_000)
     past_outputs: int = Field(default=ProtocolRule.past_outputs, ge=0, le=100_000)
-    metric: Literal["rmse", "mae"] = "rmse"
+    metric: Metric = "rmse"
     early_stopping: Annotated[Literal["inner"], _later("validation")] = "inner"
     test: TestTable = TestTable()
     horizon: Later = None

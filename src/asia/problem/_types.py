@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from asia.errors import UserError
 
 Array = NDArray[np.float64]
+Metric = Literal["rmse", "mae"]
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class FoldRule:
 class TestRule:
     """How the sealed test is measured: `skip` samples after the past window are left out."""
 
-    metrics: tuple[Literal["rmse", "mae"], ...] = ("rmse",)
+    metrics: tuple[Metric, ...] = ("rmse",)
     skip: int = 0
 
 
@@ -126,7 +127,7 @@ class ProtocolRule:
     folds: FoldRule = FoldRule()
     past_inputs: int = 10
     past_outputs: int = 10
-    metric: Literal["rmse", "mae"] = "rmse"
+    metric: Metric = "rmse"
     early_stopping: Literal["inner"] = "inner"
     test: TestRule = TestRule()
 

@@ -6,9 +6,10 @@ from asia.problem._digest import data_digest, protocol_digest
 from asia.problem._init import init_problem
 from asia.problem._loading import builtin_problems, load_lock, load_problem
 from asia.problem._lock import Difference, lock_differences, lock_text
-from asia.problem._problem import Problem, Seal
+from asia.problem._problem import BenchmarkSource, Problem, Seal
 
 __all__ = [
+    "BenchmarkSource",
     "CheckReport",
     "Difference",
     "Problem",

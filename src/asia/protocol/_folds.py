@@ -9,6 +9,7 @@ import numpy as np
 
 from asia.errors import UserError
 from asia.problem import Array, ProtocolRule, Trajectory
+from asia.problem._blocks import blocks, rests
 
 
 @dataclass(frozen=True)
@@ -81,25 +82,21 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
     """
     if rule.folds.count < 2:
         raise UserError(f"protocol.folds.count is {rule.folds.count}: at least 2 folds are needed")
-    pieces = [
-        np.array_split(np.arange(rule.past, len(record)), rule.folds.count) for record in records
-    ]
+    pieces = [blocks(len(record), rule) for record in records]
     folds: list[Fold] = []
     for k in range(rule.folds.count):
         train: list[Trajectory] = []
-        blocks: list[Block] = []
+        held_out: list[Block] = []
         for index, (record, parts) in enumerate(zip(records, pieces, strict=True)):
             if any(len(part) == 0 for part in parts):
                 raise UserError(
                     f"record '{record.name}': {len(record)} samples are too few for "
                     f"{rule.folds.count} folds after a past window of {rule.past}"
                 )
-            start, stop = int(parts[k][0]), int(parts[k][-1]) + 1
-            blocks.append(cut(record, start, stop, rule, index))
-            for rest in (record[rule.past : start], record[stop:]):
-                if len(rest) > rule.past:
-                    train.append(rest)
-        folds.append(Fold(k, tuple(train), tuple(blocks), _scale(train, k)))
+            block = parts[k]
+            held_out.append(cut(record, block.start, block.stop, rule, index))
+            train += [record[r.start : r.stop] for r in rests(len(record), block, rule)]
+        folds.append(Fold(k, tuple(train), tuple(held_out), _scale(train, k)))
     return tuple(folds)
 
 

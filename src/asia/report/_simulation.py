@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from asia.ledger import Experiment, Run, Store, Unsealed
+from asia.ledger import Experiment, Run, Store, TestRecord, Unsealed
 from asia.problem import Array, Signal
 from asia.problem.load import Problem
 from asia.protocol import Fold
@@ -37,9 +37,10 @@ def draw_simulation(
     score = experiment.score
     assert score is not None
     outputs = fold_outputs(run.store, experiment, folds)
-    shown_folds = _lowest([min(f.fit_index) for f in score.folds], MOST_PANELS // 2)
+    fits = np.array([[_order(fit) for fit in f.fit_index] for f in score.folds])
+    shown_folds = _lowest(fits.min(axis=1).tolist(), MOST_PANELS // 2)
     room = MOST_PANELS // len(shown_folds)
-    channels = _lowest(np.min([f.fit_index for f in score.folds], axis=0).tolist(), room)
+    channels = _lowest(fits.min(axis=0).tolist(), room)
     panels = tuple(
         Panel(
             _fold_title(k, c, problem.outputs, score.folds[k]),
@@ -60,6 +61,11 @@ def draw_simulation(
     return draw_overlay(panels, problem.sampling_time, Words(title, "simulated"))
 
 
+def _order(fit: float | None) -> float:
+    """An output that does not move has no fit index and comes last."""
+    return np.inf if fit is None else fit
+
+
 def _lowest(values: Sequence[float], count: int) -> list[int]:
     """Indices of the `count` lowest values, in their own order."""
     return sorted(int(i) for i in np.argsort(values, kind="stable")[: max(count, 1)])
@@ -69,7 +75,9 @@ def _fold_title(fold: int, channel: int, outputs: Sequence[Signal], score: FoldS
     signal = outputs[channel]
     which = f", {plain(signal.name, 24)}" if len(outputs) > 1 else ""
     error = quantity(score.rmse[channel], signal.unit)
-    return Heading(f"Fold {fold + 1}{which}", f"RMSE {error}, fit {score.fit_index[channel]:.1f} %")
+    fit = score.fit_index[channel]
+    ending = "" if fit is None else f", fit {fit:.1f} %"
+    return Heading(f"Fold {fold + 1}{which}", f"RMSE {error}{ending}")
 
 
 def _fold_pieces(fold: Fold, outputs: Sequence[Array], channel: int) -> tuple[Piece, ...]:
@@ -79,18 +87,19 @@ def _fold_pieces(fold: Fold, outputs: Sequence[Array], channel: int) -> tuple[Pi
     )
 
 
-def draw_test(run: Run, problem: Problem, opened: Unsealed) -> Figure:
+def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: TestRecord) -> Figure:
     """Measured, ensemble and refitted model over the test, a panel for each trajectory and output;
-    samples that do not count are shaded."""
+    samples that do not count are shaded. A refitted model that failed is left out."""
     shapes = [(length, len(opened.channels)) for length in opened.lengths]
     measured = run.store.get_arrays(opened.measured, shapes)
-    ensemble = run.store.get_arrays(opened.ensemble.y_hat, shapes)
-    refit = run.store.get_arrays(opened.refit.y_hat, shapes) if opened.refit else None
+    ensemble = run.store.get_arrays(ensemble_record.y_hat, shapes)
+    refitted = opened.refit if isinstance(opened.refit, TestRecord) else None
+    refit = run.store.get_arrays(refitted.y_hat, shapes) if refitted else None
     channels = range(min(len(opened.channels), MOST_PANELS))
     trajectories = range(min(len(shapes), max(1, MOST_PANELS // len(channels))))
     panels = tuple(
         Panel(
-            _test_title(opened, i, c, problem.outputs[c]),
+            _test_title(opened, (ensemble_record, refitted), i, c, problem.outputs[c]),
             problem.outputs[c],
             (
                 Piece(
@@ -119,13 +128,20 @@ def _test_words(title: str, problem: Problem, opened: Unsealed) -> Words:
     return Words(title, f"ensemble of {folds} fold models", "refitted on all training data")
 
 
-def _test_title(opened: Unsealed, trajectory: int, channel: int, signal: Signal) -> Heading:
-    score = opened.ensemble.scores[0]
+def _test_title(
+    opened: Unsealed,
+    records: tuple[TestRecord, TestRecord | None],
+    trajectory: int,
+    channel: int,
+    signal: Signal,
+) -> Heading:
+    ensemble, refitted = records
+    score = ensemble.scores[0]
     which = f", {plain(signal.name, 24)}" if len(opened.channels) > 1 else ""
     several = f" ({len(opened.lengths)} trajectories)" if len(opened.lengths) > 1 else ""
     values = [f"ensemble {number(score.per_channel[channel])}"]
-    if opened.refit:
-        values.append(f"refit {number(opened.refit.scores[0].per_channel[channel])}")
+    if refitted:
+        values.append(f"refit {number(refitted.scores[0].per_channel[channel])}")
     unit = plain(signal.unit, 12)
     error = f"{score.metric.upper()}{several} {', '.join(values)} {unit}".rstrip()
     return Heading(f"{plain(opened.trajectories[trajectory], 24) or 'Test'}{which}", error)

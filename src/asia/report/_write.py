@@ -8,9 +8,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from asia.ledger import Run, open_run
-from asia.problem._problem import BenchmarkSource
-from asia.problem.load import Problem, load_lock
+from asia.ledger import Run, TestRecord, open_run
+from asia.problem.load import BenchmarkSource, Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._data import draw_data
 from asia.report._equations import draw_equations
@@ -49,12 +48,13 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
         folds = make_folds(problem.train, problem.protocol)
         yield "simulation", lambda: draw_simulation(run, problem, best, folds)
         yield "residuals", lambda: draw_residuals(run, problem, best, folds)
-    if opened is None:
+    if opened is None or not isinstance(opened.ensemble, TestRecord):
         return
-    yield "test", lambda: draw_test(run, problem, opened)
+    ensemble = opened.ensemble
+    yield "test", lambda: draw_test(run, problem, opened, ensemble)
     # A person's own data may bear a benchmark's name; its error has no place in that list.
     published = leaderboard(problem.name) if isinstance(problem.data, BenchmarkSource) else ()
-    ours = [s.value for s in opened.ensemble.scores if s.metric == "rmse"]
+    ours = [s.value for s in ensemble.scores if s.metric == "rmse"]
     if published and ours:
         name, output = view.started.run, problem.outputs[0]
         yield "leaderboard", lambda: draw_standing(published, ours[0], output, name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import contextlib
 import math
 import pickle
 import time
@@ -131,6 +132,11 @@ class Worker:
             detail = f"{head.length} bytes, at most {self._limits.model_mb} MB are kept"
             raise self._failure(Reason.MODEL_SIZE, detail)
         return self._body(head, deadline, late)
+
+    def abort(self) -> None:
+        """End the process from another thread: the one that uses it then sees it gone."""
+        with contextlib.suppress(OSError):
+            self._cell.kill()
 
     def close(self) -> None:
         """End the process with everything it started; may be called again. Raises SandboxError

@@ -3,11 +3,13 @@ validation or test outputs."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from asia.errors import CandidateError, Reason
 from asia.problem import Array
 
 
@@ -40,7 +42,22 @@ def diagnose(
     scale: Array,
     train_error: float,
 ) -> Diagnostics:
-    """Residual analysis of simulated training records, one (H, n) array a record."""
+    """Residual analysis of simulated training records, one (H, n) array a record. Raises
+    CandidateError when the residual is too large to analyse."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = _analyse(u, y, y_hat, scale, train_error)
+    if not all(math.isfinite(value) for value in astuple(found)):
+        raise CandidateError(Reason.NOT_FINITE, "the simulation of the training data ran away")
+    return found
+
+
+def _analyse(
+    u: Sequence[Array],
+    y: Sequence[Array],
+    y_hat: Sequence[Array],
+    scale: Array,
+    train_error: float,
+) -> Diagnostics:
     residual = [(a - b) / scale for a, b in zip(y, y_hat, strict=True)]
     e, out = np.concatenate(residual), np.concatenate(list(y))
     rms = np.sqrt(np.mean(e**2, axis=0)) + 1e-300

@@ -12,17 +12,30 @@ from asia.errors import CandidateError, InternalError, Reason
 from asia.problem import Array
 from asia.scoring._metrics import METRICS, fit_index, mae, pooled, r2, rmse
 
+DIVERGED = 1e100
+
 
 @dataclass(frozen=True)
 class FoldScore:
     """One fold: `value` is the normalised metric that enters V; errors per channel are in
-    physical units, fit index in percent."""
+    physical units, fit index in percent; None where the held-out output does not move. Raises
+    InternalError when a number is not finite."""
 
     value: float
     rmse: tuple[float, ...]
     mae: tuple[float, ...]
-    fit_index: tuple[float, ...]
-    r2: tuple[float, ...]
+    fit_index: tuple[float | None, ...]
+    r2: tuple[float | None, ...]
+
+    def __post_init__(self) -> None:
+        numbers = (self.value, *self.rmse, *self.mae, *self.fit_index, *self.r2)
+        if not all(n is None or math.isfinite(n) for n in numbers):
+            raise InternalError("a score that is not finite was about to be recorded")
+
+    @property
+    def worst_fit(self) -> float | None:
+        """The lowest fit index over the channels."""
+        return min((f for f in self.fit_index if f is not None), default=None)
 
 
 @dataclass(frozen=True)
@@ -33,7 +46,7 @@ class Score:
     folds: tuple[FoldScore, ...]
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.value) or not all(math.isfinite(f.value) for f in self.folds):
+        if not math.isfinite(self.value):
             raise InternalError("a score that is not finite was about to be recorded")
 
 
@@ -66,11 +79,10 @@ class TestScore:
 
 
 def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:
-    """Raises CandidateError unless `y_hat` has the shape and its square stays finite."""
+    """Raises CandidateError unless `y_hat` has the shape and has not run away beyond 1e100."""
     if y_hat.shape != shape:
         raise CandidateError(Reason.WRONG_LENGTH, f"expected {shape}, got {y_hat.shape}")
-    limit = math.sqrt(np.finfo(np.float64).max) / max(1.0, math.sqrt(y_hat.size)) / 4
-    if not bool((np.abs(y_hat) < limit).all()):
+    if not bool((np.abs(y_hat) < DIVERGED).all()):
         raise CandidateError(Reason.NOT_FINITE)
 
 
@@ -87,7 +99,9 @@ def score_fold(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric:
     value = float(np.mean(METRICS[metric](a, b) / scale))
     if not math.isfinite(value):
         raise CandidateError(Reason.NOT_FINITE)
-    return FoldScore(value, _t(rmse(a, b)), _t(mae(a, b)), _t(fit_index(a, b)), _t(r2(a, b)))
+    return FoldScore(
+        value, _t(rmse(a, b)), _t(mae(a, b)), _defined(fit_index(a, b)), _defined(r2(a, b))
+    )
 
 
 def combine(folds: Sequence[FoldScore]) -> Score:
@@ -104,6 +118,10 @@ def score_test(y: Sequence[Array], y_hat: Sequence[Array], metric: str, skip: in
     channels = measure(pooled([a for a, _ in kept]), pooled([b for _, b in kept]))
     each = tuple(float(np.mean(measure(a, b))) for a, b in kept)
     return TestScore(metric, float(np.mean(channels)), _t(channels), each)
+
+
+def _defined(values: Array) -> tuple[float | None, ...]:
+    return tuple(float(v) if math.isfinite(v) else None for v in values)
 
 
 def _t(values: Array) -> tuple[float, ...]:

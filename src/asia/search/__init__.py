@@ -2,6 +2,7 @@
 
 from asia.search._agent_view import agent_view, problem_facts
 from asia.search._search import LOCK, Prepared, check_baseline, prepare, search
+from asia.search._simulate import simulate
 from asia.search._unseal import UnsealResult, unseal
 
 __all__ = [
@@ -13,5 +14,6 @@ __all__ = [
     "prepare",
     "problem_facts",
     "search",
+    "simulate",
     "unseal",
 ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
 
 from asia.agents import AgentView, Facts, Trial
@@ -45,7 +47,12 @@ def digest(source: str) -> str:
     try:
         return source_digest(source)
     except CandidateError:
-        return source
+        return hashlib.sha256(as_bytes(source)).hexdigest()
+
+
+def as_bytes(source: str) -> bytes:
+    """UTF-8; what cannot be encoded is kept as an escape, for the record."""
+    return source.encode("utf-8", "backslashreplace")
 
 
 def _trial(e: Experiment, store: Store) -> Trial:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia.agents import Agent, Proposal
-from asia.errors import CandidateError, SandboxError
+from asia.errors import CandidateError
 from asia.evaluation import Evaluation, Evaluator, FoldResult, score_rungs
 from asia.ledger import (
     Chain,
@@ -30,7 +30,8 @@ from asia.ledger import (
     write_exports,
 )
 from asia.problem.load import Problem
-from asia.search._agent_view import agent_view, digest, problem_facts
+from asia.scoring import Failure
+from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
 from asia.search._rules import StopReason, decide, stop_reason
 
 OnEvent = Callable[[Event, SearchView], None]
@@ -56,6 +57,8 @@ class Loop:
 
     def run(self) -> SearchView:
         """Rungs, search, refit of the winner. What the ledger already holds is not redone."""
+        if self.view.complete or self.view.unsealing:
+            return self.view
         self._score_rungs()
         while self.view.stopped is None:
             reason = self._step()
@@ -112,17 +115,16 @@ class Loop:
             title=proposal.title,
             hypothesis=proposal.hypothesis,
             expected=proposal.expected,
-            source=self.store.put(proposal.source.encode()),
+            source=self.store.put(as_bytes(proposal.source)),
             digest=digest(proposal.source),
         )
 
     def _evaluate(self, experiment: Experiment) -> Evaluated:
         view = self.view
-        twin = next(
-            (e for e in view.finished if e.proposed.digest == experiment.proposed.digest), None
-        )
-        if twin is not None and twin.result is not None:
-            return _answer_again(experiment, twin)
+        for twin in view.finished:
+            settled = twin.result is not None and not twin.result.deadline
+            if settled and twin.proposed.digest == experiment.proposed.digest:
+                return _answer_again(experiment, twin)
         start = time.monotonic()
         evaluation = self._judge(self.store.text(experiment.proposed.source))
         return Evaluated(
@@ -132,15 +134,12 @@ class Loop:
             folds=tuple(self._keep(fold) for fold in evaluation.folds),
             output=self.store.put(evaluation.output.encode()) if evaluation.output else None,
             seconds=time.monotonic() - start,
+            deadline=_touched_deadline(evaluation),
         )
 
     def _judge(self, source: str) -> Evaluation:
-        """Evaluate; a would-be winner must also come back bitwise the same from its bytes. A
-        sandbox that fails is tried once more."""
-        try:
-            evaluation = self.evaluator.evaluate(source)
-        except SandboxError:
-            evaluation = self.evaluator.evaluate(source)
+        """Evaluate; a would-be winner must also come back bitwise the same from its bytes."""
+        evaluation = self.evaluator.evaluate(source)
         if decide(evaluation.outcome, self.view) == "keep":
             failure = self.evaluator.reload_differs(source, evaluation.folds)
             if failure is not None:
@@ -177,6 +176,11 @@ def _baseline(source: str) -> Proposal:
         hypothesis="The problem's own baseline, untouched, is where every search starts.",
         expected="A reference value that the rest must beat.",
     )
+
+
+def _touched_deadline(evaluation: Evaluation) -> bool:
+    outcome = evaluation.outcome
+    return isinstance(outcome, Failure) and outcome.reason.status == "timeout"
 
 
 def _answer_again(experiment: Experiment, twin: Experiment) -> Evaluated:

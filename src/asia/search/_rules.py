@@ -21,13 +21,15 @@ def phase(view: SearchView) -> Literal["explore", "refine"]:
 def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
     """Why the search should end now, or None.
 
-    `saturated`: the last `budget.patience` experiments of the refine phase kept nothing.
+    `saturated`: the last `budget.patience` experiments of the refine phase kept nothing; those
+    before the budget was extended do not count.
     """
     if len(view.finished) >= view.budget:
         return "budget"
-    if budget.hours is not None and view.seconds >= budget.hours * 3600.0:
+    if view.hours is not None and view.seconds >= view.hours * 3600.0:
         return "hours"
-    refined = [e for e in view.finished if e.proposed.phase == "refine"]
+    recent = view.finished[view.extended_after :]
+    refined = [e for e in recent if e.proposed.phase == "refine"]
     last = refined[-budget.patience :]
     kept = any(e.result and e.result.status == "keep" for e in last)
     return "saturated" if len(last) >= budget.patience and not kept else None

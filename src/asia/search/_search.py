@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
+import math
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from asia.candidate import Context, check_source
 from asia.errors import CandidateError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
 from asia.executor import Executor, LocalExecutor
-from asia.ledger import Chain, Extended, SearchView, Started, Store, replay
+from asia.ledger import Chain, Extended, SearchView, Started, Store, check_lock, replay
 from asia.problem.load import Problem, Seal, lock_differences, lock_text, protocol_digest
 from asia.protocol import make_folds
 from asia.protocol._sealed import seal
@@ -50,6 +51,7 @@ def prepare(
     Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
     other settings.
     """
+    check_baseline(problem)
     make_folds(problem.train, problem.protocol)
     sealed = seal(problem)
     run_name = name or f"{problem.name}-{agent_name}-s{seed}"
@@ -62,6 +64,7 @@ def prepare(
         agent=agent_name,
         seed=seed,
         experiments=problem.budget.experiments,
+        hours=problem.budget.hours,
         outputs=tuple(s.name for s in problem.outputs),
         lock_digest=hashlib.sha256(lock.encode()).hexdigest(),
         protocol_digest=protocol_digest(problem),
@@ -70,7 +73,7 @@ def prepare(
         isolation_notes=found.notes,
         environment=_environment(),
     )
-    if not (directory / LOCK).is_file():
+    if not (directory / "ledger.jsonl").is_file() or not (directory / LOCK).is_file():
         return Prepared(problem, directory, lock, started, resumes=False)
     _compare(problem, sealed, directory)
     return Prepared(problem, directory, lock, started, resumes=True)
@@ -95,6 +98,7 @@ def search(
             _write(directory / LOCK, prepared.lock)
             chain.append(prepared.started)
         view = replay(line.event for line in chain.lines)
+        check_lock(directory, view.started)
         _check_same_search(view, prepared.started)
         loop = Loop(
             problem=problem,
@@ -107,8 +111,9 @@ def search(
             on_event=on_event,
         )
         on_start(view)
-        if problem.budget.experiments > view.budget:
-            loop.record(Extended(problem.budget.experiments))
+        wanted = prepared.started
+        if (wanted.experiments, wanted.hours) != (view.budget, view.hours):
+            loop.record(Extended(wanted.experiments, wanted.hours))
         return loop.run()
 
 
@@ -164,27 +169,43 @@ def _environment() -> dict[str, str]:
 
 
 def _compare(problem: Problem, sealed: Seal, directory: Path) -> None:
-    """The number of experiments may grow; all else must be as it was."""
+    """The budget may grow; all else must be as it was."""
     found = lock_differences(problem, sealed, directory / LOCK)
-    different = [d for d in found if d.key != "budget.experiments"]
+    different = [d for d in found if d.key not in ("budget.experiments", "budget.hours")]
     if different:
         raise UserError(
             f"{directory} was started with other settings ({different[0]}); only the number of "
-            "experiments can grow: choose another --name"
+            "experiments and the hours can grow: choose another --name"
         )
 
 
 def _check_same_search(view: SearchView, wanted: Started) -> None:
+    """Raises UserError unless `wanted` asks for the same search, or for more of it."""
     start = view.started
-    if (start.agent, start.seed) != (wanted.agent, wanted.seed):
+    for what, there, now in (
+        ("agent", start.agent, wanted.agent),
+        ("seed", start.seed, wanted.seed),
+        ("isolation", start.isolation, wanted.isolation),
+    ):
+        if there != now:
+            raise UserError(
+                f"run '{start.run}' has {what} {there}, not {now}: choose another --name"
+            )
+    if wanted.experiments < view.budget or _hours(wanted.hours) < _hours(view.hours):
         raise UserError(
-            f"run '{start.run}' belongs to agent {start.agent} with seed {start.seed}, "
-            f"not to agent {wanted.agent} with seed {wanted.seed}: choose another --name"
+            f"run '{start.run}' has a budget of {view.budget} experiments and "
+            f"{_hours(view.hours):g} hours, which can only grow: ask for at least that, or choose "
+            "another --name"
         )
-    if view.unsealed and wanted.experiments > view.budget:
+    grows = wanted.experiments > view.budget or _hours(wanted.hours) > _hours(view.hours)
+    if view.unsealing and grows:
         raise UserError(
             f"run '{start.run}' was unsealed; a search ends there: choose another --name"
         )
+
+
+def _hours(value: float | None) -> float:
+    return math.inf if value is None else value
 
 
 def _write(path: Path, text: str) -> None:

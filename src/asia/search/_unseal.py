@@ -7,91 +7,133 @@ from pathlib import Path
 
 import numpy as np
 
-from asia.errors import UserError
+from asia.errors import CandidateError, UserError
 from asia.evaluation import Evaluator
-from asia.ledger import Chain, Experiment, Store, TestRecord, Unsealed, replay, write_exports
-from asia.problem import Array, ProtocolRule
-from asia.problem.load import load_lock
+from asia.ledger import (
+    Chain,
+    Experiment,
+    SearchView,
+    Store,
+    TestRecord,
+    Unsealed,
+    Unsealing,
+    check_lock,
+    open_run,
+    replay,
+    write_exports,
+)
+from asia.problem import Array, TestRule
+from asia.problem.load import data_digest, load_lock
 from asia.protocol import Block, whole
 from asia.protocol._sealed import open_test
-from asia.scoring import score_test
+from asia.scoring import Failure, score_test
 from asia.search._search import LOCK, make_evaluator
 
 
 @dataclass(frozen=True)
 class UnsealResult:
-    """The test result; `first_time` is False when it had been opened before."""
+    """The test result; `first_time` is False when it had been opened before. `opened_before` names
+    the runs beside this one that had opened the same test."""
 
     record: Unsealed
     first_time: bool
+    opened_before: tuple[str, ...]
 
 
 def unseal(directory: Path) -> UnsealResult:
     """Score the ensemble of the winner's fold models, and its refit, on the sealed test.
 
-    A second call returns the first result. Raises UserError when the search is not finished, has
-    no winner or no test, or when the test data are not those sealed before experiment 1.
+    A second call returns the first result. A model that fails on the test is recorded as a
+    Failure. Raises UserError when the search is not finished, has no winner or no test, or when
+    problem or test data are not those of its first record.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = replay(line.event for line in chain.lines)
         if view.unsealed is not None:
-            return UnsealResult(view.unsealed, first_time=False)
-        run = view.started.run
-        if view.stopped is None:
-            raise UserError(
-                f"run '{run}' is not finished: unsealing ends a search, finish it first"
-            )
-        best = view.best
-        if best is None:
-            raise UserError(f"run '{run}' has no scored model to unseal")
-        if view.started.test_digest is None:
-            raise UserError(f"problem '{view.started.problem}' has no test data")
-        problem = load_lock(directory / LOCK)
-        store = Store(directory / "artifacts")
-        evaluator = make_evaluator(problem, view)
-        records = open_test(problem)
-        blocks = whole(records, problem.protocol)
-        ensemble = _simulate(evaluator, store, best, _fold_models(best), blocks)
-        refitted = view.refitted.model if view.refitted else None
-        refit = _simulate(evaluator, store, best, (refitted,), blocks) if refitted else None
-        rule = problem.protocol
-        event = Unsealed(
-            experiment=best.number,
-            test_digest=view.started.test_digest,
-            channels=tuple(s.name for s in problem.outputs),
-            trajectories=tuple(r.name for r in records),
-            lengths=tuple(len(b.y) for b in blocks),
-            skip=rule.test.skip,
-            measured=store.put_arrays([b.y for b in blocks]),
-            ensemble=_record(store, blocks, ensemble, rule),
-            refit=_record(store, blocks, refit, rule) if refit else None,
-        )
+            before = view.unsealing.opened_before if view.unsealing else ()
+            return UnsealResult(view.unsealed, first_time=False, opened_before=before)
+        best, digest = _check(directory, view)
+        before = _openers(directory, digest)
+        if view.unsealing is None:
+            chain.append(Unsealing(best.number, digest, before))
+        event = _score(directory, view, best, digest)
         chain.append(event)
         write_exports(directory, replay(line.event for line in chain.lines))
-    return UnsealResult(event, first_time=True)
+    return UnsealResult(event, first_time=True, opened_before=before)
 
 
-def _fold_models(best: Experiment) -> tuple[str, ...]:
+def _check(directory: Path, view: SearchView) -> tuple[Experiment, str]:
+    """The winner and the digest of the test, when there is something to unseal."""
+    check_lock(directory, view.started)
+    run = view.started.run
+    if not view.complete:
+        raise UserError(f"run '{run}' is not finished: unsealing ends a search, finish it first")
+    if view.best is None:
+        raise UserError(f"run '{run}' has no scored model to unseal")
+    if view.started.test_digest is None:
+        raise UserError(f"problem '{view.started.problem}' has no test data")
+    return view.best, view.started.test_digest
+
+
+def _openers(directory: Path, digest: str) -> tuple[str, ...]:
+    """Names of the runs beside this one that have opened the test already."""
+    names: list[str] = []
+    for ledger in sorted(directory.parent.glob("*/ledger.jsonl")):
+        if ledger.parent.name == directory.name:
+            continue
+        try:
+            other = open_run(ledger.parent).view
+        except UserError:
+            continue
+        if other.unsealing is not None and other.unsealing.test_digest == digest:
+            names.append(ledger.parent.name)
+    return tuple(names)
+
+
+def _score(directory: Path, view: SearchView, best: Experiment, digest: str) -> Unsealed:
+    problem = load_lock(directory / LOCK)
+    store = Store(directory / "artifacts")
+    records = open_test(problem)
+    if data_digest(records) != digest:
+        raise UserError(f"the test data are not those that run '{view.started.run}' had sealed")
+    blocks = whole(records, problem.protocol)
+    judge = _Judge(make_evaluator(problem, view), store, best, blocks, problem.protocol.test)
     assert best.result is not None
-    return tuple(fold.model for fold in best.result.folds)
+    refitted = view.refitted.model if view.refitted else None
+    return Unsealed(
+        experiment=best.number,
+        test_digest=digest,
+        channels=tuple(s.name for s in problem.outputs),
+        trajectories=tuple(r.name for r in records),
+        lengths=tuple(len(b.y) for b in blocks),
+        skip=problem.protocol.test.skip,
+        measured=store.put_arrays([b.y for b in blocks]),
+        ensemble=judge.score(tuple(fold.model for fold in best.result.folds)),
+        refit=judge.score((refitted,)) if refitted else None,
+    )
 
 
-def _simulate(
-    evaluator: Evaluator,
-    store: Store,
-    best: Experiment,
-    models: tuple[str, ...],
-    blocks: tuple[Block, ...],
-) -> tuple[Array, ...]:
-    """Mean over the models of their simulations, one (H, ny) array a block."""
-    source = store.text(best.proposed.source)
-    each = evaluator.simulate(source, [store.get(m) for m in models], blocks)
-    return tuple(np.mean(np.stack(parts), axis=0) for parts in zip(*each, strict=True))
+@dataclass(frozen=True)
+class _Judge:
+    evaluator: Evaluator
+    store: Store
+    best: Experiment
+    blocks: tuple[Block, ...]
+    rule: TestRule
 
+    def score(self, models: tuple[str, ...]) -> TestRecord | Failure:
+        """Score of the mean of the models' simulations, or why there is none."""
+        try:
+            y_hat = self._mean(models)
+            measured = [b.y for b in self.blocks]
+            scores = tuple(
+                score_test(measured, y_hat, m, self.rule.skip) for m in self.rule.metrics
+            )
+        except CandidateError as error:
+            return Failure(error.reason, error.detail)
+        return TestRecord(scores, self.store.put_arrays(y_hat))
 
-def _record(
-    store: Store, blocks: tuple[Block, ...], y_hat: tuple[Array, ...], rule: ProtocolRule
-) -> TestRecord:
-    measured = [b.y for b in blocks]
-    scores = tuple(score_test(measured, y_hat, m, rule.test.skip) for m in rule.test.metrics)
-    return TestRecord(scores, store.put_arrays(y_hat))
+    def _mean(self, models: tuple[str, ...]) -> tuple[Array, ...]:
+        source = self.store.text(self.best.proposed.source)
+        each = self.evaluator.simulate(source, [self.store.get(m) for m in models], self.blocks)
+        return tuple(np.mean(np.stack(parts), axis=0) for parts in zip(*each, strict=True))

@@ -24,6 +24,11 @@ def test_words_after_a_list_option_belong_to_it() -> None:
         *("init", "new", "--train", "a.csv", "--train", "b.csv"),
         *("--inputs", "u", "--sampling-time", "1"),
     ]
+    joined = ["init", "new", "--train=a.csv", "b.csv", "--inputs=u", "--no-seal", "c"]
+    assert spread(joined) == [
+        *("init", "new", "--train=a.csv", "--train", "b.csv"),
+        *("--inputs=u", "--no-seal", "c"),
+    ]
     assert spread(["show", "--train", "a", "b"]) == ["show", "--train", "a", "b"]
 
 
@@ -40,6 +45,12 @@ def test_several_records_and_back(data: tuple[str, str], asia: Asia) -> None:
     assert checked.code == 0, checked.err
     assert "record train: 240 samples" in checked.out
     assert "test: none" in checked.out
+
+
+def test_several_records_after_an_equals_sign(data: tuple[str, str], asia: Asia) -> None:
+    done = asia("init", "new", f"--train={data[0]}", data[1], "--no-seal", *SIGNALS)
+    assert done.code == 0, done.err
+    assert [len(t) for t in load_problem("new").train] == [240, 120]
 
 
 def test_named_test_is_sealed(data: tuple[str, str], asia: Asia) -> None:

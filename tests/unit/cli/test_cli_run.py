@@ -43,8 +43,8 @@ def test_same_command_again_prints_the_result(searched: Searched, asia: Asia) ->
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (("--seed", "1"), "with seed 0, not"),
-        (("--agent", "expert"), "belongs to agent random"),
+        (("--seed", "1"), "has seed 0, not 1"),
+        (("--agent", "expert"), "has agent random, not expert"),
     ],
 )
 def test_a_name_belongs_to_one_search(

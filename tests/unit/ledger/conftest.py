@@ -19,6 +19,7 @@ def started() -> Started:
         agent="expert",
         seed=0,
         experiments=3,
+        hours=None,
         outputs=("y",),
         lock_digest="0" * 64,
         protocol_digest="1" * 64,

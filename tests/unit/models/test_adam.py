@@ -83,6 +83,23 @@ def test_held_out_blocks_pick_the_number_of_steps() -> None:
     assert whole["w"] == pytest.approx(1.0, abs=0.1)
 
 
+def test_few_steps_are_picked_among_those_that_were_tried() -> None:
+    data = case(filtered, lengths=(100,))
+    fitted = records_of(data, 1.0)
+    held_out = replace(fitted, y=0.5 * fitted.y, weight=0.01 * fitted.weight)
+    method = Adam(10, 0.1, weight_decay=0.0, schedule="constant")
+    start = {"w": np.zeros(1, np.float32)}
+    reported: list[float] = []
+
+    def log(step: float, loss: float) -> None:
+        del loss
+        reported.append(step)
+
+    found = train_adam(Gain(), start, fitted, held_out, method, 0, log)
+    assert found["w"] == pytest.approx(0.5, abs=0.05)
+    assert reported == [*range(1, 11), *range(1, 6)]
+
+
 def test_masks_hold_out_the_fraction_all_over_the_record() -> None:
     data = case(filtered, lengths=(400, 90))
     records = scaled(data.training, Scaling.of(data.training))

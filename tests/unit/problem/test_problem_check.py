@@ -11,6 +11,7 @@ from asia.problem import Signal, Trajectory
 from asia.problem._check import check_problem
 from asia.problem._problem import Problem, Seal
 from asia.problem.load import load_problem
+from asia.protocol import make_folds
 
 
 @pytest.fixture
@@ -28,6 +29,15 @@ def test_folds_match_the_papers_ranges(tanks: Problem) -> None:
     ranges = [(h.first, h.last) for f in report.folds for h in f.held_out]
     assert ranges == [(6, 515), (516, 1024)]
     assert [f.training_samples for f in report.folds] == [509, 510]
+
+
+def test_training_samples_are_those_the_folds_train_on(tanks: Problem) -> None:
+    long = tanks.train[0]
+    # Half of 11 samples after the past window of 5: the rest of 5 is dropped, that of 6 is not.
+    problem = replace(tanks, train=(long, replace(long[:16], name="short")))
+    counted = [f.training_samples for f in check_problem(problem, Seal(None)).folds]
+    folds = make_folds(problem.train, problem.protocol)
+    assert counted == [sum(len(t) for t in fold.train) for fold in folds] == [509, 510 + 6]
 
 
 def test_bandwidth_and_order_of_a_sine(tanks: Problem) -> None:

@@ -135,6 +135,7 @@ def _started(directory: Path, problem: Problem, experiments: int) -> Started:
         agent="expert",
         seed=0,
         experiments=experiments,
+        hours=None,
         outputs=tuple(s.name for s in problem.outputs),
         lock_digest=digest,
         protocol_digest="",

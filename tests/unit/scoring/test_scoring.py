@@ -1,4 +1,5 @@
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -6,7 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.errors import CandidateError, InternalError, Reason
+from asia.problem._types import Metric
 from asia.scoring import FoldScore, Score, combine, diagnose, fit_index, score_fold, score_test
+from asia.scoring._metrics import METRICS
+
+
+def test_a_problem_may_ask_for_every_metric_and_for_no_other() -> None:
+    assert set(METRICS) == set(get_args(Metric))
 
 
 def made(seed: int, length: int = 60, channels: int = 2) -> tuple[np.ndarray, np.ndarray]:
@@ -57,11 +64,28 @@ def test_a_short_reply_is_a_failure() -> None:
 
 
 def test_a_score_that_is_not_finite_cannot_exist() -> None:
-    fold = FoldScore(math.nan, (), (), (), ())
     with pytest.raises(InternalError):
-        combine([fold])
+        FoldScore(math.nan, (), (), (), ())
+    with pytest.raises(InternalError):
+        FoldScore(1.0, (1.0,), (1.0,), (-math.inf,), (0.5,))
     with pytest.raises(InternalError):
         Score(math.inf, ())
+
+
+def test_a_held_out_output_at_rest_has_an_error_but_no_fit_index() -> None:
+    y, y_hat = made(0)
+    y[:, 1] = 3.0
+    score = combine([score_fold([y], [y_hat], np.ones(2), "rmse")])
+    assert score.folds[0].fit_index[1] is None
+    assert score.folds[0].r2[1] is None
+    assert score.folds[0].worst_fit == score.folds[0].fit_index[0]
+    assert score.folds[0].rmse[1] > 0
+
+
+def test_residuals_too_large_to_analyse_are_a_failure() -> None:
+    y, _ = made(0)
+    with pytest.raises(CandidateError):
+        diagnose([y], [y], [y + 1e99], np.full(2, 1e-120), 1.0)
 
 
 def test_test_score_is_pooled_and_skips() -> None:

@@ -1,4 +1,8 @@
 import json
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +13,8 @@ from asia.agents import Agent
 from asia.errors import Reason, UserError
 from asia.ledger import Evaluated, SearchView, open_run, verify
 from asia.problem.load import load_problem
-from asia.search import prepare, search, unseal
+from asia.scoring import Failure
+from asia.search import prepare, search, simulate, unseal
 
 from .toy import CRASH, NOISE, Scripted, arx, write_problem
 
@@ -147,6 +152,129 @@ def test_unseal_once(problem: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="unsealed"):
         go(problem, tmp_path / "runs", experiments=6)
     verify(directory)
+
+
+RUNAWAY = """
+import numpy as np
+
+
+class Model:
+    def simulate(self, past_u, past_y, u):
+        grown = np.where(np.abs(u[:, :, :1]).max() > 3.0, np.inf, 1.0)
+        return 0.0 * u[:, :, :1] * 1.0 + grown
+
+
+def fit(trajectories, context):
+    return Model()
+"""
+
+
+def test_a_winner_that_runs_away_on_the_test_is_recorded(problem: Path, tmp_path: Path) -> None:
+    table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
+    table[50, 0] = 10.0
+    np.savetxt(problem / "test.csv", table, delimiter=",", header="u,y", comments="")
+    (problem / "baseline.py").write_text(RUNAWAY)
+    go(problem, tmp_path / "runs", Scripted(()), experiments=2)
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    result = unseal(directory)
+    assert isinstance(result.record.ensemble, Failure)
+    assert result.record.ensemble.reason is Reason.NOT_FINITE
+    assert open_run(directory).state == "unsealed"
+    verify(directory)
+
+
+def test_a_changed_lock_is_refused_by_resume_and_unseal(problem: Path, tmp_path: Path) -> None:
+    go(problem, tmp_path / "runs", experiments=2)
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    lock = directory / "problem.lock.toml"
+    text = lock.read_text()
+    lock.write_text(text + "\n")
+    with pytest.raises(UserError, match="changed after the search began"):
+        unseal(directory)
+    with pytest.raises(UserError, match="changed after the search began"):
+        go(problem, tmp_path / "runs", experiments=2)
+    lock.unlink()
+    with pytest.raises(UserError, match="is missing"):
+        go(problem, tmp_path / "runs", experiments=2)
+    with pytest.raises(UserError, match="is missing"):
+        verify(directory)
+
+
+def test_the_test_counts_who_opened_it(problem: Path, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        go(problem, tmp_path / "runs", Scripted((arx(2),), name), experiments=2)
+    assert unseal(tmp_path / "runs" / "toy-first-s0").opened_before == ()
+    assert unseal(tmp_path / "runs" / "toy-second-s0").opened_before == ("toy-first-s0",)
+
+
+def test_a_saturated_search_goes_on_when_extended(problem: Path, tmp_path: Path) -> None:
+    text = (problem / "problem.toml").read_text()
+    (problem / "problem.toml").write_text(text + "patience = 1\n")
+    agent = Scripted((arx(2), CRASH, CRASH.replace("such", "more"), arx(3)))
+    first = go(problem, tmp_path / "runs", agent, experiments=4)
+    assert first.stopped is not None
+    assert first.stopped.reason == "saturated"
+    more = go(problem, tmp_path / "runs", agent, experiments=5)
+    assert len(more.finished) == len(first.finished) + 1
+
+
+def test_a_budget_cannot_shrink(problem: Path, tmp_path: Path) -> None:
+    go(problem, tmp_path / "runs", experiments=3)
+    with pytest.raises(UserError, match="can only grow"):
+        go(problem, tmp_path / "runs", experiments=2)
+
+
+def test_a_killed_refit_is_made_up_for_before_the_test_is_opened(
+    problem: Path, tmp_path: Path
+) -> None:
+    go(problem, tmp_path / "runs", experiments=2)
+    ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
+    lines = ledger.read_bytes().splitlines(keepends=True)
+    ledger.write_bytes(b"".join(lines[:-1]))
+    assert open_run(ledger.parent).state == "interrupted"
+    with pytest.raises(UserError, match="not finished"):
+        unseal(ledger.parent)
+    go(problem, tmp_path / "runs", experiments=2)
+    assert unseal(ledger.parent).record.refit is not None
+
+
+def test_the_winner_simulates(problem: Path, tmp_path: Path) -> None:
+    go(problem, tmp_path / "runs", experiments=2)
+    table = np.loadtxt(problem / "train.csv", delimiter=",", skiprows=1)
+    u, y = table[:, :1], table[:, 1:]
+    for model in ("ensemble", "refit"):
+        directory = tmp_path / "runs" / "toy-scripted-s0"
+        y_hat = simulate(directory, u[:3], y[:3], u[3:], model)
+        assert np.sqrt(np.mean((y_hat - y[3:]) ** 2)) < 0.1 * y.std()
+    with pytest.raises(UserError, match="past_y has shape"):
+        simulate(directory, u[:3], y[:2], u[3:])
+
+
+def test_a_source_that_cannot_be_parsed_is_an_invalid_experiment(
+    problem: Path, tmp_path: Path
+) -> None:
+    odd = Scripted(("def fit(:", "x = '\ud800'\ndef fit(t, c): ...", "#" * 70_000, arx(2)))
+    view = go(problem, tmp_path / "runs", odd, experiments=5)
+    statuses = [e.result.status for e in view.finished if e.result]
+    assert statuses == ["keep", "invalid", "invalid", "invalid", "keep"]
+
+
+def test_an_interrupt_ends_the_workers_at_once(problem: Path, tmp_path: Path) -> None:
+    slow = "def fit(t, c):\n    import time\n    time.sleep(19)\n"
+    (problem / "baseline.py").write_text(slow)
+    command = [Path(sys.executable).with_name("asia"), "run", problem, "--experiments", "1"]
+    process = subprocess.Popen([str(c) for c in command], cwd=tmp_path, stderr=subprocess.PIPE)
+    ledger = tmp_path / "runs" / "toy-expert-s0" / "ledger.jsonl"
+    while not ledger.is_file() or b'"proposed"' not in ledger.read_bytes():
+        assert process.poll() is None
+        time.sleep(0.1)
+    time.sleep(1.0)
+    begin = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=15)
+    assert process.returncode == 130
+    assert b"interrupted" in said
+    assert time.monotonic() - begin < 15
 
 
 def test_changed_test_data_are_not_opened(problem: Path, tmp_path: Path) -> None:
