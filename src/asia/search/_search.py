@@ -16,6 +16,7 @@ from asia.errors import CandidateError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
 from asia.executor import Executor, LocalExecutor
 from asia.ledger import Chain, Extended, SearchView, Started, Store, check_lock, replay
+from asia.problem import Budget
 from asia.problem.load import Problem, Seal, lock_differences, lock_text, protocol_digest
 from asia.protocol import make_folds
 from asia.protocol._sealed import seal
@@ -52,6 +53,7 @@ def prepare(
     other settings.
     """
     check_baseline(problem)
+    _check_budget(problem.budget)
     make_folds(problem.train, problem.protocol)
     sealed = seal(problem)
     run_name = name or f"{problem.name}-{agent_name}-s{seed}"
@@ -151,6 +153,14 @@ def check_baseline(problem: Problem) -> None:
         check_source(problem.baseline)
     except CandidateError as error:
         raise UserError(f"baseline.py of problem '{problem.name}': {error.reason.advice}") from None
+
+
+def _check_budget(budget: Budget) -> None:
+    """The file's schema checks a budget that was read; this one may come from anywhere."""
+    if budget.experiments < 1:
+        raise UserError(f"a budget of {budget.experiments} experiments: at least 1 is needed")
+    if budget.hours is not None and not budget.hours > 0:
+        raise UserError(f"a budget of {budget.hours:g} hours: more than 0 are needed")
 
 
 def _probe(wanted: Isolation | None) -> Probe:

@@ -218,6 +218,15 @@ def test_a_saturated_search_goes_on_when_extended(problem: Path, tmp_path: Path)
     assert len(more.finished) == len(first.finished) + 1
 
 
+@pytest.mark.parametrize("hours", [0.0, -1.0, float("nan")])
+def test_hours_must_be_positive(problem: Path, tmp_path: Path, hours: float) -> None:
+    loaded = load_problem(problem)
+    loaded = replace(loaded, budget=replace(loaded.budget, hours=hours))
+    with pytest.raises(UserError, match="more than 0"):
+        prepare(loaded, "expert", seed=0, runs=tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
+
+
 def test_a_budget_cannot_shrink(problem: Path, tmp_path: Path) -> None:
     go(problem, tmp_path / "runs", experiments=3)
     with pytest.raises(UserError, match="can only grow"):
