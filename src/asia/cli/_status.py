@@ -51,6 +51,8 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
         f"{opened.state}: {len(view.finished)} of {view.budget} experiments in "
         f"{duration(view.seconds)}"
     )
+    if view.unsealed is not None:
+        print(f"the test was opened: asia unseal {opened.name} shows the result again")
     for rung in view.rungs:
         print(f"rung    {rung.name:<18} V={rung_value(rung)}")
     for experiment in view.finished:
