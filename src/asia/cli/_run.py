@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 from contextlib import closing
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asia.cli._options import DEFAULT_RUNS, Json, Runs
+
+if TYPE_CHECKING:
+    from asia.sandbox import Isolation
 
 
 def register(app: typer.Typer) -> None:
@@ -41,10 +44,8 @@ def run(
     """Search for a model. The same command again resumes; more --experiments extends."""
     from asia.agents import make_agent
     from asia.cli._display import make_display
-    from asia.errors import UserError
     from asia.problem.load import load_problem
     from asia.report import write_report
-    from asia.sandbox import Isolation
     from asia.search import prepare, search
 
     chosen = make_agent(agent)
@@ -59,15 +60,22 @@ def run(
             hours=hours if hours is not None else budget.hours,
         ),
     )
-    levels = [level.value for level in Isolation]
-    if isolation is not None and isolation not in levels:
-        raise UserError(f"--isolation {isolation}: expected one of {', '.join(levels)}")
-    level = Isolation(isolation) if isolation else None
+    level = _level(isolation)
     ready = prepare(loaded, chosen.name, seed=seed, runs=runs, name=name, isolation=level)
     with closing(make_display(loaded, ready, json=json)) as display:
         view = search(ready, chosen, display.on_event, display.on_start)
         pictures = write_report(ready.directory)
         display.finish(view, pictures)
+
+
+def _level(isolation: str | None) -> Isolation | None:
+    from asia.errors import UserError
+    from asia.sandbox import Isolation
+
+    levels = [level.value for level in Isolation]
+    if isolation is not None and isolation not in levels:
+        raise UserError(f"--isolation {isolation}: expected one of {', '.join(levels)}")
+    return Isolation(isolation) if isolation else None
 
 
 def _check_name(name: str | None) -> None:

@@ -131,14 +131,13 @@ class Evaluator:
         return self._run(jobs)
 
     def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
-        """Results of the jobs; a sandbox that fails is tried once more. When interrupted, no
-        worker is left running."""
+        """Results of the jobs; a sandbox that fails is tried once more. Workers still open at the
+        end are those of an interrupted run."""
         try:
             return self._executor.run([partial(_twice, job) for job in jobs])
-        except BaseException:
+        finally:
             for worker in list(self._open):
                 worker.abort()
-            raise
 
     @contextmanager
     def _worker(self) -> Generator[Worker]:
