@@ -13,6 +13,7 @@ RUNS ?= runs
 .venv/ready-dev: .venv/ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip>=25.1'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --group dev
+	$(BIN)/pyright --version >/dev/null
 	@touch $@
 
 demo: .venv/ready
