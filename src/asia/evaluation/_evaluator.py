@@ -80,6 +80,7 @@ class Evaluator:
         self._isolation = isolation
         self._executor = executor
         self._open: set[Worker] = set()
+        self._interrupted = False
         self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
 
     def evaluate(self, source: str) -> Evaluation:
@@ -134,16 +135,27 @@ class Evaluator:
         """Results of the jobs; a sandbox that fails is tried once more. Workers still open at the
         end are those of an interrupted run."""
         try:
-            return self._executor.run([partial(_twice, job) for job in jobs])
+            return self._executor.run([partial(self._twice, job) for job in jobs])
         finally:
+            self._interrupted = bool(self._open)
             for worker in list(self._open):
                 worker.abort()
+
+    def _twice(self, job: Callable[[], T]) -> T:
+        try:
+            return job()
+        except SandboxError:
+            if self._interrupted:
+                raise
+            return job()
 
     @contextmanager
     def _worker(self) -> Generator[Worker]:
         with open_worker(self._isolation, self._limits) as worker:
             self._open.add(worker)
             try:
+                if self._interrupted:
+                    raise SandboxError("the search was interrupted")
                 yield worker
             finally:
                 self._open.discard(worker)
@@ -184,13 +196,6 @@ class Evaluator:
         with self._worker() as worker:
             worker.load(source, model, self._fold_context("load"))
             return _simulate(worker, blocks)
-
-
-def _twice(job: Callable[[], T]) -> T:
-    try:
-        return job()
-    except SandboxError:
-        return job()
 
 
 def _simulate(worker: Worker, blocks: Sequence[Block]) -> tuple[Array, ...]:

@@ -137,6 +137,7 @@ class Worker:
         """End the process from another thread: the one that uses it then sees it gone."""
         with contextlib.suppress(OSError):
             self._cell.kill()
+            self._cell.force()
 
     def close(self) -> None:
         """End the process with everything it started; may be called again. Raises SandboxError

@@ -268,10 +268,12 @@ def test_a_source_that_cannot_be_parsed_is_an_invalid_experiment(
     assert statuses == ["keep", "invalid", "invalid", "invalid", "keep"]
 
 
-def test_an_interrupt_ends_the_workers_at_once(problem: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("level", ["process", "strongest"])
+def test_an_interrupt_ends_the_workers_at_once(problem: Path, tmp_path: Path, level: str) -> None:
     slow = "def fit(t, c):\n    import time\n    time.sleep(19)\n"
     (problem / "baseline.py").write_text(slow)
     command = [Path(sys.executable).with_name("asia"), "run", problem, "--experiments", "1"]
+    command += ["--isolation", level] if level == "process" else []
     process = subprocess.Popen([str(c) for c in command], cwd=tmp_path, stderr=subprocess.PIPE)
     ledger = tmp_path / "runs" / "toy-expert-s0" / "ledger.jsonl"
     while not ledger.is_file() or b'"proposed"' not in ledger.read_bytes():
