@@ -1,6 +1,7 @@
 """The command line: parse, call the library, exit code. One file a command.
 
-Exit codes: 0 done; 1 a bug or a broken sandbox; 2 something the user can mend; 130 interrupted.
+Exit codes: 0 done; 1 a bug or a broken sandbox; 2 something the user can mend; 3 a search whose
+candidates all failed; 130 interrupted.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -30,7 +31,17 @@ def check(
     check_baseline(loaded)
     for line in check_problem(loaded, seal(loaded)).lines():
         print(line)
-    if draw:
-        for path in draw_problem(loaded, Path(runs) / "check" / loaded.name):
-            if path.suffix == ".png":
-                print(f"picture  {path}")
+    if not draw:
+        return
+    try:
+        pictures = draw_problem(loaded, Path(runs) / "check" / loaded.name)
+    except OSError as error:
+        print(
+            f"note: could not draw into {runs}: {error.strerror or error}; "
+            "give --runs DIR or set ASIA_RUNS",
+            file=sys.stderr,
+        )
+        return
+    for path in pictures:
+        if path.suffix == ".png":
+            print(f"picture  {path}")

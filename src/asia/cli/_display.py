@@ -18,6 +18,7 @@ from asia.cli._format import (
     duration,
     event_object,
     experiment_line,
+    last_line,
     rung_value,
     stop_words,
 )
@@ -33,6 +34,7 @@ from asia.ledger import (
     error_value,
 )
 from asia.problem.load import Problem
+from asia.scoring import Failure
 from asia.search import Prepared
 
 STYLES = {"keep": "bold green", "discard": "dim", "crash": "red", "timeout": "yellow"}
@@ -156,7 +158,7 @@ class TextDisplay:
         if view.stopped is not None:
             self._print(f"stopped  {stop_words(view.stopped.reason, view)}")
         if best is None or best.score is None:
-            self._print("best     none: every candidate failed; asia show says why")
+            self._print("best     none: every candidate failed")
         else:
             folds = ", ".join(error_value(f.value) for f in best.score.folds)
             self._print(
@@ -176,6 +178,9 @@ class TextDisplay:
             )
         show, unseal = f"asia show {run}", f"asia unseal {run}"
         width = len(unseal) + 4
+        if best is None:
+            self._print(f"next     {show:<{width}}why the last candidate failed")
+            return
         self._print(f"next     {show:<{width}}the winner: source, folds, evidence")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
@@ -195,10 +200,14 @@ class TextDisplay:
         assert experiment.result is not None
         status = experiment.result.status
         self._print(experiment_line(experiment, view), style=STYLES.get(status, "magenta"))
+        if experiment.failure is not None:
+            self._print(f"    {last_line(experiment.failure)}", style="dim")
 
     def _rung(self, rung: RungScored) -> None:
         note = "   the noise floor" if rung.name == TRUTH else ""
         self._print(f"rung    {rung.name:<18} V={rung_value(rung)}{note}", style="cyan")
+        if isinstance(rung.outcome, Failure):
+            self._print(f"        {last_line(rung.outcome)}", style="dim")
 
     def _foot(self, view: SearchView) -> None:
         if self.footer is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from asia.ledger import Evaluated, Event, Experiment, RungScored, SearchView, error_value
-from asia.scoring import Score
+from asia.scoring import Failure, Score
 
 
 def duration(seconds: float) -> str:
@@ -24,25 +24,31 @@ def rung_value(rung: RungScored) -> str:
     return error_value(outcome.value) if isinstance(outcome, Score) else outcome.reason.value
 
 
+def last_line(failure: Failure) -> str:
+    """The end of what a failure said, or its advice."""
+    lines = failure.detail.strip().splitlines()
+    return lines[-1].strip()[:160] if lines else failure.advice
+
+
 def experiment_line(experiment: Experiment, view: SearchView) -> str:
-    """`#07 keep  V=0.1310 ... | best #07 0.1310`: one greppable line that ends with the
-    incumbent at that time."""
+    """`#07 keep  V=0.1310  min fit 87.2 % ... | best #07 0.1310`: one greppable line, with the
+    lowest fit index over folds and outputs, that ends with the incumbent at that time."""
     r = experiment.result
     assert r is not None
     if experiment.score:
         fits = [f.worst_fit for f in experiment.score.folds if f.worst_fit is not None]
         worst = min(fits, default=None)
         fit = "   -  " if worst is None else f"{worst:5.1f} %" if worst > -999 else "<-999 %"
-        found = f"V={error_value(experiment.score.value)}  fit {fit}"
+        found = f"V={error_value(experiment.score.value)}  min fit {fit}"
     else:
-        found = f"{r.outcome.reason.value if not isinstance(r.outcome, Score) else '':<20}"
+        found = f"{r.outcome.reason.value if not isinstance(r.outcome, Score) else '':<24}"
     best = incumbent_at(experiment.number, view)
     tail = "best none"
     if best and best.score:
         tail = f"best #{best.number:02d} {error_value(best.score.value)}"
     title = experiment.proposed.title
     return (
-        f"#{experiment.number:02d} {r.status:<8}{found:<22}  {duration(r.seconds):>6}  "
+        f"#{experiment.number:02d} {r.status:<8}{found:<25}  {duration(r.seconds):>6}  "
         f"{title:<44} | {tail}"
     )
 

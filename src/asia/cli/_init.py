@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from asia.errors import UserError
 
 SEAL_FRACTION = 0.2
 LISTS = ("--train", "--test", "--inputs", "--outputs")
@@ -22,7 +25,7 @@ def init(
     train: Annotated[list[Path], typer.Option(help="Training records, CSV with a header row.")],
     inputs: Annotated[list[str], typer.Option(help="Input columns.")],
     outputs: Annotated[list[str], typer.Option(help="Output columns.")],
-    sampling_time: Annotated[float, typer.Option(min=0.0, help="Sampling time in seconds.")],
+    sampling_time: Annotated[float, typer.Option(help="Sampling time in seconds, above 0.")],
     test: Annotated[list[Path] | None, typer.Option(help="Test records, sealed.")] = None,
     seal: Annotated[
         bool | None,
@@ -35,6 +38,10 @@ def init(
     """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y ..."""
     from asia.problem.load import init_problem
 
+    if not 0 < sampling_time < inf:
+        raise UserError(
+            f"--sampling-time is {sampling_time:g}: expected a number of seconds above 0"
+        )
     if not test and seal is None and sys.stdin.isatty():
         seal = typer.confirm(
             "No --test given. Seal the last 20 % of each record as the test?", default=True

@@ -11,6 +11,8 @@ import typer
 
 from asia.cli._options import DEFAULT_RUNS, Json, Runs
 
+NOTHING_FOUND = 3
+
 if TYPE_CHECKING:
     from asia.sandbox import Isolation
 
@@ -41,7 +43,10 @@ def run(
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Search for a model. The same command again resumes; more --experiments extends."""
+    """Search for a model. The same command again resumes; more --experiments extends.
+
+    Exit code 3: the search is finished and no candidate has a score.
+    """
     from asia.agents import make_agent
     from asia.cli._display import make_display
     from asia.problem.load import load_problem
@@ -66,6 +71,8 @@ def run(
         view = search(ready, chosen, display.on_event, display.on_start)
         pictures = write_report(ready.directory)
         display.finish(view, pictures)
+    if view.best is None:
+        raise typer.Exit(NOTHING_FOUND)
 
 
 def _level(isolation: str | None) -> Isolation | None:

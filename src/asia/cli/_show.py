@@ -28,7 +28,10 @@ def split_arguments(words: list[str], numbers: int) -> tuple[str | None, list[in
 def show(
     words: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[RUN] [N]", help="Run (newest) and experiment (the best)."),
+        typer.Argument(
+            metavar="[RUN] [N]",
+            help="Run (newest) and experiment (the best, or the last while none has a score).",
+        ),
     ] = None,
     source: Annotated[bool, typer.Option("--source", help="Print candidate.py alone.")] = False,
     runs: Runs = DEFAULT_RUNS,
@@ -42,11 +45,11 @@ def show(
 
     name, numbers = split_arguments(words or [], 1)
     opened = open_run(find_run(runs, name))
-    best = opened.view.best
-    if not numbers and best is None:
-        raise UserError("no experiment has a score yet; name one: asia show [RUN] N")
-    number = numbers[0] if numbers else best.number if best else 1
-    experiment = opened.view.experiment(number)
+    view = opened.view
+    if not view.experiments:
+        raise UserError(f"run '{opened.name}' has no experiment yet")
+    shown = view.best or view.experiments[-1]
+    experiment = view.experiment(numbers[0]) if numbers else shown
     text = opened.store.text(experiment.proposed.source)
     if source:
         print(text, end="")

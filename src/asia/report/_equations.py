@@ -76,7 +76,7 @@ def typeset(text: str) -> str:
     with sympy.evaluate(False):
         formula = _flat(sympy.sympify(expression.evaluate(values, _FUNCTIONS)))
     names = {symbol: _symbol(name) for name, symbol in values.items()}
-    text = str(latex(formula, order="none", full_prec=False, symbol_names=names))
+    text = str(latex(formula, order="none", full_prec=False, symbol_names=names, mul_symbol=r"\,"))
     return _WHOLE_FLOAT.sub(r"\1", text)
 
 

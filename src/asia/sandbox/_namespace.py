@@ -75,12 +75,14 @@ def open_cell(limits: Limits) -> Cell:
     ends = parent_ends(process, pipes)
     try:
         init = _process_one(info)
-    except SandboxError as error:
+    except BaseException as error:
         said = _last_words(ends.output)
         process.kill()
         process.wait()
         for fd in (ends.requests, ends.replies, ends.output):
             os.close(fd)
+        if not isinstance(error, SandboxError):
+            raise
         raise SandboxError(f"bubblewrap did not start: {said or error}") from error
     finally:
         os.close(info)

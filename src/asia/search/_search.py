@@ -201,12 +201,16 @@ def _check_same_search(view: SearchView, wanted: Started) -> None:
             raise UserError(
                 f"run '{start.run}' has {what} {there}, not {now}: choose another --name"
             )
-    if wanted.experiments < view.budget or _hours(wanted.hours) < _hours(view.hours):
-        raise UserError(
-            f"run '{start.run}' has a budget of {view.budget} experiments and "
-            f"{_hours(view.hours):g} hours, which can only grow: ask for at least that, or choose "
-            "another --name"
-        )
+    for what, there, now in (
+        ("experiments", view.budget, wanted.experiments),
+        ("hours", _hours(view.hours), _hours(wanted.hours)),
+    ):
+        if now < there:
+            has = f"{there:g} {what}" if math.isfinite(there) else f"no limit of {what}"
+            raise UserError(
+                f"run '{start.run}' has {has}, and a budget can only grow: ask for at least that, "
+                "or choose another --name"
+            )
     grows = wanted.experiments > view.budget or _hours(wanted.hours) > _hours(view.hours)
     if view.unsealing and grows:
         raise UserError(

@@ -5,13 +5,13 @@ from asia.report._style import drawing
 
 
 def test_terms_stay_in_the_order_the_person_wrote() -> None:
-    assert typeset("-k1*sqrt(x1) + k4*u") == r"- k_{1} \sqrt{x_{1}} + k_{4} u"
-    assert typeset("2*x/(1 + a_b)") == r"\frac{2 x}{1 + a_{b}}"
-    assert typeset("pump_voltage*omega") == r"\mathrm{pump\_voltage} \omega"
+    assert typeset("-k1*sqrt(x1) + k4*u") == r"- k_{1}\,\sqrt{x_{1}} + k_{4}\,u"
+    assert typeset("2*x/(1 + a_b)") == r"\frac{2\,x}{1 + a_{b}}"
+    assert typeset("pump_voltage*omega") == r"\mathrm{pump\_voltage}\,\omega"
 
 
 def test_names_that_mean_something_to_sympy_are_only_names() -> None:
-    assert typeset("N + S + Q + beta*I") == r"N + S + Q + \beta I"
+    assert typeset("N + S + Q + beta*I") == r"N + S + Q + \beta\,I"
 
 
 def test_every_function_of_the_table_is_drawn() -> None:
