@@ -23,12 +23,14 @@ def check(
 ) -> None:
     """Print what was understood of a problem, and draw its data."""
     from asia.problem.load import check_problem, load_problem
+    from asia.protocol import make_folds
     from asia.protocol._sealed import seal
     from asia.report import draw_problem
     from asia.search import check_baseline
 
     loaded = load_problem(problem)
     check_baseline(loaded)
+    make_folds(loaded.train, loaded.protocol)
     for line in check_problem(loaded, seal(loaded)).lines():
         print(line)
     if not draw:

@@ -12,13 +12,14 @@ import numpy as np
 from asia.problem._blocks import blocks, rests
 from asia.problem._digest import data_digest, protocol_digest
 from asia.problem._problem import Problem, Seal
-from asia.problem._types import Array, Signal, Trajectory
+from asia.problem._types import Array, ProtocolRule, Signal, Trajectory
 
 _ORDER = 50
 _ORDER_SAMPLES = 10_000
 _STUCK = 0.01
 _OVERSAMPLED = 0.005
 _TOGETHER = 0.999
+_FEW_SCORED = 50
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,11 @@ class SignalCheck:
     bandwidth: float
     bandwidth_share: float
     excitation_order: int
+
+    @property
+    def constant(self) -> bool:
+        """Whether it never moves; std may be above 0 by rounding."""
+        return self.minimum == self.maximum
 
 
 @dataclass(frozen=True)
@@ -98,7 +104,7 @@ class CheckReport:
             *(_fold_line(f) for f in self.folds),
             f"past window: {past}; metric {rule.metric}, normalised; "
             f"protocol {self.protocol_sha256[:12]}",
-            *_seal_lines(self.seal, rule.test.skip),
+            *_seal_lines(self.seal, rule),
             f"physics: {self.physics or 'none'}",
             f"baseline: {'baseline.py' if p.baseline else 'none'}",
             *(f"warning: {w}" for w in self.warnings),
@@ -196,6 +202,12 @@ def _doubts(problem: Problem, seal: Seal, signals: Sequence[SignalCheck]) -> lis
         doubts.append("past_outputs is 0: a model cannot know the state it starts from")
     if seal.sha256 is None:
         doubts.append("there is no test data: the winner cannot be judged on unseen records")
+    doubts += [
+        f"test record '{name}' has {scored} samples to score, after the past window and "
+        f"protocol.test.skip: fewer than {_FEW_SCORED} tell little of a model"
+        for name, scored in zip(seal.names, _scored(seal, problem.protocol), strict=True)
+        if scored < _FEW_SCORED
+    ]
     if seal.shared_samples:
         doubts.append(
             f"{seal.shared_samples} test samples also occur, in runs of ten or more, in the "
@@ -206,7 +218,7 @@ def _doubts(problem: Problem, seal: Seal, signals: Sequence[SignalCheck]) -> lis
 
 def _signal_doubts(check: SignalCheck) -> list[str]:
     name = f"{check.role} {check.signal.name}"
-    if check.std == 0:
+    if check.constant:
         return [f"{name} is constant: nothing can be learned from it"]
     doubts: list[str] = []
     if check.role == "output":
@@ -244,7 +256,13 @@ def _inputs_together(inputs: Sequence[Signal], train: Sequence[Trajectory]) -> l
     ]
 
 
+def _scored(seal: Seal, rule: ProtocolRule) -> tuple[int, ...]:
+    return tuple(max(length - rule.past - rule.test.skip, 0) for length in seal.lengths)
+
+
 def _signal_line(s: SignalCheck) -> str:
+    if s.constant:
+        return f"{s.role} {s.signal.label}: constant at {s.minimum:.4g}"
     at_least = ">= " if s.excitation_order == _ORDER else ""
     order = f", practical excitation order {at_least}{s.excitation_order}"
     return (
@@ -260,12 +278,14 @@ def _fold_line(fold: FoldCheck) -> str:
     return f"fold {fold.number}: holds out {parts}; trains on {fold.training_samples} samples"
 
 
-def _seal_lines(seal: Seal, skip: int) -> list[str]:
+def _seal_lines(seal: Seal, rule: ProtocolRule) -> list[str]:
     if seal.sha256 is None:
         return ["test: none"]
-    pairs = zip(seal.names, seal.lengths, strict=True)
-    records = ", ".join(f"{name} ({length} samples)" for name, length in pairs)
+    sizes = zip(seal.names, seal.lengths, _scored(seal, rule), strict=True)
+    records = ", ".join(
+        f"{name} ({length} samples, {scored} scored)" for name, length, scored in sizes
+    )
     return [
-        f"test, sealed: {records}; {skip} samples after the past window are skipped; "
+        f"test, sealed: {records}; {rule.test.skip} samples after the past window are skipped; "
         f"sha256 {seal.sha256[:12]}"
     ]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from asia.errors import UserError
-from asia.problem._nearest import nearest
+from asia.problem._nearest import suggestion
 from asia.problem._types import Array, Trajectory
 
 _DELIMITERS = (",", ";", "\t")
@@ -126,10 +126,20 @@ def _index(file: _File, name: str) -> int:
         return file.columns.index(name)
     if count > 1:
         raise UserError(f"{file.path}: {count} columns are named '{name}', rename all but one")
+    if _has_numbers_for_header(file):
+        raise UserError(
+            f"{file.path}: the first row holds numbers: add a header row with the column names"
+        )
     known = [column for column in file.columns if column]
     raise UserError(
-        f"{file.path} has no column '{name}' (it has {', '.join(known)}){nearest(name, known)}"
+        f"{file.path} has no column '{name}' (it has {', '.join(known)}){suggestion(name, known)}"
     )
+
+
+def _has_numbers_for_header(file: _File) -> bool:
+    # The delimiter was guessed from names: among numbers it may be taken for a decimal comma.
+    layouts = ((d, [c for c in _cells(file.header, d) if c]) for d in _DELIMITERS)
+    return any(cells and all(_doubt(c, d) is None for c in cells) for d, cells in layouts)
 
 
 def _numbers(file: _File, columns: Sequence[int]) -> Array:

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from asia.errors import UserError
 from asia.problem._lock import check_digests
-from asia.problem._nearest import nearest
+from asia.problem._nearest import suggestion
 from asia.problem._physics import check_physics
 from asia.problem._problem import CsvSource, DataSource, Problem, TestSource
 from asia.problem._schema import DataTable, LockFile, ProblemFile, ProblemTables
 from asia.problem._sources import Channels, parse_source, read_records
 from asia.problem._toml import read_table
-from asia.problem._types import ProtocolRule, Trajectory
+from asia.problem._types import ProtocolRule, Signal, Trajectory
 
 _FILE = "problem.toml"
 _LEAST_BEYOND_PAST = 10
@@ -81,7 +81,7 @@ def _find(name_or_path: str | Path) -> Path:
     known = builtin_problems()
     raise UserError(
         f"no problem '{name_or_path}': expected a directory with {_FILE} or a built-in name "
-        f"({', '.join(known)}){nearest(str(name_or_path), known)}"
+        f"({', '.join(known)}){suggestion(str(name_or_path), known)}"
     )
 
 
@@ -119,6 +119,7 @@ def _assemble(file: ProblemTables, root: Path, texts: _Texts, test_sha256: str |
     data, test = _data(file.data, root)
     records = read_records(data, "train", channels)
     require_length(records.trajectories, rule)
+    _require_motion(records.trajectories, channels.outputs)
     return Problem(
         name=texts.name,
         description=texts.description,
@@ -174,4 +175,14 @@ def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> No
                 f"record '{t.name}' has {len(t)} samples, but {count} folds with a past window of "
                 f"{rule.past} need at least {least}: use fewer folds, a shorter past window or a "
                 "longer record"
+            )
+
+
+def _require_motion(trajectories: Sequence[Trajectory], outputs: Sequence[Signal]) -> None:
+    for index, signal in enumerate(outputs):
+        value = float(trajectories[0].y[0, index])
+        if all((t.y[:, index] == value).all() for t in trajectories):
+            raise UserError(
+                f"output '{signal.name}' is {value:g} in every training sample: there is nothing "
+                "to identify; name another column or bring records in which it moves"
             )

@@ -103,11 +103,12 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
 def _scale(train: Sequence[Trajectory], index: int) -> Array:
     if not train:
         raise UserError(f"fold {index + 1} has no training record longer than the past window")
-    scale = np.concatenate([t.y for t in train]).std(axis=0)
-    if not (scale > 0).all():
-        channel = int(np.argmin(scale > 0)) + 1
+    y = np.concatenate([t.y for t in train])
+    moves = y.max(axis=0) > y.min(axis=0)
+    if not moves.all():
+        channel = int(np.argmin(moves)) + 1
         raise UserError(
             f"output {channel} is constant over the training samples of fold {index + 1}: "
             "its error cannot be normalised; leave the channel out or use fewer folds"
         )
-    return scale
+    return y.std(axis=0)

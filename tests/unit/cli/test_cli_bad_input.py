@@ -55,6 +55,11 @@ def not_a_number(rows: list[str]) -> list[str]:
     return [*rows[:9], "nan," + rows[9].split(",")[1], *rows[10:]]
 
 
+def without_header(problem: Path) -> None:
+    rows = (problem / "train.csv").read_text().splitlines()[1:]
+    (problem / "train.csv").write_text("\n".join(rows) + "\n")
+
+
 def replaced_by_directory(problem: Path) -> None:
     (problem / "train.csv").unlink()
     (problem / "train.csv").mkdir()
@@ -69,6 +74,15 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "NaN in the test": (in_rows(not_a_number, "test.csv"), ("test.csv", "line 11", "'u'")),
     "too few samples": (in_rows(lambda rows: rows[:20]), ("20 samples", "at least 29")),
     "too short a test": (in_rows(lambda rows: rows[:3], "test.csv"), ("test", "3 samples")),
+    "test left out": (
+        in_toml("past_outputs = 3\n", "past_outputs = 3\ntest = { skip = 117 }\n"),
+        ("test record 'test' has 120 samples", "leave out 120"),
+    ),
+    "constant output": (
+        in_rows(lambda rows: [row.split(",")[0] + ",0.1" for row in rows]),
+        ("output 'y' is 0.1 in every training sample",),
+    ),
+    "no header": (without_header, ("train.csv", "the first row holds numbers")),
     "no such file": (lambda p: (p / "train.csv").unlink(), ("no such file", "train.csv")),
     "no such test": (lambda p: (p / "test.csv").unlink(), ("no such file", "test.csv")),
     "not a file": (replaced_by_directory, ("cannot read", "train.csv")),

@@ -57,7 +57,7 @@ def test_named_test_is_sealed(data: tuple[str, str], asia: Asia) -> None:
     done = asia("init", "new", "--train", data[0], "--test", data[1], *SIGNALS)
     assert done.code == 0, done.err
     assert "no test data" not in done.out
-    assert "test (120 samples)" in asia("check", "new", "--no-draw").out
+    assert "test (120 samples, 110 scored)" in asia("check", "new", "--no-draw").out
 
 
 def test_last_fifth_is_sealed(data: tuple[str, str], asia: Asia, tmp_path: Path) -> None:
@@ -70,6 +70,20 @@ def test_last_fifth_is_sealed(data: tuple[str, str], asia: Asia, tmp_path: Path)
     assert kept == rows[:192]
     assert sealed == rows[192:]
     assert len(load_problem("new").train[0]) == 192
+
+
+@pytest.mark.parametrize("value", ["0", "-60", "nan", "inf"])
+def test_bad_sampling_time_is_refused_first(problem: Path, asia: Asia, value: str) -> None:
+    signals = ("--inputs", "u", "--outputs", "y", "--sampling-time", value)
+    done = asia("init", "new", "--train", "missing.csv", "--no-seal", *signals)
+    assert done.code == 2
+    assert done.err == f"asia: --sampling-time is {value}: expected a number of seconds above 0\n"
+
+
+def test_help_of_sampling_time_states_no_wrong_range(asia: Asia) -> None:
+    text = asia("init", "--help").out
+    assert "x>=0" not in text
+    assert "above 0" in text
 
 
 def test_nothing_is_overwritten(data: tuple[str, str], asia: Asia, problem: Path) -> None:

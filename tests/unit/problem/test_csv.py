@@ -91,6 +91,25 @@ def test_bad_files(tmp_path: Path, text: str | bytes, expected: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["1,2\n3,4\n", "0,5;1,2\n1,5;2,2\n", "1e-3\t-2\n3\t4\n"])
+def test_missing_header(tmp_path: Path, text: str) -> None:
+    with pytest.raises(UserError) as caught:
+        read(tmp_path / "a.csv", text)
+    assert str(caught.value).endswith(
+        "the first row holds numbers: add a header row with the column names"
+    )
+
+
+def test_numbers_may_be_names(tmp_path: Path) -> None:
+    assert read(tmp_path / "a.csv", "1,2\n3,4\n", "1", "2").tolist() == [[3.0, 4.0]]
+
+
+def test_known_columns_are_listed_once(tmp_path: Path) -> None:
+    with pytest.raises(UserError) as caught:
+        read(tmp_path / "a.csv", "force,speed\n1,2\n")
+    assert str(caught.value).endswith("has no column 'u' (it has force, speed)")
+
+
 def test_unreadable_file(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no such file"):
         read_csv(tmp_path / "a.csv", ["u"], ["y"], 1.0)

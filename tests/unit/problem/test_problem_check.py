@@ -65,7 +65,7 @@ def test_doubts_are_said(tanks: Problem) -> None:
     u[:, 2] = 1.0
     y = np.clip(random.standard_normal((1000, 1)), -9, 1)
     problem = replace(with_signals(tanks, u, y), description=" ", warnings=("clock",))
-    report = check_problem(problem, Seal("0" * 64, ("t",), (5,), shared_samples=7))
+    report = check_problem(problem, Seal("0" * 64, ("t",), (1024,), shared_samples=7))
     text = "\n".join(report.warnings)
     for expected in (
         "clock",
@@ -77,6 +77,27 @@ def test_doubts_are_said(tanks: Problem) -> None:
     ):
         assert expected in text
     assert len(report.warnings) == 6
+
+
+def test_constant_signal_has_no_shares(tanks: Problem) -> None:
+    y = np.random.default_rng(0).standard_normal((1000, 1))
+    # The mean of many 0.1 is not 0.1: such a signal has a standard deviation above 0.
+    report = check_problem(with_signals(tanks, np.full((1000, 1), 0.1), y), Seal(None))
+    line = next(line for line in report.lines() if line.startswith("input u0"))
+    assert line == "input u0: constant at 0.1"
+    assert "input u0 is constant: nothing can be learned from it" in report.warnings
+
+
+def test_few_scored_test_samples_are_said(tanks: Problem) -> None:
+    beyond = tanks.protocol.past + tanks.protocol.test.skip
+    seal = Seal("0" * 64, ("short", "enough"), (beyond + 49, beyond + 50))
+    report = check_problem(tanks, seal)
+    doubts = [w for w in report.warnings if w.startswith("test record")]
+    assert len(doubts) == 1
+    assert "'short' has 49 samples to score" in doubts[0]
+    text = "\n".join(report.lines())
+    assert f"short ({beyond + 49} samples, 49 scored)" in text
+    assert f"enough ({beyond + 50} samples, 50 scored)" in text
 
 
 def test_slow_output_is_said(tanks: Problem) -> None:
@@ -98,7 +119,7 @@ def test_lines_name_everything(
         "1024 samples, 4096 s",
         "missing values: none",
         "fold 2: holds out two_tanks_train 516-1024",
-        "test, sealed: two_tanks_test (1024 samples); 45 samples",
+        "test, sealed: two_tanks_test (1024 samples, 974 scored); 45 samples",
         "sha256 abababababab",
         "2 states (x1, x2), 4 parameters to fit",
     ):

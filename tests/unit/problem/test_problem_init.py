@@ -116,6 +116,33 @@ def test_too_short_record_writes_nothing(data: Path, record: Record) -> None:
     assert not (data / "mine").exists()
 
 
+def test_test_record_that_cannot_be_scored_writes_nothing(data: Path, record: Record) -> None:
+    (data / "c.csv").write_text(record(10, 2))
+    with pytest.raises(UserError, match="test record 'c' has 10 samples"):
+        make(data)
+    assert not (data / "mine").exists()
+
+
+def test_constant_output_writes_nothing(data: Path) -> None:
+    for name in ("a", "b"):
+        path = data / f"{name}.csv"
+        header, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([header, *(r.rpartition(",")[0] + ",0.1" for r in rows), ""]))
+    with pytest.raises(UserError, match=r"output 'y' is 0\.1 in every training sample"):
+        make(data)
+    assert not (data / "mine").exists()
+
+
+def test_output_that_differs_between_records_moves(data: Path) -> None:
+    for name, value in (("a", "1"), ("b", "2")):
+        path = data / f"{name}.csv"
+        header, *rows = path.read_text().splitlines()
+        path.write_text(
+            "\n".join([header, *(r.rpartition(",")[0] + f",{value}" for r in rows), ""])
+        )
+    assert len(load_problem(make(data)).train) == 2
+
+
 def test_nothing_is_overwritten(data: Path) -> None:
     path = make(data)
     path.write_text("precious")
