@@ -1,6 +1,8 @@
 """Every model family: fit, bytes, fresh worker, bitwise the same simulation; a second fit too."""
 
 import pkgutil
+import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,4 +79,17 @@ def test_a_model_comes_back_and_is_fitted_again_bitwise_the_same(row, record, co
     with open_worker(level, limits) as again:
         again.fit(source, [record], context)
         np.testing.assert_array_equal(again.simulate(*cases), y)
+    assert np.std(y) > 0
+
+
+@pytest.mark.parametrize("row", FAMILIES, ids=lambda row: row.name)
+def test_unequal_records_and_past_windows_of_unequal_length(row, record, context):
+    context = replace(context, n_past_u=2, n_past_y=6)
+    records = [record[:120], record[120:]]
+    module = types.ModuleType(row.name)
+    exec(quick_source(row, record, context), module.__dict__)
+    model = module.fit(records, context)
+    y = model.simulate(record.u[None, 4:6], record.y[None, :6], record.u[None, 6:])
+    assert y.shape == (1, len(record) - 6, 1)
+    assert np.isfinite(y).all()
     assert np.std(y) > 0

@@ -99,14 +99,18 @@ def _marks(method: Adam) -> list[int]:
 def _on_device(batch: Batch, method: Adam) -> Data:
     starts = np.asarray(batch.starts, np.int32)
     lengths = np.asarray(batch.lengths)
+    rows = np.flatnonzero(starts[:, 1] == 0)
     if method.truncation is not None:
-        fits = starts[:, 1] + method.truncation <= lengths[starts[:, 0]]
-        keep = fits if fits.any() else starts[:, 1] == 0
-    else:
-        keep = starts[:, 1] == 0
-    arrays = (batch.window, batch.u, batch.y, batch.weight, batch.start_windows[keep])
+        own = lengths[starts[:, 0]]
+        fits = starts[:, 1] + method.truncation <= own
+        if fits.any():
+            # A record shorter than a chunk is one whole, as often as it has samples.
+            whole = own < method.truncation
+            index = np.arange(len(starts))
+            rows = np.where(whole, index - starts[:, 1], index)[fits | whole]
+    arrays = (batch.window, batch.u, batch.y, batch.weight, batch.start_windows[rows])
     window, u, y, weight, windows = (jnp.asarray(a, jnp.float32) for a in arrays)
-    return Data(window, u, y, weight, windows, jnp.asarray(starts[keep]))
+    return Data(window, u, y, weight, windows, jnp.asarray(starts[rows]))
 
 
 def _optimiser(method: Adam) -> optax.GradientTransformation:

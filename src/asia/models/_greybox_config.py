@@ -116,6 +116,12 @@ class Structure:
         """Samples before the first simulated one."""
         return max(self.n_past_u, self.n_past_y)
 
+    @property
+    def n_fit(self) -> int:
+        """Samples before the first simulated one over which the state is fitted: those whose
+        inputs are known, and without past inputs the newest output."""
+        return max(self.n_past_u, min(self.n_past_y, 1))
+
     @cached_property
     def layout(self) -> Layout:
         """Where each part lies in the vector of coordinates."""

@@ -182,7 +182,8 @@ def _finish(
     y, x = (np.asarray(part[0]) for part in simulated)
     inside = segments.mask > 0
     low, high = x[inside].min(axis=0), x[inside].max(axis=0)
-    span = np.maximum(high - low, 1e-6 + 1e-3 * np.abs(high))
+    rest = np.maximum(1e-3 * np.abs(high), 1e-6 * np.asarray(scales.x_scale))
+    span = np.maximum(high - low, rest)
     scales = scales._replace(low=low - 10.0 * span, high=high + 10.0 * span)
     deviation = _deviation(structure, (y - segments.y)[inside])
     deviation = np.maximum(deviation, 1e-3 * np.asarray(scales.y_scale))

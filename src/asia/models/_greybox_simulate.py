@@ -37,7 +37,7 @@ class Scales(NamedTuple):
 
 
 class WindowPrior(NamedTuple):
-    """What training says of the state at the start of a past window.
+    """What training says of the state `n_fit` samples before the first simulated one.
 
     mean (nx, 1 + n_past_u nu + n_past_y ny): linear map from the window's normalised samples to
     the state; x_deviation (nx,): its error; y_center, y_deviation (ny,): mean of the outputs and
@@ -206,18 +206,13 @@ def window_features(
     )
 
 
-def _front(past: jax.Array, u: jax.Array, length: int) -> jax.Array:
-    """past (n, nu) made `length` long by holding its first sample, or the first future one."""
-    first = past[:1] if past.shape[0] else u[:1]
-    return jnp.concatenate([jnp.repeat(first, length - past.shape[0], axis=0), past])
-
-
 @lru_cache(maxsize=64)
 def simulator(structure: Structure) -> Any:
     """Compiled simulate: (z, scales, prior, past_u, past_y, u), batch first -> y_hat.
 
-    The state at the start of the past window is the most probable one given the window: its
-    outputs, weighted by the model's simulation error, and the prior from training.
+    The state `n_fit` samples before the first simulated one is the most probable one given the
+    outputs from there on, weighted by the model's simulation error, and the prior from training,
+    which has seen the whole past window. Without past inputs the first future one is held back.
     """
 
     def one(
@@ -228,14 +223,15 @@ def simulator(structure: Structure) -> Any:
         past_y: jax.Array,
         u: jax.Array,
     ) -> jax.Array:
-        n_past = structure.n_past
-        whole = jnp.concatenate([_front(past_u, u, n_past), u])
+        n_fit = structure.n_fit
+        recent = past_y[max(structure.n_past_y - n_fit, 0) :]
+        whole = jnp.concatenate([u[: n_fit - structure.n_past_u], past_u, u])
         expected = prior.mean @ window_features(scales, prior, past_u, past_y)
 
         def residual(shift: jax.Array) -> jax.Array:
             x0 = expected + prior.x_deviation * shift
-            y, _ = simulate_states(structure, scales, z, x0, whole[:n_past])
-            error = (y[n_past - structure.n_past_y :] - past_y) / prior.y_deviation
+            y, _ = simulate_states(structure, scales, z, x0, whole[:n_fit])
+            error = (y[n_fit - recent.shape[0] :] - recent) / prior.y_deviation
             return jnp.concatenate([error.ravel(), shift])
 
         shift = jnp.zeros(structure.nx)
@@ -243,6 +239,6 @@ def simulator(structure: Structure) -> Any:
             shift = levenberg_marquardt(residual, shift, _WINDOW_METHOD).theta
         x0 = expected + prior.x_deviation * shift
         y, _ = simulate_states(structure, scales, z, x0, whole)
-        return y[n_past:]
+        return y[n_fit:]
 
     return jax.jit(jax.vmap(one, in_axes=(None, None, None, 0, 0, 0)))

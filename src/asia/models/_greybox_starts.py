@@ -25,7 +25,10 @@ _MOST_SCREENED_VALUES = 20_000_000
 _MOST_INITIAL_STATES = 240
 # Of the width of a parameter's range, where 2 spans it.
 _SPREAD_OF_PARAMETERS = 0.3
-_OPEN = 1e9
+# Beyond any state in any unit, and sums of its squares are still numbers.
+_OPEN = 1e100
+# A start this many times as lively as the median one has run away.
+_RUNAWAY = 1e6
 
 
 class Segments(NamedTuple):
@@ -164,7 +167,8 @@ def _ranking(structure: Structure, segments: Segments, starts: Starts) -> NDArra
     """Starts from the smallest simulation error to the greatest."""
     outputs = simulate_many(structure)(starts.z, starts.scales, starts.x_guess, segments.u)[0]
     error = (np.asarray(outputs) - segments.y) / starts.scales.y_scale[0]
-    cost = (error**2 * segments.mask[:, :, None]).sum(axis=(1, 2, 3))
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = (error**2 * segments.mask[:, :, None]).sum(axis=(1, 2, 3))
     return np.argsort(cost, kind="stable")
 
 
@@ -176,9 +180,11 @@ def _spread(states: Array, segments: Segments) -> tuple[Array, Array]:
     """Mean and standard deviation (P, nx) of simulated states (P, S, T, nx)."""
     inside = states[:, segments.mask > 0]
     deviation = inside.std(axis=1)
+    scale = np.maximum(deviation, 1e-3 * np.abs(inside).max(axis=1))
     # A start that runs away would make its own initial state weightless.
-    floor = 1e-3 * np.maximum(np.abs(inside).max(axis=1), 1e-6)
-    return inside.mean(axis=1), np.clip(np.maximum(deviation, floor), 1e-9, 1e6)
+    usual = np.median(scale, axis=0)
+    scale = np.minimum(scale, np.where(usual > 0, _RUNAWAY * usual, np.inf))
+    return inside.mean(axis=1), np.where(scale > 0, scale, 1.0)
 
 
 def _repeat(scales: Scales, count: int) -> Scales:
@@ -242,5 +248,5 @@ def _state_scales(structure: Structure, segments: Segments, z: Array, x0: Array)
         x_center=center,
         x_scale=scale,
         x_max=states[:, inside].max(axis=1),
-        rate=np.maximum(rate, 1e-9),
+        rate=np.maximum(rate, 1e-9 * scale / structure.sampling_time),
     )

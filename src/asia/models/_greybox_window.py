@@ -13,11 +13,12 @@ from asia.problem import Array
 def window_prior(
     structure: Structure, segments: Segments, scales: Scales, x: Array, y_deviation: Array
 ) -> WindowPrior:
-    """Ridge regression of the simulated state at a window's start on the window's samples."""
+    """Ridge regression of the simulated state, `n_fit` samples before the first simulated one, on
+    the past window's samples."""
     n_past, inside = structure.n_past, segments.mask > 0
     width = 1 + structure.n_past_u * structure.nu + structure.n_past_y * structure.ny
     y_center = segments.y[inside].mean(axis=0)
-    spread = np.maximum(x[inside].std(axis=0), 1e-6)
+    spread = np.maximum(x[inside].std(axis=0), 1e-6 * np.asarray(scales.x_scale))
     prior = WindowPrior(np.zeros((structure.nx, width)), spread, y_center, y_deviation)
     windows = [
         _windows(structure, u[live], y[live], states[live])
@@ -45,11 +46,15 @@ def window_prior(
 
 def _windows(structure: Structure, u: Array, y: Array, x: Array) -> tuple[Array, Array, Array]:
     """Every past window of one record: past_u (W, n_past_u, nu), past_y (W, n_past_y, ny), and the
-    state at its start (W, nx)."""
+    state `n_fit` samples before its end (W, nx)."""
     n_past = structure.n_past
     first = np.arange(len(u) - n_past)
 
     def cut(values: Array, length: int) -> Array:
         return values[(first + n_past - length)[:, None] + np.arange(length)]
 
-    return cut(u, structure.n_past_u), cut(y, structure.n_past_y), x[first]
+    return (
+        cut(u, structure.n_past_u),
+        cut(y, structure.n_past_y),
+        x[first + n_past - structure.n_fit],
+    )

@@ -10,15 +10,12 @@ import numpy as np
 from asia.candidate import Context
 from asia.models._encoder import Encoder, fit_encoder
 from asia.models._linear_system import LinearSystem, delayed_convolution, powers, states_of
-from asia.models._records import Record, contiguous_splits, past_length, shortened, windows
+from asia.models._records import Record, contiguous_splits, past_length, windows
 from asia.models._subspace import spread_poles, starts
 from asia.problem import Array
 
 # A system this close to the unit circle or beyond grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
-
-# Choosing the order takes dozens of fits; this many samples tell orders apart.
-_SELECTION_SAMPLES = 3000
 
 
 @dataclass(frozen=True)
@@ -63,8 +60,7 @@ def choose_order(
 ) -> int:
     """Smallest order whose simulation error on held-out stretches, started from their own past
     windows as the model will be used, is within `tolerance` (relative, of the root) of the best."""
-    part = shortened(records, _SELECTION_SAMPLES)
-    splits = contiguous_splits(part, 3, 2 * past_length(context) + 4 * max_order)
+    splits = contiguous_splits(records, 3, 2 * past_length(context) + 4 * max_order)
     errors: list[float] = []
     for order in range(1, max_order + 1):
         logs: list[float] = []
@@ -89,9 +85,10 @@ def encoder_of(records: Sequence[Record], fitted: LinearFit, context: Context) -
 def unseen_error(
     records: Sequence[Record], fitted: LinearFit, encoder: Encoder, context: Context
 ) -> float:
-    """Sum of squared simulation errors of records not fitted, each from its past window."""
+    """Sum of squared simulation errors of records not fitted, each from its past window; a record
+    no longer than that adds nothing."""
     start, total = past_length(context), 0.0
-    for r in records:
+    for r in (r for r in records if len(r) > start):
         x0 = encoder(windows(r, context)[:1])
         _, y = fitted.system.simulate(x0, r.u[None, start:])
         total += float(((y[0] - r.y[start:]) ** 2).sum())

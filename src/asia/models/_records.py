@@ -93,12 +93,18 @@ def reweighted(records: Sequence[Record], masks: Sequence[Mask], keep: bool) -> 
     return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
 
 
-def shortened(records: Sequence[Record], samples: int) -> list[Record]:
-    """The first part of each record, the same fraction of all, about `samples` in total."""
-    fraction = samples / sum(len(r) for r in records)
-    if fraction >= 1:
+def shortened(records: Sequence[Record], samples: int, shortest: int) -> list[Record]:
+    """The first part of each record, the same fraction of all but no less than `shortest` samples
+    where it has them, about `samples` in total; of many records only some, spread over them."""
+    if sum(len(r) for r in records) <= samples:
         return list(records)
-    return [_rows(r, slice(0, max(1, round(fraction * len(r))))) for r in records]
+    most = max(3, samples // shortest)
+    chosen = np.unique(
+        np.linspace(0, len(records) - 1, min(most, len(records))).round().astype(int)
+    )
+    kept = [records[i] for i in chosen]
+    fraction = samples / sum(len(r) for r in kept)
+    return [_rows(r, slice(0, max(shortest, round(fraction * len(r))))) for r in kept]
 
 
 def _rows(r: Record, rows: slice) -> Record:

@@ -17,12 +17,15 @@ from asia.errors import UserError
 from asia.models._encoder import Encoder
 from asia.models._linear_fit import LinearFit, Refinement, choose_order, encoder_of, fit
 from asia.models._linear_system import LinearSystem
-from asia.models._records import Record, check, scaled, shortened, window
+from asia.models._records import Record, check, past_length, scaled, shortened, window
 from asia.models._scaling import Scaling
 from asia.problem import Array, Trajectory
 
 if TYPE_CHECKING:
     from asia.models._lm import LevenbergMarquardt
+
+# Choosing order and delay takes dozens of fits; this many samples tell candidates apart.
+_SELECTION_SAMPLES = 3000
 
 
 @dataclass(frozen=True)
@@ -109,13 +112,15 @@ def fit_records(
     records: Sequence[Record], context: Context, config: Config, refinement: Refinement
 ) -> tuple[LinearFit, int]:
     """Delay, order, then the refined fit to all samples; returns the fit and the delay."""
-    delay = _estimate_delay(records, config) if config.delay is None else config.delay
+    part = _selection(records, context, config)
+    delay = _estimate_delay(part, config) if config.delay is None else config.delay
     late = [shifted(r, delay) for r in records]
     order = config.order
     if order is None:
         quick = replace(refinement, iterations=min(refinement.iterations, 15))
-        highest = _affordable(late, config.max_order)
-        order = choose_order(late, context, highest, config.tolerance, quick)
+        late_part = [shifted(r, delay) for r in part]
+        highest = _affordable(late_part, config.max_order)
+        order = choose_order(late_part, context, highest, config.tolerance, quick)
     return fit(late, order, refinement), delay
 
 
@@ -135,6 +140,13 @@ def delayed(past: Array, future: Array, delay: int) -> Array:
     return known[:, np.maximum(rows, 0)]
 
 
+def _selection(records: Sequence[Record], context: Context, config: Config) -> list[Record]:
+    """What order and delay are chosen on: every piece leaves samples to simulate after its past
+    window, enough of them to tell the states apart."""
+    shortest = 3 * past_length(context) + 4 * config.max_order
+    return shortened(records, _SELECTION_SAMPLES, shortest)
+
+
 def _affordable(records: Sequence[Record], max_order: int) -> int:
     samples = min(len(r) for r in records) // 8
     return max(1, min(max_order, samples))
@@ -145,8 +157,8 @@ def _estimate_delay(records: Sequence[Record], config: Config) -> int:
     within 1 %."""
     order = min(config.order or 2, _affordable(records, config.max_order))
     quick = Refinement(iterations=5)
-    part = shortened(records, 3000)
     errors = [
-        fit([shifted(r, d) for r in part], order, quick).error for d in range(config.max_delay + 1)
+        fit([shifted(r, d) for r in records], order, quick).error
+        for d in range(config.max_delay + 1)
     ]
     return next(d for d, error in enumerate(errors) if error <= 1.02 * min(errors))

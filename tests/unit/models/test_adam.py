@@ -54,6 +54,16 @@ def test_finds_the_minimum_with_records_of_unequal_length(truncation: int | None
     assert found["w"] == pytest.approx(1.7, abs=0.02)
 
 
+def test_records_shorter_than_a_chunk_are_learned_from() -> None:
+    both = records_of(case(filtered, lengths=(100, 40)), 1.7)
+    u, y = both.u.copy(), both.y.copy()
+    u[0], y[0] = 0.0, 0.0
+    method = Adam(300, 0.05, weight_decay=0.0, truncation=60)
+    start = {"w": np.zeros(1, np.float32)}
+    found = train_adam(Gain(), start, replace(both, u=u, y=y), None, method, 0, silent)
+    assert found["w"] == pytest.approx(1.7, abs=0.02)
+
+
 def test_samples_without_weight_do_not_count() -> None:
     data = case(filtered, lengths=(100, 60))
     clean = records_of(data, 1.0)

@@ -12,9 +12,18 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._linear_fit import Refinement, refine, simulation_error, solve_linear_part
+from asia.models._linear_fit import (
+    Refinement,
+    encoder_of,
+    refine,
+    simulation_error,
+    solve_linear_part,
+    unseen_error,
+)
 from asia.models._linear_system import LinearSystem, powers, states_of
-from asia.models._records import Record
+from asia.models._lm import LevenbergMarquardt
+from asia.models._records import Record, scaled
+from asia.models._scaling import Scaling
 from asia.models._subspace import spread_poles
 from asia.problem import Trajectory
 from tests.unit.models.black_box_systems import Case, case, filtered, late, two_by_two
@@ -35,6 +44,33 @@ def test_chosen_order_simulates_below_the_noise() -> None:
 def test_two_inputs_and_outputs_from_records_of_unequal_length() -> None:
     data = case(two_by_two, channels=2, lengths=(250, 120, 60))
     assert data.ratio(fitted(linear.Config(order=3), data)) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("lengths", "past"), [((60, 60, 12000, 12000), 10), ((200,) * 60, 50)], ids=["uneven", "many"]
+)
+def test_order_and_delay_are_chosen_on_uneven_or_many_records(
+    lengths: tuple[int, ...], past: int
+) -> None:
+    data = case(filtered, lengths=lengths)
+    context = replace(data.context, n_past_u=past, n_past_y=past)
+    model = linear.build(linear.Config(delay=None), context)
+    model = linear.train(model, data.training, context, LevenbergMarquardt(iterations=2))
+    assert model.fitted is not None
+    assert (model.fitted.system.order, model.fitted.delay) == (2, 0)
+    u, y = data.unseen.u[None], data.unseen.y[None]
+    y_hat = model.simulate(u[:, :past], y[:, :past], u[:, past:])[0]
+    assert np.sqrt(np.mean((y_hat - data.truth[past:]) ** 2)) < 0.1 * data.noise[0]
+
+
+def test_records_no_longer_than_the_past_window_tell_nothing_of_the_order() -> None:
+    data = case(filtered)
+    records = scaled(data.training, Scaling.of(data.training))
+    found = refine(records, solve_linear_part(records, *spread_poles(2, 1)), Refinement(2))
+    encoder = encoder_of(records, found, data.context)
+    short = scaled([data.training[0][:8]], Scaling.of(data.training))
+    alone = unseen_error(records, found, encoder, data.context)
+    assert unseen_error([*short, *records], found, encoder, data.context) == alone
 
 
 def test_delay_is_estimated() -> None:
