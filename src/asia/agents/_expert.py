@@ -17,7 +17,7 @@ from asia.agents._view import AgentView, Proposal, Trial
 REPEAT = 0.4
 BEHIND = 0.5
 UNTRIED = 0.3
-NEAR = 0.6
+NEAR = 0.25
 PROMISING = 0.75
 
 
@@ -94,7 +94,8 @@ def _refinements(view: AgentView) -> list[_Option]:
 def _share(trial: Trial, best: Trial, *, leader: bool) -> float:
     """1 for the leading family, less the further another is behind.
 
-    A grey-box near the lead counts as leading: what its equations lack can still be added. A model
+    A grey-box within a factor of four
+    counts as leading: what its equations lack can still be added. A model
     that knows its own fold better than the leader knows the others' has only to be held back.
     """
     train = trial.train_error
