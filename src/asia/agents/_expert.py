@@ -94,9 +94,9 @@ def _refinements(view: AgentView) -> list[_Option]:
 def _share(trial: Trial, best: Trial, *, leader: bool) -> float:
     """1 for the leading family, less the further another is behind.
 
-    A grey-box within a factor of four
-    counts as leading: what its equations lack can still be added. A model
-    that knows its own fold better than the leader knows the others' has only to be held back.
+    A grey-box within a factor of four counts as leading: what its equations lack can still be
+    added. A model that knows its own fold better than the leader knows the others' has only to be
+    held back.
     """
     train = trial.train_error
     if leader or trial.value is None or best.value is None or train is None:
