@@ -16,7 +16,8 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from statistics import median
 from types import ModuleType
@@ -147,12 +148,6 @@ class Watched:
     worker: Worker
     clock: Clock
 
-    def __enter__(self) -> Watched:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.worker.close()
-
     def fit(self, source: str, trajectories: Sequence[Trajectory], context: Context) -> FitReply:
         """As `Worker.fit`."""
         reply = self.worker.fit(source, trajectories, context)
@@ -179,8 +174,10 @@ class WatchedEvaluator(Evaluator):
 
     clock: Clock
 
-    def _worker(self) -> Worker:
-        return cast(Worker, Watched(super()._worker(), self.clock))
+    @contextmanager
+    def _worker(self) -> Generator[Worker]:
+        with super()._worker() as worker:
+            yield cast(Worker, Watched(worker, self.clock))
 
 
 @dataclass
