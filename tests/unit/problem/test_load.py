@@ -70,7 +70,7 @@ def test_simulated_problem_loads_by_name() -> None:
 
 
 @pytest.mark.data
-@pytest.mark.skipif("ASIA_DATA_DIR" not in os.environ, reason="ASIA_DATA_DIR is not set")
+@pytest.mark.skipif(not os.environ.get("ASIA_DATA_DIR"), reason="ASIA_DATA_DIR is not set")
 def test_cascaded_tanks_load_by_name() -> None:
     problem = load_problem("cascaded_tanks")
     assert [t.y.shape for t in problem.train] == [(1024, 1)]

@@ -111,7 +111,7 @@ def test_nothing_else_reads_the_test_part() -> None:
 
 
 @pytest.mark.data
-@pytest.mark.skipif("ASIA_DATA_DIR" not in os.environ, reason="ASIA_DATA_DIR is not set")
+@pytest.mark.skipif(not os.environ.get("ASIA_DATA_DIR"), reason="ASIA_DATA_DIR is not set")
 def test_real_test_record_opens() -> None:
     problem = load_problem("cascaded_tanks")
     found = seal(problem)
