@@ -56,13 +56,12 @@ def run(
     chosen = make_agent(agent)
     _check_name(name)
     loaded = load_problem(problem)
-    budget = loaded.budget
     loaded = replace(
         loaded,
         budget=replace(
-            budget,
-            experiments=experiments or budget.experiments,
-            hours=hours if hours is not None else budget.hours,
+            loaded.budget,
+            experiments=experiments or loaded.budget.experiments,
+            hours=hours if hours is not None else loaded.budget.hours,
         ),
     )
     level = _level(isolation)
