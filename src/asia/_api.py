@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from asia.agents import Agent, make_agent
+from asia.agents import Agent, SpaceName, make_agent
 from asia.ledger import Event, Run, SearchView, open_run
+from asia.problem import EarlyStopping
 from asia.problem.load import Problem, load_problem
-from asia.search import prepare, search
+from asia.search import prepare, search, with_early_stopping
 
 
 def run(
@@ -19,16 +20,21 @@ def run(
     seed: int = 0,
     runs: Path | str = "runs",
     name: str | None = None,
+    early_stopping: EarlyStopping | None = None,
+    space: SpaceName | None = None,
 ) -> Run:
     """Search for a model; the finished run, with its view and artifacts.
 
     problem: a loaded problem, a built-in name or a path. The same call again resumes; more
-    `experiments` extends. Raises UserError for anything the caller can mend.
+    `experiments` extends. early_stopping: instead of the problem's own setting. space: what the
+    agent "random" draws from. Raises UserError for anything the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
         loaded = replace(loaded, budget=replace(loaded.budget, experiments=experiments))
-    chosen = make_agent(agent) if isinstance(agent, str) else agent
+    if early_stopping is not None:
+        loaded = with_early_stopping(loaded, early_stopping)
+    chosen = make_agent(agent, space) if isinstance(agent, str) else agent
     ready = prepare(loaded, chosen.name, seed=seed, runs=Path(runs), name=name)
     search(ready, chosen, _silent, _silent_start)
     return open_run(ready.directory)

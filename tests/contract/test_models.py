@@ -16,7 +16,10 @@ from asia.problem import ParameterRange, Physics, Signal, Trajectory
 from asia.sandbox import Limits, open_worker, probe
 
 # The smallest of what costs time; a row takes those it has.
-SMALL_CONFIG = {"order": 1, "hidden": 3, "units": 1}
+SMALL_CONFIG = {
+    "order": 1, "hidden": 3, "units": 4, "states": 2, "width": 4, "layers": 1, "slow": 2, "fast": 2,
+    "levels": 2, "lift": 2, "receptive_field": 8, "span": 8, "points": 60,
+}  # fmt: skip
 SMALL_METHOD = {"iterations": 3, "starts": 1, "steps": 5}
 
 
@@ -50,8 +53,8 @@ def small(settings: Settings, values: dict[str, int]) -> dict[str, int]:
 
 def quick_source(row: Family, record: Trajectory, context: Context) -> str:
     """The row's first candidate, small."""
-    facts = Facts("", context.inputs, context.outputs, 0.1, (record,), 5, context.physics)
-    recipe = row.start(facts)
+    facts = Facts("", context.inputs, context.outputs, 0.1, (record,), 5, 5, context.physics)
+    recipe = row.trial(facts)
     recipe = recipe.configured(**small(recipe.config, SMALL_CONFIG))
     return recipe.trained(**small(recipe.options, SMALL_METHOD)).source(row.label)
 

@@ -5,28 +5,46 @@ A new agent is one file here with a class that fulfils `Agent`, and one row in `
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 from asia.agents._expert import ExpertAgent
-from asia.agents._random import RandomAgent
-from asia.agents._view import Agent, AgentView, Facts, Proposal, Trial
+from asia.agents._random import SPACES, RandomAgent, SpaceName
+from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
 from asia.errors import UserError
 
 __all__ = [
     "AGENTS",
+    "SPACES",
     "Agent",
     "AgentView",
+    "Effort",
     "ExpertAgent",
     "Facts",
     "Proposal",
     "RandomAgent",
+    "SpaceName",
     "Trial",
     "make_agent",
 ]
 
-AGENTS: dict[str, type[Agent]] = {"expert": ExpertAgent, "random": RandomAgent}
+AGENTS: dict[str, Callable[[], Agent]] = {
+    "expert": ExpertAgent,
+    "random": RandomAgent,
+    "random-paper": partial(RandomAgent, "paper"),
+}
 
 
-def make_agent(name: str) -> Agent:
-    """A built-in agent by name. Raises UserError for an unknown one."""
-    if name not in AGENTS:
+def make_agent(name: str, space: str | None = None) -> Agent:
+    """A built-in agent by name. space: what `random` draws from, one of `SPACES`. Raises UserError
+    for an unknown name or space, and for a space given to an agent that does not draw."""
+    if space is not None and name != "random":
+        raise UserError(
+            f"--space {space}: only the agent 'random' draws from a space, not '{name}'"
+        )
+    if space is not None and space not in SPACES:
+        raise UserError(f"--space {space}: expected one of {', '.join(SPACES)}")
+    full = name if space in (None, "library") else f"{name}-{space}"
+    if full not in AGENTS:
         raise UserError(f"no agent '{name}'; there is: {', '.join(AGENTS)}")
-    return AGENTS[name]()
+    return AGENTS[full]()

@@ -1,30 +1,41 @@
 """The default agent: an engineer's habits, deterministic, no language model.
 
-Explore: one configuration of each family that suits the problem, the cheapest insight first.
-Refine: of all moves on the best trials of the best families, the one with the most weight.
+Explore: a first, cheap configuration of each of the families most apt for the problem, interrupted
+by a move that is near certain. Refine: of all moves on the best trial of each family, the one with
+the most weight.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from asia.agents._evidence import overfit
-from asia.agents._library import Family, families, family
-from asia.agents._moves import MOVES, Case, Move
+from asia.agents._family import Family
+from asia.agents._library import families, family
+from asia.agents._move import Case, Move
+from asia.agents._moves import MOVES
 from asia.agents._recipe import Recipe, read_recipe
+from asia.agents._training import is_new, under_protocol
 from asia.agents._view import AgentView, Proposal, Trial
 
-REPEAT = 0.4
+SURE = 0.9
 BEHIND = 0.5
 UNTRIED = 0.3
 NEAR = 0.25
 PROMISING = 0.75
+PATIENCE = 0.85
 
 
 @dataclass(frozen=True)
 class _Option:
+    """Something to try; `make` gives None when it was tried before. apt: worth a place in the
+    ladder."""
+
     weight: float
-    proposal: Proposal
+    make: Callable[[], Proposal | None]
+    apt: bool = True
 
 
 class ExpertAgent:
@@ -37,105 +48,116 @@ class ExpertAgent:
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The next rung of the ladder, or the move with the most weight; None when all known."""
+        moves, ladder = list(_refinements(view)), list(_untried(view))
         if view.phase == "explore":
-            rung = self._rung(view)
-            if rung is not None:
-                return rung
-        options = [*_refinements(view), *_untried(view)]
-        if not options:
-            return None
-        return max(options, key=lambda o: o.weight).proposal
-
-    def _rung(self, view: AgentView) -> Proposal | None:
-        return next((o.proposal for o in _untried(view)), None)
+            sure = [option for option in moves if option.weight >= SURE]
+            proposal = _heaviest([*sure, *(option for option in ladder if option.apt)])
+            if proposal is not None:
+                return proposal
+        return _heaviest([*moves, *ladder])
 
 
-def _untried(view: AgentView) -> list[_Option]:
-    """First configurations of families that no trial has used, in the library's order."""
+def _heaviest(options: list[_Option]) -> Proposal | None:
+    """The first in order of weight that was not tried before."""
+    ordered = sorted(options, key=lambda option: -option.weight)
+    return next((p for option in ordered if (p := option.make()) is not None), None)
+
+
+def _untried(view: AgentView) -> Iterator[_Option]:
+    """First configurations of families that no trial has used, the most apt first."""
     used = {t.family for t in view.trials}
-    rows = [row for row in families(view.facts) if row.name not in used]
-    options: list[_Option] = []
-    for row in rows:
-        proposal = _first(row, view)
-        if not view.is_known(proposal.source):
-            options.append(_Option(UNTRIED, proposal))
-    return options
+    for row in families(view.facts):
+        if row.name not in used:
+            apt = row.aptness(view.facts) > 0
+            yield _Option(UNTRIED, partial(_first, view, row), apt)
 
 
-def _first(row: Family, view: AgentView) -> Proposal:
-    recipe = row.start(view.facts)
+def _first(view: AgentView, row: Family) -> Proposal | None:
+    recipe = row.trial(view.facts)
+    if not is_new(view, recipe):
+        return None
+    sentence = f"{_sentence(row.label)}: {row.use}."
     return Proposal(
-        source=recipe.source(f"{_sentence(row.label)}: {row.use}."),
+        source=under_protocol(recipe, view.facts).source(sentence),
         family=row.name,
         title=row.label,
-        hypothesis=f"{_sentence(row.label)}: {row.use}.",
+        hypothesis=sentence,
         expected="A first value for this family, to compare with the others.",
     )
 
 
-def _refinements(view: AgentView) -> list[_Option]:
-    """Every applicable move on the best trial of each family."""
-    options: list[_Option] = []
-    seen: set[str] = set()
-    best = view.best
-    for trial in view.ranked:
-        recipe = read_recipe(trial.source)
-        if recipe is None or recipe.family in seen or best is None:
-            continue
-        seen.add(recipe.family)
-        share = _share(trial, best, leader=len(seen) == 1)
+def _refinements(view: AgentView) -> Iterator[_Option]:
+    """Every applicable move on the best trial of each family, on the last one of a family that
+    only failed. A move that was made before and did not help counts less."""
+    for case in _cases(view):
+        share = _share(case)
         for move in MOVES:
-            option = _option(view, Case(view.facts, trial, recipe), move, share)
-            if option is not None:
-                options.append(option)
-    return options
+            if not move.applies(case):
+                continue
+            weight = move.weight(case) * (share if move.behind_counts else 1.0)
+            if weight > 0:
+                weight *= move.fade ** _failures(case, move)
+                yield _Option(weight, partial(_moved, case, move))
 
 
-def _share(trial: Trial, best: Trial, *, leader: bool) -> float:
-    """1 for the leading family, less the further another is behind.
-
-    A grey-box within a factor of four counts as leading: what its equations lack can still be
-    added. A model that knows its own fold better than the leader knows the others' has only to be
-    held back.
-    """
-    train = trial.train_error
-    if leader or trial.value is None or best.value is None or train is None:
-        return 1.0
-    ratio = best.value / trial.value
-    if trial.family == "greybox" and ratio > NEAR:
-        return 1.0
-    share = BEHIND * ratio**2
-    return max(share, PROMISING) if train < best.value and overfit(trial) > 2.0 else share
+def _failures(case: Case, move: Move) -> int:
+    title = move.title(case)
+    return sum(t.title == title and t.status != "keep" for t in case.view.trials)
 
 
-def _option(view: AgentView, case: Case, move: Move, share: float) -> _Option | None:
-    if case.recipe.family not in move.families:
-        return None
-    weight = share * move.weight(case)
-    if weight <= 0:
-        return None
+def _moved(case: Case, move: Move) -> Proposal | None:
     recipe = move.change(case)
-    row = family(case.recipe.family)
-    label = row.label if row else case.recipe.family
-    source = recipe.source(_summary(label, recipe))
-    if view.is_known(source):
+    if not is_new(case.view, recipe):
         return None
-    title = f"{label}: {move.title(case)}"
-    before = [t for t in view.trials if t.title == title and t.status != "keep"]
-    proposal = Proposal(
-        source=source,
-        family=case.recipe.family,
-        title=title,
+    return Proposal(
+        source=under_protocol(recipe, case.facts).source(_summary(case, recipe)),
+        family=recipe.family,
+        title=move.title(case),
         hypothesis=move.hypothesis,
         expected=move.expected,
         parent=case.trial.number,
     )
-    return _Option(weight * REPEAT ** len(before), proposal)
 
 
-def _summary(label: str, recipe: Recipe) -> str:
+def _cases(view: AgentView) -> Iterator[Case]:
+    failed = [trial for trial in reversed(view.trials) if trial.value is None]
+    chosen: dict[str, tuple[Trial, Recipe]] = {}
+    for trial in (*view.ranked, *failed):
+        recipe = read_recipe(trial.source)
+        if recipe is not None and recipe.family not in chosen:
+            chosen[recipe.family] = trial, recipe
+    for place, (trial, recipe) in enumerate(chosen.values()):
+        row = family(recipe.family)
+        if row is not None:
+            yield Case(view, trial, recipe, row, place, len(chosen))
+
+
+def _share(case: Case) -> float:
+    """1 for the leading family, less the further another is behind.
+
+    A grey-box within a factor of four counts as leading: what its equations lack can still be
+    added. A model that knows its own fold better than the leader knows the others' has only to be
+    held back, and keeps most of its weight while it is not too far behind. Either way, each move
+    that did not bring the family to the lead costs patience with it.
+    """
+    trial, best, train = case.trial, case.view.best, case.trial.train_error
+    if case.place == 0 or best is None or best.value is None:
+        return 1.0
+    if trial.value is None or train is None:
+        return BEHIND
+    ratio = best.value / trial.value
+    if case.recipe.family == "greybox" and ratio > NEAR:
+        return 1.0
+    own = (t for t in case.view.trials if t.family == case.recipe.family)
+    patience = PATIENCE ** sum(t.parent is not None and t.status != "keep" for t in own)
+    share = BEHIND * ratio**2
+    held_back = ratio > NEAR and train < best.value and overfit(trial) > 2.0
+    return patience * (max(share, PROMISING) if held_back else share)
+
+
+def _summary(case: Case, recipe: Recipe) -> str:
     settings = ", ".join(f"{k} {v}" for k, v in recipe.config) or "plain"
-    return f"{_sentence(label)}: {settings}."
+    return f"{_sentence(case.row.label)}: {settings}."
 
 
 def _sentence(text: str) -> str:

@@ -1,56 +1,62 @@
-"""The control: configurations drawn at random from the library the expert uses."""
+"""The controls: configurations drawn at random, from the library the expert uses or from the
+paper's space."""
 
 from __future__ import annotations
 
 import hashlib
+from typing import Literal, get_args
 
 import numpy as np
 
-from asia.agents._library import Choices, Family, families
-from asia.agents._recipe import Recipe, Settings
+from asia.agents._family import Family
+from asia.agents._library import families
+from asia.agents._paper import paper_families
+from asia.agents._recipe import Recipe
+from asia.agents._space import draw
+from asia.agents._training import METHODS, is_new, under_protocol
 from asia.agents._view import AgentView, Facts, Proposal
+
+SpaceName = Literal["library", "paper"]
+SPACES: tuple[SpaceName, ...] = get_args(SpaceName)
 
 _TRIES = 50
 
 
 class RandomAgent:
-    """Draws a family, then its settings, all with equal chance; never the same candidate twice."""
+    """Draws a family, then its training method and settings, all with equal chance; never the same
+    candidate twice."""
+
+    def __init__(self, space: SpaceName = "library") -> None:
+        self._space: SpaceName = space
 
     @property
     def name(self) -> str:
-        """`random`."""
-        return "random"
+        """`random`, or `random-paper` for the paper's space."""
+        return "random" if self._space == "library" else f"random-{self._space}"
 
     def propose(self, view: AgentView) -> Proposal | None:
         """A draw fixed by the search seed and the number of trials; None when `_TRIES` draws in
         a row were known already."""
-        word = f"random:{view.seed}:{len(view.trials)}"
+        word = f"{self.name}:{view.seed}:{len(view.trials)}"
         seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:8], "big")
         rng = np.random.default_rng(seed)
-        rows = families(view.facts)
+        facts = view.facts
+        rows = families(facts) if self._space == "library" else paper_families(facts)
         for _ in range(_TRIES):
             row = rows[int(rng.integers(len(rows)))]
-            recipe = _draw(rng, row, view.facts)
-            source = recipe.source(f"{row.label}, drawn at random.")
-            if not view.is_known(source):
+            recipe = _drawn(rng, row, facts)
+            if is_new(view, recipe):
                 return Proposal(
-                    source=source,
+                    source=under_protocol(recipe, facts).source(f"{row.label}, drawn at random."),
                     family=row.name,
                     title=f"{row.label}, drawn",
-                    hypothesis="None: a random draw from the library is the control.",
+                    hypothesis="None: a random draw is the control.",
                     expected="Nothing in particular.",
                 )
         return None
 
 
-def _draw(rng: np.random.Generator, row: Family, facts: Facts) -> Recipe:
-    start = row.start(facts)
-    recipe = Recipe(row.name, _pick(rng, row.config(facts)), start.method, ())
-    recipe = recipe.trained(**dict(_pick(rng, row.options)))
-    if recipe.get("spill") and not recipe.get("saturation"):
-        recipe = recipe.configured(spill=False)
-    return recipe
-
-
-def _pick(rng: np.random.Generator, choices: Choices) -> Settings:
-    return tuple((name, values[int(rng.integers(len(values)))]) for name, values in choices)
+def _drawn(rng: np.random.Generator, row: Family, facts: Facts) -> Recipe:
+    recipe = draw(rng, row.trial(facts), row.space(facts))
+    other = int(rng.integers(1 + len(row.methods)))
+    return recipe if other == 0 else METHODS[row.methods[other - 1]](facts, recipe)

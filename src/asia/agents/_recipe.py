@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import lru_cache
 
-Value = int | float | str | bool | None | tuple[str, ...]
+from asia.candidate import source_digest
+from asia.errors import CandidateError
+
+Value = int | float | str | bool | None | tuple[str | int | float, ...]
 Settings = tuple[tuple[str, Value], ...]
-Method = Literal["Adam", "LevenbergMarquardt"]
 
+_METHODS = "asia.models.methods"
 _TEMPLATE = '''"""{summary}"""
 
 from asia.models import {family}
@@ -34,12 +38,18 @@ _LINE = 80
 
 @dataclass(frozen=True)
 class Recipe:
-    """A family of `asia.models` with its settings, and a training method with its own."""
+    """A family of `asia.models` with its settings, and a method of `asia.models.methods` with its
+    own."""
 
     family: str
     config: Settings
-    method: Method
+    method: str
     options: Settings
+
+    @property
+    def key(self) -> Hashable:
+        """What tells two recipes apart: the order of settings does not."""
+        return self.family, self.method, frozenset(self.config), frozenset(self.options)
 
     def get(self, name: str, default: Value = None) -> Value:
         """A setting of the model or of the method."""
@@ -48,7 +58,13 @@ class Recipe:
     def number(self, name: str, default: float) -> float:
         """A numeric setting; `default` when it is absent or not a number."""
         value = self.get(name, default)
-        return float(value) if isinstance(value, int | float) else default
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return default
+        return float(value)
+
+    def has(self, name: str) -> bool:
+        """Whether the source names the setting."""
+        return any(key == name for key, _ in (*self.config, *self.options))
 
     def configured(self, **changes: Value) -> Recipe:
         """With settings of the model changed."""
@@ -57,6 +73,26 @@ class Recipe:
     def trained(self, **changes: Value) -> Recipe:
         """With settings of the method changed."""
         return replace(self, options=_merge(self.options, changes))
+
+    def times(self, name: str, factor: float, default: float) -> Recipe:
+        """With a number multiplied, two significant digits kept; `default` stands for one that the
+        model's settings do not name."""
+        number = float(f"{factor * self.number(name, default):.2g}")
+        return (
+            self.changed(**{name: number}) if self.has(name) else self.configured(**{name: number})
+        )
+
+    def changed(self, **changes: Value) -> Recipe:
+        """With settings changed where they are; those of neither side are an error (KeyError)."""
+        recipe = self
+        for name, value in changes.items():
+            if name in dict(self.config):
+                recipe = recipe.configured(**{name: value})
+            elif name in dict(self.options):
+                recipe = recipe.trained(**{name: value})
+            else:
+                raise KeyError(name)
+        return recipe
 
     def source(self, summary: str) -> str:
         """The candidate.py."""
@@ -69,32 +105,43 @@ class Recipe:
         )
 
 
+@lru_cache(maxsize=4096)
 def read_recipe(source: str) -> Recipe | None:
-    """The recipe a source was written from; None when a person or another agent wrote it."""
+    """The recipe a source says the same as; None when it says more, as one that a person or
+    another agent wrote may."""
     try:
         tree = ast.parse(source)
-    except (SyntaxError, ValueError):
+        found = _read(tree)
+        same = found is not None and source_digest(found.source("")) == source_digest(source)
+    except (SyntaxError, ValueError, CandidateError):
         return None
-    family, config, method, options = "", None, None, None
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Call):
-            continue
-        target = node.func
-        if isinstance(target, ast.Attribute) and target.attr == "Config":
-            family = target.value.id if isinstance(target.value, ast.Name) else ""
-            config = _keywords(node)
-        elif isinstance(target, ast.Name) and target.id in ("Adam", "LevenbergMarquardt"):
-            method, options = target.id, _keywords(node)
-    if not family or config is None or options is None:
-        return None
-    return Recipe(family, config, "Adam" if method == "Adam" else "LevenbergMarquardt", options)
+    return found if same else None
 
 
-def _keywords(call: ast.Call) -> Settings | None:
-    try:
-        return tuple((k.arg or "", ast.literal_eval(k.value)) for k in call.keywords)
-    except ValueError:
+def _read(tree: ast.Module) -> Recipe | None:
+    methods = {alias.name for alias in _imported(tree, _METHODS)}
+    families = {alias.name for alias in _imported(tree, "asia.models")}
+    if len(methods) != 1 or len(families) != 1:
         return None
+    (method,), (family,) = methods, families
+    config = _settings(tree, f"{family}.Config")
+    options = _settings(tree, method)
+    return None if config is None or options is None else Recipe(family, config, method, options)
+
+
+def _imported(tree: ast.Module, module: str) -> Iterator[ast.alias]:
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and node.module == module:
+            yield from node.names
+
+
+def _settings(tree: ast.Module, function: str) -> Settings | None:
+    """Keyword arguments of the one call of `function`, which must be literals."""
+    calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
+    named = [call for call in calls if ast.unparse(call.func) == function]
+    if len(named) != 1:
+        return None
+    return tuple((k.arg or "", ast.literal_eval(k.value)) for k in named[0].keywords)
 
 
 def _merge(settings: Settings, changes: dict[str, Value]) -> Settings:
@@ -102,9 +149,19 @@ def _merge(settings: Settings, changes: dict[str, Value]) -> Settings:
 
 
 def _call(name: str, settings: Settings) -> str:
-    arguments = [f"{key}={value!r}" for key, value in settings]
+    arguments = [f"{key}={_literal(value)}" for key, value in settings]
     flat = f"{name}({', '.join(arguments)})"
     if len(flat) <= _LINE:
-        return flat.replace("'", '"')
+        return flat
     inner = "".join(f"        {argument},\n" for argument in arguments)
-    return f"{name}(\n{inner}    )".replace("'", '"')
+    return f"{name}(\n{inner}    )"
+
+
+def _literal(value: Value) -> str:
+    """Python's own notation, strings in double quotes where they hold none."""
+    if isinstance(value, tuple):
+        items = [_literal(item) for item in value]
+        return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
+    text = repr(value)
+    plain = isinstance(value, str) and '"' not in value and "\\" not in text
+    return f'"{text[1:-1]}"' if plain else text

@@ -12,26 +12,57 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from asia.ledger import Diagnostics, Phase, Status
-from asia.problem import Physics, Signal, Trajectory
+from asia.problem import EarlyStopping, Metric, Physics, Signal, Trajectory
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What the person is willing to spend: experiments in all, seconds a fold's fit may take."""
+
+    experiments: int = 15
+    fit_seconds: float = 120.0
 
 
 @dataclass(frozen=True)
 class Facts:
     """The problem as an agent may know it. `records` are the training trajectories; in
-    cross-validation each is some fold's answer, which no agent needs to abuse."""
+    cross-validation each is some fold's answer, which no agent needs to abuse.
+
+    past_inputs, past_outputs: samples in the past window; horizon: samples of one window, None
+    where whole records are simulated; groups: names of the records held out together, one tuple a
+    fold, () where folds are cut inside the records; early_stopping: `validation` lets a fit ask
+    for its score on the held-out part.
+    """
 
     description: str
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     sampling_time: float
     records: tuple[Trajectory, ...] = field(repr=False)
-    past: int
+    past_inputs: int
+    past_outputs: int
     physics: Physics | None = None
+    horizon: int | None = None
+    metric: Metric = "rmse"
+    early_stopping: EarlyStopping = "inner"
+    folds: int = 2
+    groups: tuple[tuple[str, ...], ...] = ()
+    budget: Effort = Effort()
+
+    @property
+    def past(self) -> int:
+        """Samples before the first simulated one."""
+        return max(self.past_inputs, self.past_outputs)
 
     @property
     def samples(self) -> int:
         """Training samples in all records."""
         return sum(len(r) for r in self.records)
+
+    @property
+    def fit_samples(self) -> int:
+        """Training samples of one fold, about."""
+        return round(self.samples * (1.0 - 1.0 / self.folds))
 
 
 @dataclass(frozen=True)
@@ -72,6 +103,11 @@ class AgentView:
     trials: tuple[Trial, ...]
     remaining: int
     is_known: Callable[[str], bool] = field(repr=False)
+
+    @property
+    def experiments(self) -> int:
+        """The whole budget, as it stands now."""
+        return len(self.trials) + self.remaining
 
     @property
     def ranked(self) -> tuple[Trial, ...]:

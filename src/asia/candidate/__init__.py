@@ -1,6 +1,13 @@
 """The candidate contract: what a `candidate.py` is given and what it gives back."""
 
-from asia.candidate._contract import Context, Fit, Model
+from asia.candidate._contract import VALIDATION_SCORES, Context, Fit, Model
 from asia.candidate._source import check_source, source_digest
 
-__all__ = ["Context", "Fit", "Model", "check_source", "source_digest"]
+__all__ = [
+    "VALIDATION_SCORES",
+    "Context",
+    "Fit",
+    "Model",
+    "check_source",
+    "source_digest",
+]

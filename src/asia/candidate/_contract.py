@@ -8,6 +8,8 @@ from typing import Protocol
 
 from asia.problem import Array, Physics, Signal, Trajectory
 
+VALIDATION_SCORES = 200
+
 
 def _no_log(step: float, loss: float) -> None:
     del step, loss
@@ -21,6 +23,11 @@ class Context:
     simulate, None for the whole record; deadline: `time.monotonic()` value after which the worker
     is killed; log(step, loss): two numbers for the training curve. One seed per search, fold and
     repeat, the same for every candidate.
+
+    validation_score(model): the fold's normalised metric of `model` on the held-out part, inf for
+    a simulation that is not finite. There are VALIDATION_SCORES calls a fit, then it raises
+    RuntimeError; its time counts as fit time. None unless the protocol's early_stopping is
+    "validation", and None then too where nothing is held out: in the refit on all data.
     """
 
     inputs: tuple[Signal, ...]
@@ -35,6 +42,7 @@ class Context:
     deadline: float = float("inf")
     threads: int = 1
     log: Callable[[float, float], None] = field(default=_no_log, compare=False)
+    validation_score: Callable[[Model], float] | None = field(default=None, compare=False)
 
     @property
     def nu(self) -> int:

@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from asia.cli import _check, _diff, _init, _report, _run, _show, _status, _unseal, _verify
+from asia.cli import _bench, _check, _diff, _init, _report, _run, _show, _status, _unseal, _verify
 from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
@@ -28,7 +28,7 @@ app = typer.Typer(
 )
 for _module in (_init, _check, _run, _status, _show, _unseal, _report):
     _module.register(app)
-for _module in (_diff, _verify):
+for _module in (_diff, _verify, _bench):
     _module.register(app)
 
 
@@ -63,15 +63,16 @@ def main() -> None:
 
 def spread(words: list[str]) -> list[str]:
     """`--train a.csv b.csv` and `--train=a.csv b.csv` with the option before each word, for the
-    list options of init."""
-    if words[:1] != ["init"]:
+    list options of init and bench."""
+    lists = {"init": _init.LISTS, "bench": _bench.LISTS}.get(words[0] if words else "")
+    if lists is None:
         return words
     option: str | None = None
     answer: list[str] = []
     for word in words:
         if word.startswith("-"):
             name, equals, _ = word.partition("=")
-            option = name if name in _init.LISTS else None
+            option = name if name in lists else None
             answer += [word] if equals or option is None else []
         elif option is not None:
             answer += [option, word]

@@ -34,7 +34,8 @@ def diff(
     first, second = (opened.view.experiment(n) for n in numbers)
     console = wide_console()
     for e in (first, second):
-        console.print(f"#{e.number:02d} {e.proposed.title}: {describe_result(e)}", markup=False)
+        result = describe_result(e, opened.view)
+        console.print(f"#{e.number:02d} {e.proposed.title}: {result}", markup=False)
     a, b = (opened.store.text(e.proposed.source).splitlines() for e in (first, second))
     colours = {"+": "green", "-": "red", "@": "cyan"}
     for line in difflib.unified_diff(a, b, f"#{first.number}", f"#{second.number}", lineterm=""):

@@ -15,12 +15,14 @@ from rich.text import Text
 
 from asia import __version__
 from asia.cli._format import (
+    NOT_LEAK_FREE,
     duration,
     event_object,
     experiment_line,
     last_line,
     rung_value,
     stop_words,
+    told,
 )
 from asia.cli._options import DEFAULT_RUNS
 from asia.evaluation import TRUTH
@@ -71,7 +73,15 @@ class JsonDisplay:
 
     def on_start(self, view: SearchView) -> None:
         """Print `start`."""
-        _print_json({"event": "start", "run": view.started.run, "problem": view.started.problem})
+        start = view.started
+        _print_json(
+            {
+                "event": "start",
+                "run": start.run,
+                "problem": start.problem,
+                "early_stopping": start.early_stopping,
+            }
+        )
 
     def on_event(self, event: Event, view: SearchView) -> None:
         """Print the event."""
@@ -88,6 +98,8 @@ class JsonDisplay:
                 "best": None
                 if best is None or best.score is None
                 else {"experiment": best.number, "V": best.score.value},
+                "early_stopping": view.started.early_stopping,
+                "validation_scores": view.validation_scores,
                 "pictures": [str(p) for p in pictures],
             }
         )
@@ -117,8 +129,11 @@ class TextDisplay:
         sealed = f"sealed sha256:{start.test_digest[:8]}" if start.test_digest else "none"
         self._print(
             f"agent {start.agent}  seed {start.seed}  {problem.protocol.folds.count} folds  "
-            f"V = normalised simulation {problem.protocol.metric.upper()}  test {sealed}"
+            f"{view.v_name} = normalised simulation {problem.protocol.metric.upper()}  "
+            f"test {sealed}"
         )
+        if start.early_stopping == "validation":
+            self._print(f"note    {NOT_LEAK_FREE}")
         for note in start.isolation_notes:
             self._print(f"note    {note}", style="dim")
         if start.environment != self.prepared.started.environment:
@@ -166,6 +181,8 @@ class TextDisplay:
                 f"{best.proposed.title}",
                 style="bold",
             )
+            if view.started.early_stopping == "validation":
+                self._print(f"V is     {told(view)}")
             rungs = " · ".join(f"{r.name} {rung_value(r)}" for r in view.rungs)
             self._print(f"rungs    {rungs}")
         self._print(f"files    {self.prepared.directory}/results.tsv, search_journal.md")

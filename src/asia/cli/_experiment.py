@@ -23,7 +23,7 @@ def describe(console: Console, run: Run, experiment: Experiment) -> None:
     console.print(title, Text(f" ({p.family}, {p.phase}{parent})"))
     console.print(Text(f"hypothesis  {p.hypothesis}"))
     console.print(Text(f"expected    {p.expected}"))
-    console.print(Text(f"result      {describe_result(experiment)}"))
+    console.print(Text(f"result      {describe_result(experiment, run.view)}"))
     if r is None:
         return
     console.print(f"decision    {r.status}")
@@ -48,6 +48,9 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
     table.add_column("fold", justify="right")
     for head in ("V", *(f"RMSE {n}" for n in names), *(f"fit % {n}" for n in names)):
         table.add_column(head, justify="right")
+    told = run.view.started.early_stopping == "validation"
+    if told:
+        table.add_column("val. scores", justify="right")
     for head in ("train", "bias", "white", "u-corr", "top", "start", "fit s"):
         table.add_column(head, justify="right")
     for k, (fold, kept) in enumerate(zip(score.folds, result.folds, strict=True), 1):
@@ -57,6 +60,7 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
             error_value(fold.value),
             *(f"{v:.4g}" for v in fold.rmse),
             *("-" if v is None else f"{v:.1f}" for v in fold.fit_index),
+            *((str(kept.validation_scores),) if told else ()),
             error_value(d.train_error),
             f"{d.bias:.3f}",
             f"{d.whiteness:.2f}",

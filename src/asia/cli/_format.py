@@ -4,8 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from asia.ledger import Evaluated, Event, Experiment, RungScored, SearchView, error_value
+from asia.ledger import (
+    Evaluated,
+    Event,
+    Experiment,
+    RungScored,
+    SearchView,
+    error_value,
+    scores_told,
+)
 from asia.scoring import Failure, Score
+
+NOT_LEAK_FREE = (
+    "validation early stopping: candidates may ask for their score on the held-out parts, so V is "
+    "not leak-free and compares only with V of the same setting"
+)
 
 
 def duration(seconds: float) -> str:
@@ -16,6 +29,14 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60}m{whole % 60:02d}s"
     return f"{whole // 3600}h{whole % 3600 // 60:02d}m"
+
+
+def told(view: SearchView) -> str:
+    """With validation early stopping: what V is, and how often held-out parts were asked."""
+    return (
+        f"with validation early stopping, not leak-free; {view.validation_scores} validation "
+        "scores were given in all"
+    )
 
 
 def rung_value(rung: RungScored) -> str:
@@ -32,7 +53,8 @@ def last_line(failure: Failure) -> str:
 
 def experiment_line(experiment: Experiment, view: SearchView) -> str:
     """`#07 keep  V=0.1310  min fit 87.2 % ... | best #07 0.1310`: one greppable line, with the
-    lowest fit index over folds and outputs, that ends with the incumbent at that time."""
+    lowest fit index over folds and outputs, that ends with the incumbent at that time. With
+    validation early stopping it says how many validation scores were given."""
     r = experiment.result
     assert r is not None
     if experiment.score:
@@ -47,9 +69,10 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     if best and best.score:
         tail = f"best #{best.number:02d} {error_value(best.score.value)}"
     title = experiment.proposed.title
+    asked = "" if view.started.early_stopping == "inner" else f" | {scores_told(r):<21}"
     return (
         f"#{experiment.number:02d} {r.status:<8}{found:<25}  {duration(r.seconds):>6}  "
-        f"{title:<44} | {tail}"
+        f"{title:<44}{asked} | {tail}"
     )
 
 
@@ -84,6 +107,7 @@ def event_object(event: Event, view: SearchView) -> dict[str, Any]:
             "reason": experiment.failure.reason.value if experiment.failure else None,
             "title": experiment.proposed.title,
             "seconds": round(event.seconds, 3),
+            "validation_scores": event.validation_scores,
             "best": best.number if best else None,
         }
     if isinstance(event, RungScored):

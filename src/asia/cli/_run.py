@@ -27,6 +27,10 @@ def run(
         str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
     ] = "two_tanks_sim",
     agent: Annotated[str, typer.Option(help="Who proposes: expert or random.")] = "expert",
+    space: Annotated[
+        str | None,
+        typer.Option(help="What random draws from: library (default), or the paper's: paper."),
+    ] = None,
     experiments: Annotated[
         int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
     ] = None,
@@ -36,6 +40,12 @@ def run(
     ] = None,
     name: Annotated[
         str | None, typer.Option(help="Name of the run; default PROBLEM-AGENT-sSEED.")
+    ] = None,
+    early_stopping: Annotated[
+        str | None,
+        typer.Option(
+            help="Instead of the problem's own: inner, or validation (V is then not leak-free)."
+        ),
     ] = None,
     isolation: Annotated[
         str | None, typer.Option(help="Ask for a level instead of the strongest: process.")
@@ -51,9 +61,9 @@ def run(
     from asia.cli._display import make_display
     from asia.problem.load import load_problem
     from asia.report import write_report
-    from asia.search import prepare, search
+    from asia.search import prepare, search, with_early_stopping
 
-    chosen = make_agent(agent)
+    chosen = make_agent(agent, space)
     _check_name(name)
     loaded = load_problem(problem)
     loaded = replace(
@@ -64,6 +74,8 @@ def run(
             hours=hours if hours is not None else loaded.budget.hours,
         ),
     )
+    if early_stopping is not None:
+        loaded = with_early_stopping(loaded, early_stopping)
     level = _level(isolation)
     ready = prepare(loaded, chosen.name, seed=seed, runs=runs, name=name, isolation=level)
     with closing(make_display(loaded, ready, json=json)) as display:

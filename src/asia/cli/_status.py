@@ -17,7 +17,7 @@ def register(app: typer.Typer) -> None:
 
 def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
     """Where a run stands: state, experiments, best so far."""
-    from asia.cli._format import duration, experiment_line, rung_value
+    from asia.cli._format import duration, experiment_line, rung_value, told
     from asia.ledger import find_run, open_run
     from asia.scoring import Score
 
@@ -33,6 +33,8 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
             "experiments": len(view.finished),
             "budget": view.budget,
             "isolation": view.started.isolation,
+            "early_stopping": view.started.early_stopping,
+            "validation_scores": view.validation_scores,
             "best": {"experiment": best.number, "V": best.score.value}
             if best and best.score
             else None,
@@ -51,6 +53,8 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
         f"{opened.state}: {len(view.finished)} of {view.budget} experiments in "
         f"{duration(view.seconds)}"
     )
+    if view.started.early_stopping == "validation":
+        print(f"V is {told(view)}")
     if view.unsealed is not None:
         print(f"the test was opened: asia unseal {opened.name} shows the result again")
     for rung in view.rungs:

@@ -12,7 +12,7 @@ from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
 
 if TYPE_CHECKING:
     from asia.ledger import TestRecord, Unsealed
-    from asia.scoring import Failure
+    from asia.scoring import Failure, MeeTable
 
 
 def register(app: typer.Typer) -> None:
@@ -79,16 +79,39 @@ def _scores(record: Unsealed, model: TestRecord | Failure) -> dict[str, Any]:
     first = model.scores[0]
     return {
         **{score.metric: score.value for score in model.scores},
+        **({"mee": _table(model.mee)} if model.mee is not None else {}),
         "per_channel": dict(zip(record.channels, first.per_channel, strict=True)),
         "per_trajectory": dict(zip(record.trajectories, first.per_trajectory, strict=True)),
     }
+
+
+def _table(mee: MeeTable) -> dict[str, dict[str, float]]:
+    """Group -> h10, h50, ..., sum."""
+    return {
+        group.name: {**{f"h{h}": group.at(h) for h in mee.horizons}, "sum": group.total}
+        for group in mee.groups
+    }
+
+
+def _table_lines(mee: MeeTable) -> list[str]:
+    """Groups below each other, steps beside each other."""
+    rows = _table(mee)
+    width = max(len("group"), *(len(name) for name in rows))
+    columns = next(iter(rows.values()))
+    lines = [f"{'group':<{width}}" + "".join(f"{name:>10}" for name in columns)]
+    for name, row in rows.items():
+        lines.append(f"{name:<{width}}" + "".join(f"{value:>10.4g}" for value in row.values()))
+    return ["mean Euclidean error", *lines]
 
 
 def _print_text(record: Unsealed) -> None:
     from asia.ledger import error_value
     from asia.scoring import Failure
 
-    print(f"sealed test, experiment #{record.experiment:02d}, {record.skip} samples skipped")
+    how = f"{record.skip} samples skipped"
+    if record.horizon is not None:
+        how = f"windows of {record.horizon} samples"
+    print(f"sealed test, experiment #{record.experiment:02d}, {how}")
     models: list[tuple[str, TestRecord | Failure]] = [
         ("ensemble of the fold models", record.ensemble)
     ]
@@ -107,3 +130,5 @@ def _print_text(record: Unsealed) -> None:
             if len(score.per_trajectory) > 1:
                 for name, value in zip(record.trajectories, score.per_trajectory, strict=True):
                     print(f"    {name:<24} {error_value(value)}")
+        for line in _table_lines(model.mee) if model.mee is not None else ():
+            print(f"    {line}")

@@ -12,17 +12,18 @@ from typing import TypeVar
 
 from asia.candidate import Context, check_source
 from asia.errors import CandidateError, Reason, SandboxError
+from asia.evaluation._oracle import Oracle
+from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.executor import Executor
 from asia.problem import Array, Budget, ProtocolRule, Trajectory
 from asia.protocol import Block, Fold, whole
-from asia.sandbox import Isolation, Limits, Worker, open_worker
+from asia.sandbox import FitReply, Isolation, Limits, Worker, open_worker
 from asia.scoring import (
     METRICS,
     Diagnostics,
     Failure,
     FoldScore,
     Outcome,
-    check_reply,
     combine,
     diagnose,
     score_fold,
@@ -34,7 +35,8 @@ T = TypeVar("T")
 @dataclass(frozen=True)
 class FoldResult:
     """What one fold left behind. `model` is opaque; `y_hat` holds one (H, ny) array a held-out
-    block; `curve` (n, 2) is step and loss as logged by the candidate; `seconds` is its fit."""
+    block; `curve` (n, 2) is step and loss as logged by the candidate; `seconds` is its fit;
+    `validation_scores` is how often it was told its score on the held-out part."""
 
     score: FoldScore
     model: bytes
@@ -42,16 +44,26 @@ class FoldResult:
     curve: Array
     diagnostics: Diagnostics
     seconds: float
+    validation_scores: int = 0
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """Outcome of one candidate; `folds` is empty after a failure. `output` is what the
-    candidate printed while fitting, capped and stripped."""
+    candidate printed while fitting, capped and stripped. `validation_scores` counts those of all
+    folds, failed ones too."""
 
     outcome: Outcome
     folds: tuple[FoldResult, ...] = ()
     output: str = ""
+    validation_scores: int = 0
+
+
+@dataclass(frozen=True)
+class _FoldEnd:
+    result: FoldResult | Failure
+    output: str
+    validation_scores: int
 
 
 def derive_seed(root: int, *parts: object) -> int:
@@ -74,6 +86,7 @@ class Evaluator:
         executor: Executor,
     ) -> None:
         self.folds = tuple(folds)
+        self.horizon = rule.horizon
         self._records = tuple(records)
         self._context = context
         self._rule = rule
@@ -90,14 +103,13 @@ class Evaluator:
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
         jobs = [partial(self._guarded_fold, source, fold) for fold in self.folds]
-        results = self._run(jobs)
-        for result in results:
-            if isinstance(result, Failure):
-                return Evaluation(result)
-        folds = tuple(r for r in results if not isinstance(r, Failure))
-        output = folds[0][1]
-        fold_results = tuple(r for r, _ in folds)
-        return Evaluation(combine([r.score for r in fold_results]), fold_results, output)
+        ends = self._run(jobs)
+        calls = sum(end.validation_scores for end in ends)
+        for end in ends:
+            if isinstance(end.result, Failure):
+                return Evaluation(end.result, validation_scores=calls)
+        folds = tuple(end.result for end in ends if isinstance(end.result, FoldResult))
+        return Evaluation(combine([f.score for f in folds]), folds, ends[0].output, calls)
 
     def reload_differs(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
@@ -115,7 +127,8 @@ class Evaluator:
         return next((f for f in self._run(jobs) if f is not None), None)
 
     def refit(self, source: str) -> bytes:
-        """Fit on all training records; the opaque model. Raises CandidateError."""
+        """Fit on all training records; the opaque model. Nothing is held out, so that the
+        candidate has no validation score to ask for. Raises CandidateError."""
 
         def fit() -> bytes:
             with self._worker() as worker:
@@ -167,46 +180,44 @@ class Evaluator:
             deadline=time.monotonic() + self._limits.fit_seconds,
         )
 
-    def _guarded_fold(self, source: str, fold: Fold) -> tuple[FoldResult, str] | Failure:
+    def _guarded_fold(self, source: str, fold: Fold) -> _FoldEnd:
+        oracle = Oracle(self._worker, source, self._context, fold, self._rule)
         try:
-            return self._run_fold(source, fold)
+            result, output = self._run_fold(source, fold, oracle)
         except CandidateError as error:
-            return Failure(error.reason, error.detail, fold.index + 1)
+            result, output = Failure(error.reason, error.detail, fold.index + 1), ""
+        return _FoldEnd(result, output, oracle.calls)
 
-    def _run_fold(self, source: str, fold: Fold) -> tuple[FoldResult, str]:
+    def _run_fold(self, source: str, fold: Fold, oracle: Oracle) -> tuple[FoldResult, str]:
         metric = self._rule.metric
         inside = whole(fold.train, self._rule)
         with self._worker() as worker:
-            reply = worker.fit(source, fold.train, self._fold_context(fold.index))
+            reply = self._fit(worker, source, fold, oracle)
             model = worker.dump()
-            y_hat = _simulate(worker, fold.validation)
-            train_y_hat = _simulate(worker, inside)
+            y_hat = simulate_held_out(worker, fold.validation, self.horizon)
+            train_y_hat = simulate_training(worker, inside, self.horizon)
         score = score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric)
         train_y = [b.y for b in inside]
         train = score_fold(train_y, train_y_hat, fold.scale, metric)
         evidence = diagnose(
             [b.case.u for b in inside], train_y, train_y_hat, fold.scale, train.value
         )
-        result = FoldResult(score, model, y_hat, reply.curve, evidence, reply.seconds)
+        result = FoldResult(score, model, y_hat, reply.curve, evidence, reply.seconds, oracle.calls)
         return result, reply.output
+
+    def _fit(self, worker: Worker, source: str, fold: Fold, oracle: Oracle) -> FitReply:
+        context = self._fold_context(fold.index)
+        if self._rule.early_stopping == "inner":
+            return worker.fit(source, fold.train, context)
+        with oracle:
+            return worker.fit(source, fold.train, context, oracle)
 
     def _simulate_model(
         self, source: str, model: bytes, blocks: Sequence[Block]
     ) -> tuple[Array, ...]:
         with self._worker() as worker:
             worker.load(source, model, self._fold_context("load"))
-            return _simulate(worker, blocks)
-
-
-def _simulate(worker: Worker, blocks: Sequence[Block]) -> tuple[Array, ...]:
-    """One request a block, in time order: a later past window is an earlier block's answer."""
-    replies: list[Array] = []
-    for block in blocks:
-        case = block.case
-        y_hat = worker.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
-        check_reply(y_hat, block.y.shape)
-        replies.append(y_hat)
-    return tuple(replies)
+            return simulate_held_out(worker, blocks, self.horizon)
 
 
 def score_outputs(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.evaluation._evaluator import Evaluator, score_outputs
+from asia.evaluation._velocity import constant_velocity, find_rates
 from asia.problem import Array
 from asia.protocol import Block, Fold
 from asia.scoring import Outcome
@@ -45,9 +46,10 @@ class Rung:
 def score_rungs(
     evaluator: Evaluator, metric: str, truth: Sequence[Array] | None, known: Set[str]
 ) -> Iterator[Rung]:
-    """Training mean, last output held, best linear model; for simulated problems also the
-    noise-free truth, whose V is the noise floor. truth: one (T, ny) array a training record.
-    Names in `known` are passed over."""
+    """Training mean, last output held, for windows constant velocity where the past window or
+    another output tells one, best linear model; for simulated problems also the noise-free truth,
+    whose V is the noise floor. truth: one (T, ny) array a training record. Names in `known` are
+    passed over."""
     folds = evaluator.folds
 
     def score(simulate: Callable[[Fold, Block], Array]) -> Outcome:
@@ -57,8 +59,11 @@ def score_rungs(
     rungs: dict[str, Callable[[], Outcome]] = {
         "training mean": lambda: score(_training_mean),
         "last output held": lambda: score(_last_output),
-        "linear model": lambda: evaluator.evaluate(LINEAR).outcome,
     }
+    moving = _moving(evaluator)
+    if moving is not None:
+        rungs["constant velocity"] = lambda: score(moving)
+    rungs["linear model"] = lambda: evaluator.evaluate(LINEAR).outcome
     if truth is not None:
         rungs[TRUTH] = lambda: score(lambda _, block: truth[block.record][block.start : block.stop])
     for name, outcome in rungs.items():
@@ -75,3 +80,18 @@ def _last_output(fold: Fold, block: Block) -> Array:
     """The training mean where the protocol gives no past output."""
     past = block.case.past_y
     return np.tile(past[-1], (len(block.y), 1)) if len(past) else _training_mean(fold, block)
+
+
+def _moving(evaluator: Evaluator) -> Callable[[Fold, Block], Array] | None:
+    """Simulation at constant velocity, None where nothing tells one: in long simulations, without
+    past outputs, and where one past output is all and no output is another's rate."""
+    horizon, folds = evaluator.horizon, evaluator.folds
+    past = len(folds[0].validation[0].case.past_y)
+    if horizon is None or past == 0:
+        return None
+    rates = [find_rates(fold, horizon) for fold in folds]
+    if past == 1 and all(rate is None for found in rates for rate in found):
+        return None
+    return lambda fold, block: constant_velocity(
+        block, rates[fold.index], fold.train[0].sampling_time
+    )

@@ -17,7 +17,14 @@ from asia.ledger._events import (
     Unsealed,
     Unsealing,
 )
-from asia.ledger._exports import describe_result, error_value, journal, results_table, write_exports
+from asia.ledger._exports import (
+    describe_result,
+    error_value,
+    journal,
+    results_table,
+    scores_told,
+    write_exports,
+)
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, Run, SearchView, State, find_run, open_run, replay
@@ -57,6 +64,7 @@ __all__ = [
     "read_lines",
     "replay",
     "results_table",
+    "scores_told",
     "verify",
     "write_exports",
 ]

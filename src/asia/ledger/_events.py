@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from asia.scoring import Diagnostics, Failure, Outcome, TestScore
+from asia.problem import EarlyStopping
+from asia.scoring import Diagnostics, Failure, MeeTable, Outcome, TestScore
 
 Status = Literal["keep", "discard", "crash", "timeout", "invalid"]
 Phase = Literal["baseline", "explore", "refine"]
@@ -16,7 +17,8 @@ Phase = Literal["baseline", "explore", "refine"]
 @dataclass(frozen=True)
 class Started:
     """First event: what is searched, by whom, under which rules. `test_digest` commits the sealed
-    test before experiment 1; it is None when the problem has no test."""
+    test before experiment 1; it is None when the problem has no test. With `early_stopping`
+    `validation` candidates saw their score on the held-out parts: V is not leak-free."""
 
     run: str
     problem: str
@@ -31,6 +33,7 @@ class Started:
     isolation: str
     isolation_notes: tuple[str, ...]
     environment: dict[str, str]
+    early_stopping: EarlyStopping = "inner"
     event: Literal["started"] = "started"
 
 
@@ -61,19 +64,22 @@ class Proposed:
 
 @dataclass(frozen=True)
 class FoldRecord:
-    """Artifacts and training-side evidence of one fold."""
+    """Artifacts and training-side evidence of one fold, and how often the fit was told its score
+    on the held-out part."""
 
     model: str
     y_hat: str
     curve: str
     diagnostics: Diagnostics
     fit_seconds: float
+    validation_scores: int = 0
 
 
 @dataclass(frozen=True)
 class Evaluated:
     """What came of a candidate. `duplicate_of` names the experiment whose outcome was reused;
-    `deadline` marks an outcome that depends on how fast the machine was."""
+    `deadline` marks an outcome that depends on how fast the machine was; `validation_scores` counts
+    those given in all folds, failed ones too."""
 
     experiment: int
     status: Status
@@ -83,6 +89,7 @@ class Evaluated:
     seconds: float
     duplicate_of: int | None = None
     deadline: bool = False
+    validation_scores: int = 0
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -115,10 +122,12 @@ class Refitted:
 
 @dataclass(frozen=True)
 class TestRecord:
-    """One model on the sealed test; `y_hat` is the artifact of its simulation."""
+    """One model on the sealed test; `y_hat` is the artifact of its simulation, `mee` the table of
+    Mean Euclidean Errors where the protocol asks for one."""
 
     scores: tuple[TestScore, ...]
     y_hat: str
+    mee: MeeTable | None = None
 
 
 @dataclass(frozen=True)
@@ -137,7 +146,8 @@ class Unsealed:
     """What the sealed test said. `ensemble` is the mean of the fold models, `refit` the
     winner fitted on all training data; `measured` is the artifact of the test outputs, one
     (lengths[i], ny) array a trajectory, from the first simulated sample on; `skip` of them are left
-    out of the scores."""
+    out of the scores. With a `horizon` a trajectory's windows stand one after the other, the last
+    of which may repeat some samples."""
 
     experiment: int
     test_digest: str
@@ -148,6 +158,7 @@ class Unsealed:
     measured: str
     ensemble: TestRecord | Failure
     refit: TestRecord | Failure | None
+    horizon: int | None = None
     event: Literal["unsealed"] = "unsealed"
 
 

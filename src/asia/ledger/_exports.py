@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from asia.ledger._events import Evaluated
 from asia.ledger._view import Experiment, SearchView
 
 
@@ -14,8 +15,10 @@ def write_exports(directory: Path, view: SearchView) -> None:
 
 
 def results_table(view: SearchView) -> str:
-    """Tab-separated: experiment, val, status, description. No number stands for a failure."""
-    rows = ["experiment\tval\tstatus\tdescription"]
+    """Tab-separated: experiment, val, status, description. No number stands for a failure. With
+    validation early stopping the second column says so."""
+    val = view.v_name.replace("V", "val", 1)
+    rows = [f"experiment\t{val}\tstatus\tdescription"]
     for e in view.finished:
         assert e.result is not None
         value = f"{e.score.value:.6f}" if e.score else ""
@@ -28,10 +31,20 @@ def journal(view: SearchView) -> str:
     start = view.started
     parts = [
         f"# Search journal: {start.run}\n\nProblem {start.problem}, agent {start.agent}, "
-        f"seed {start.seed}, isolation {start.isolation}.\n"
+        f"seed {start.seed}, isolation {start.isolation}.\n{_setting(view)}"
     ]
     parts += [_entry(view, e, i) for i, e in enumerate(view.finished)]
     return "\n".join(parts)
+
+
+def _setting(view: SearchView) -> str:
+    if view.started.early_stopping == "inner":
+        return ""
+    return (
+        "\nValidation early stopping: candidates were told their score on the held-out parts, "
+        f"{view.validation_scores} times so far. V is not leak-free and compares only with V of "
+        "the same setting.\n"
+    )
 
 
 def _entry(view: SearchView, e: Experiment, position: int) -> str:
@@ -45,10 +58,16 @@ def _entry(view: SearchView, e: Experiment, position: int) -> str:
         f"- **Changed:** {p.family}, {p.phase} phase{origin}\n"
         f"- **Hypothesis:** {p.hypothesis}\n"
         f"- **Expected:** {p.expected}\n"
-        f"- **Result:** {describe_result(e)}\n"
+        f"- **Result:** {describe_result(e, view)}\n"
         f"- **Decision:** {r.status}\n"
         f"- **Next:** {following}\n"
     )
+
+
+def scores_told(result: Evaluated) -> str:
+    """How often the fits of an experiment were told their score on the held-out parts."""
+    count = result.validation_scores
+    return f"{count} validation score{'' if count == 1 else 's'}"
 
 
 def error_value(value: float) -> str:
@@ -56,11 +75,12 @@ def error_value(value: float) -> str:
     return f"{value:.4f}" if value < 1e4 else f"{value:.2e}"
 
 
-def describe_result(e: Experiment) -> str:
+def describe_result(e: Experiment, view: SearchView) -> str:
     """One line: V and its folds, or the failure with advice."""
-    if e.score:
+    if e.score and e.result:
         folds = ", ".join(error_value(f.value) for f in e.score.folds)
-        return f"V = {error_value(e.score.value)} (folds {folds})"
+        told = "" if view.started.early_stopping == "inner" else f", {scores_told(e.result)}"
+        return f"{view.v_name} = {error_value(e.score.value)} (folds {folds}{told})"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         detail = f" ({e.failure.detail.splitlines()[-1]})" if e.failure.detail.strip() else ""

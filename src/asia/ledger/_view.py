@@ -94,6 +94,18 @@ class SearchView:
         """Time spent on evaluations."""
         return sum(e.result.seconds for e in self.finished if e.result)
 
+    @property
+    def v_name(self) -> str:
+        """What V is called beside a figure of this search: with validation early stopping it is
+        not leak-free, and stands in no table with one that is."""
+        inner = self.started.early_stopping == "inner"
+        return "V" if inner else "V (validation early stopping)"
+
+    @property
+    def validation_scores(self) -> int:
+        """Scores on held-out parts given to candidates while they trained."""
+        return sum(e.result.validation_scores for e in self.finished if e.result)
+
     def experiment(self, number: int) -> Experiment:
         """Raises UserError when there is no such experiment."""
         for experiment in self.experiments:

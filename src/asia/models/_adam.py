@@ -2,182 +2,184 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 
-from asia.models._network import Cell, Params, rollout
+from asia.models._chunks import Data, Places, laid, places, random_chunks, tracks, whole
+from asia.models._monitor import Monitor, marks
+from asia.models._network import Cell, Params, Structure
+from asia.models._objective import check_structure, forward, objective
 from asia.models._records import Batch
 from asia.models.methods import Adam
 
-_REPORTS = 25
 
-Log = Callable[[float, float], None]
+class State(NamedTuple):
+    """trained: the parameters that change, average: their moving average, or None; carried: state
+    of the cell at the end of the last chunks, or None; loss, taken: sum over the steps since the
+    last look, and how many these were."""
 
-
-class Data(NamedTuple):
-    """Arrays of a `Batch` on the device: see there for shapes."""
-
-    window: jax.Array
-    u: jax.Array
-    y: jax.Array
-    weight: jax.Array
-    start_windows: jax.Array
-    starts: jax.Array
-
-
-class _State(NamedTuple):
-    params: Any
+    trained: Any
     optimiser: Any
+    average: Any
+    carried: Any
     loss: jax.Array
+    taken: jax.Array
 
 
-def train_adam(
-    cell: Cell,
+def run(
+    cell: Structure,
     params: Params,
     batch: Batch,
-    held_out: Batch | None,
     method: Adam,
+    horizon: int | None,
     seed: int,
-    log: Log,
-) -> Params:
-    """Minimises the mean squared simulation error in z-scores; returns the last parameters.
-
-    `held_out`: the same records weighted where `batch` is not. With it the number of steps with
-    the least held-out error is picked on a first run, then used on all samples. A step whose
-    gradient is not finite is skipped.
-    """
-    full = batch
-    steps = method.steps
-    if held_out is not None:
-        errors = _run(cell, params, batch, held_out, method, steps, seed, log)[1]
-        steps = _marks(method)[int(np.argmin(errors))]
-        full = replace(batch, weight=batch.weight + held_out.weight)
-    return _run(cell, params, full, None, method, steps, seed, log)[0]
-
-
-def _run(
-    cell: Cell,
-    params: Params,
-    batch: Batch,
-    held_out: Batch | None,
-    method: Adam,
     steps: int,
-    seed: int,
-    log: Log,
-) -> tuple[Params, list[float]]:
-    data = _on_device(batch, method)
-    other = None if held_out is None else _on_device(held_out, method)
-    start = jax.tree.map(jnp.asarray, params)
-    state = _State(start, _optimiser(method).init(start), jnp.zeros((), data.u.dtype))
-    marks = sorted({min(mark, steps) for mark in _marks(method)})
-    errors: list[float] = []
-    done = 0
-    for mark in marks:
-        state = _advance(cell, method, data, state, jnp.int32(done), jnp.int32(mark), seed)
-        done = mark
-        log(mark, float(jnp.sqrt(state.loss)))
-        if other is not None:
-            error = float(_error(cell, state.params, other))
-            errors.append(error if np.isfinite(error) else float("inf"))
-    return jax.tree.map(np.asarray, state.params), errors
-
-
-def _marks(method: Adam) -> list[int]:
-    """Numbers of steps after which the error is reported: `_REPORTS` of them, fewer when there
-    are fewer steps."""
-    marks = {round(method.steps * (i + 1) / _REPORTS) for i in range(_REPORTS)}
-    return sorted(marks - {0})
-
-
-def _on_device(batch: Batch, method: Adam) -> Data:
-    starts = np.asarray(batch.starts, np.int32)
-    lengths = np.asarray(batch.lengths)
-    rows = np.flatnonzero(starts[:, 1] == 0)
-    if method.truncation is not None:
-        own = lengths[starts[:, 0]]
-        fits = starts[:, 1] + method.truncation <= own
-        if fits.any():
-            # A record shorter than a chunk is one whole, as often as it has samples.
-            whole = own < method.truncation
-            index = np.arange(len(starts))
-            rows = np.where(whole, index - starts[:, 1], index)[fits | whole]
-    arrays = (batch.window, batch.u, batch.y, batch.weight, batch.start_windows[rows])
-    window, u, y, weight, windows = (jnp.asarray(a, jnp.float32) for a in arrays)
-    return Data(window, u, y, weight, windows, jnp.asarray(starts[rows]))
-
-
-def _optimiser(method: Adam) -> optax.GradientTransformation:
-    rate: Any = method.learning_rate
-    if method.schedule == "cosine":
-        rate = optax.cosine_decay_schedule(method.learning_rate, method.steps)
-    return optax.chain(
-        optax.clip_by_global_norm(method.clip),
-        optax.adamw(rate, weight_decay=method.weight_decay),
+    monitor: Monitor,
+) -> Params:
+    """The parameters after `steps` updates, or after those that `monitor` allows. A step whose
+    gradient is not finite is skipped."""
+    check_structure(cell, params, method)
+    length = method.truncation or horizon
+    data = _seen(batch, method, length)
+    trained, fixed = split(params)
+    carried = None
+    if isinstance(data, Data) and method.carry and isinstance(cell, Cell):
+        carried = jax.tree.map(jnp.zeros_like, cell.initial(params, data.window))
+    state = State(
+        trained,
+        optimiser(method).init(trained),
+        trained if method.average > 0 else None,
+        carried,
+        jnp.zeros((), jnp.float32),
+        jnp.zeros((), jnp.float32),
     )
 
+    def current() -> Params:
+        return joined(state.trained if state.average is None else state.average, fixed)
 
-@partial(jax.jit, static_argnums=(0, 1))
+    done = 0
+    for mark in marks(method, steps):
+        span = jnp.int32(done), jnp.int32(mark)
+        rate = jnp.float32(monitor.rate)
+        state = _advance(cell, method, length, data, fixed, state, span, rate, seed)
+        loss, done = float(state.loss / jnp.maximum(state.taken, 1.0)), mark
+        monitor(mark, current, loss if float(state.taken) > 0 else float("inf"))
+        if monitor.stopped:
+            break
+    return current()
+
+
+def split(params: Params) -> tuple[dict[str, Any], Any]:
+    """What is trained, and what is not."""
+    trained = {k: jax.tree.map(jnp.asarray, v) for k, v in params.items() if k != "fixed"}
+    return trained, params.get("fixed")
+
+
+def joined(trained: Mapping[str, Any], fixed: Any) -> Params:
+    """The inverse of `split`, as NumPy arrays."""
+    return cast(Params, jax.tree.map(np.asarray, merged(trained, fixed)))
+
+
+def merged(trained: Mapping[str, Any], fixed: Any) -> dict[str, Any]:
+    """Trained and fixed parameters as a structure reads them."""
+    return dict(trained) if fixed is None else {**trained, "fixed": fixed}
+
+
+def optimiser(method: Adam, memory: float = 0.999) -> optax.GradientTransformation:
+    """The direction of a step, to be multiplied by the learning rate; `memory`: decay of the mean
+    of squared gradients."""
+    clip = optax.clip_by_global_norm(method.clip)
+    if method.coupled:
+        penalty = optax.add_decayed_weights(method.weight_decay)
+        return optax.chain(clip, penalty, optax.adam(1.0, b2=memory))
+    return optax.chain(clip, optax.adamw(1.0, b2=memory, weight_decay=method.weight_decay))
+
+
+def scheduled(method: Adam, rate: jax.Array, step: jax.Array) -> jax.Array:
+    """Learning rate of a step; `rate` is what the monitor says."""
+    if method.schedule != "cosine":
+        return rate
+    return rate * 0.5 * (1.0 + jnp.cos(jnp.pi * step / method.steps))
+
+
+def _seen(batch: Batch, method: Adam, length: int | None) -> Data | Places:
+    if length is None:
+        return whole(batch)
+    if method.carry:
+        return tracks(batch, length, method.batch, method.washout)
+    return laid(batch, length) if method.full_batch else places(batch, length)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
-    cell: Cell,
+    cell: Structure,
     method: Adam,
-    data: Data,
-    state: _State,
-    first: jax.Array,
-    last: jax.Array,
+    length: int | None,
+    data: Data | Places,
+    fixed: Any,
+    state: State,
+    span: tuple[jax.Array, jax.Array],
+    rate: jax.Array,
     seed: jax.Array,
-) -> _State:
-    optimiser = _optimiser(method)
-    root = jax.random.key(seed)
+) -> State:
+    rule, root = optimiser(method), jax.random.key(seed)
 
-    def loss_of(params: Any, key: jax.Array) -> jax.Array:
-        picked, shaken = jax.random.split(key)
-        part = data if method.truncation is None else _chunks(data, method, picked)
-        u = part.u
-        if method.noise > 0:
-            u = u + method.noise * jax.random.normal(shaken, u.shape, u.dtype)
-        return _error(cell, params, part._replace(u=u))
+    def loss_of(trained: Any, carried: Any, step: jax.Array) -> tuple[jax.Array, Any]:
+        params = merged(trained, fixed)
+        drawn, shaken = jax.random.split(jax.random.fold_in(root, step))
+        teacher = method.teacher + (method.teacher_end - method.teacher) * step / method.steps
+        if carried is not None and isinstance(cell, Cell) and isinstance(data, Data):
+            part, fresh = _next_chunk(data, length or 1, step)
+            start = _chosen(fresh, cell.initial(params, part.window), carried)
+            y, last = forward(cell, method, params, part, teacher, shaken, start)
+            error = objective(method.loss, y - part.y, part.weight, 0, method.horizons)
+            return error, jax.lax.stop_gradient(last)
+        part = data
+        if isinstance(part, Places):
+            part = random_chunks(part, length or 1, method.batch, drawn)
+        y, _ = forward(cell, method, params, part, teacher, shaken)
+        residual = y - part.y
+        return objective(
+            method.loss, residual, part.weight, method.washout, method.horizons
+        ), carried
 
-    def update(step: jax.Array, state: _State) -> _State:
-        loss, gradient = jax.value_and_grad(loss_of)(state.params, jax.random.fold_in(root, step))
-        change, optimiser_state = optimiser.update(gradient, state.optimiser, state.params)
-        moved = _State(optax.apply_updates(state.params, change), optimiser_state, loss)
-        squares = [jnp.sum(g**2) for g in jax.tree.leaves(gradient)]
-        finite = jnp.isfinite(jnp.sum(jnp.stack(squares)))
-        return jax.tree.map(lambda new, old: jnp.where(finite, new, old), moved, state)
+    def update(step: jax.Array, state: State) -> State:
+        gradient_of = jax.value_and_grad(loss_of, has_aux=True)
+        (loss, carried), gradient = gradient_of(state.trained, state.carried, step)
+        change, memory = rule.update(gradient, state.optimiser, state.trained)
+        pace = scheduled(method, rate, step)
+        trained = optax.apply_updates(state.trained, jax.tree.map(lambda c: pace * c, change))
+        average = state.average
+        if average is not None:
+            slow = jnp.minimum(method.average, (1.0 + step) / (10.0 + step))
+            average = jax.tree.map(lambda a, t: slow * a + (1.0 - slow) * t, average, trained)
+        moved = State(trained, memory, average, carried, state.loss + loss, state.taken + 1.0)
+        return _chosen(finite(gradient), moved, state)
 
-    return jax.lax.fori_loop(first, last, update, state)
+    blank = jnp.zeros((), jnp.float32)
+    return jax.lax.fori_loop(*span, update, state._replace(loss=blank, taken=blank))
 
 
-def _chunks(data: Data, method: Adam, key: jax.Array) -> Data:
-    """As many random chunks as cover the records once, each from its own past window."""
-    length = min(method.truncation or data.u.shape[1], data.u.shape[1])
-    count = max(1, data.u.shape[0] * data.u.shape[1] // length)
-    picked = jax.random.randint(key, (count,), 0, data.starts.shape[0])
+def finite(tree: Any) -> jax.Array:
+    """Whether every number in a tree of arrays is."""
+    return jnp.isfinite(jnp.sum(jnp.stack([jnp.sum(g**2) for g in jax.tree.leaves(tree)])))
+
+
+def _chosen(first: jax.Array, one: Any, other: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)
+
+
+def _next_chunk(data: Data, length: int, step: jax.Array) -> tuple[Data, jax.Array]:
+    """The chunk that follows the one of the step before, and whether it is the first of all."""
+    index = step % (data.u.shape[1] // length)
 
     def cut(values: jax.Array) -> jax.Array:
-        def one(start: jax.Array) -> jax.Array:
-            return jax.lax.dynamic_slice_in_dim(values[start[0]], start[1], length)
+        return jax.lax.dynamic_slice_in_dim(values, index * length, length, axis=1)
 
-        return jax.vmap(one)(data.starts[picked])
-
-    counts = (jnp.arange(length) >= method.washout).astype(data.weight.dtype)
-    return data._replace(
-        window=data.start_windows[picked],
-        u=cut(data.u),
-        y=cut(data.y),
-        weight=cut(data.weight) * counts,
-    )
-
-
-@partial(jax.jit, static_argnums=0)
-def _error(cell: Cell, params: Any, data: Data) -> jax.Array:
-    residual = rollout(cell, params, data.window, data.u) - data.y
-    weight = data.weight[..., None]
-    return jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight) * data.y.shape[-1], 1.0)
+    return Data(data.window, cut(data.u), cut(data.y), cut(data.weight)), index == 0

@@ -34,6 +34,11 @@ class Encoder:
         return features @ self.weights + bent @ self.outer + self.bias
 
 
+def affine(weights: Array, bias: Array) -> Encoder:
+    """Without tanh functions: weights (d, n), bias (n,)."""
+    return Encoder(weights, bias, *_no_bend(*weights.shape))
+
+
 def fit_encoder(
     features: Sequence[Array], states: Sequence[Array], hidden: int = 0, seed: int = 0
 ) -> Encoder:
@@ -46,9 +51,9 @@ def fit_encoder(
     """
     x, y = np.concatenate(features), np.concatenate(states)
     if x.shape[1] == 0:
-        return Encoder(np.zeros((0, y.shape[1])), y.mean(axis=0), *_no_bend(0, y.shape[1]))
+        return affine(np.zeros((0, y.shape[1])), y.mean(axis=0))
     plain, plain_error = _regression(x, y)
-    without = Encoder(*plain, *_no_bend(x.shape[1], y.shape[1]))
+    without = affine(*plain)
     if hidden == 0:
         return without
     rng = np.random.default_rng(seed)

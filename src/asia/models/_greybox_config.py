@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Literal
 
 from asia.models._ode import Equations
+from asia.problem._expressions import Name
+
+Initial = Literal["measured", "estimated"]
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,9 @@ class Config:
     squared effects; an effect of 1 is as large as the signal it acts on.
     robust: Huber threshold in standard deviations of the output; None is least squares.
     substeps: Runge-Kutta steps a sample.
+    initial: how a simulation starts: "measured" at the last measured outputs, where every state is
+    an output; "estimated" from the whole past window; None is measured with a horizon, where that
+    is possible, and else estimated.
     """
 
     saturation: tuple[str, ...] = ()
@@ -39,6 +46,7 @@ class Config:
     residual_ridge: float = 1e-2
     robust: float | None = None
     substeps: int = 2
+    initial: Initial | None = None
 
     def __post_init__(self) -> None:
         if self.spill and not self.saturation:
@@ -72,7 +80,8 @@ class Range:
 class Structure:
     """All that is fixed before training. Hashable: compiled programs are found by it.
 
-    sampling_time in s; low, high (nx,): physical bounds of the states, infinite where open.
+    sampling_time in s; low, high (nx,): physical bounds of the states, infinite where open;
+    measured: whether simulations start at the last measured outputs.
     """
 
     equations: Equations
@@ -83,6 +92,7 @@ class Structure:
     sampling_time: float
     n_past_u: int
     n_past_y: int
+    measured: bool = False
 
     def __post_init__(self) -> None:
         states, outputs = self.equations.states, self.equations.outputs
@@ -119,8 +129,21 @@ class Structure:
     @property
     def n_fit(self) -> int:
         """Samples before the first simulated one over which the state is fitted: those whose
-        inputs are known, and without past inputs the newest output."""
+        inputs are known, and without past inputs, or when it is measured, the newest output."""
+        if self.measured:
+            return 1
         return max(self.n_past_u, min(self.n_past_y, 1))
+
+    @cached_property
+    def measured_states(self) -> dict[int, int]:
+        """Output index of each state that is observed as it is."""
+        system = self.equations
+        pairs = [
+            (system.states.index(expression.root.name), k)
+            for k, expression in enumerate(system.observation)
+            if isinstance(expression.root, Name) and expression.root.name in system.states
+        ]
+        return dict(pairs)
 
     @cached_property
     def layout(self) -> Layout:

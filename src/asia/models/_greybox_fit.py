@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.models._greybox_config import Structure
+from asia.models._greybox_measured import measured_fitter
 from asia.models._greybox_simulate import Scales, WindowPrior, prior_residuals, simulate_states
 from asia.models._greybox_starts import (
     Segments,
@@ -52,6 +53,8 @@ def fit(structure: Structure, segments: Segments, method: LevenbergMarquardt, se
     layout = structure.layout
     with jax.enable_x64(True):
         run = _fitter(structure, method)
+        if structure.measured:
+            run = measured_fitter(structure, method, _segment_residual)
         active = np.zeros(layout.size)
         active[layout.parameters] = 1.0
         starts = screen(structure, segments, method.starts, rng)

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from asia.models._greybox_config import Structure
 from asia.models._greybox_simulate import Scales, simulate_states
 from asia.models._lm import LMResult
-from asia.models._ode import Equations
 from asia.problem import Array, Trajectory
-from asia.problem._expressions import Name
 
 # Where an addition has no effect: a limit far above any state, a fraction of zero.
 _NO_LIMIT = 20.0
@@ -23,6 +21,8 @@ _NO_SPILL = -30.0
 _SCREENED_PER_START = 16
 _MOST_SCREENED_VALUES = 20_000_000
 _MOST_INITIAL_STATES = 240
+# Samples times squared coordinates of one iteration where initial states are measured.
+_MOST_WORK, _MEASURED_WINDOWS = 2e9, (60, 400)
 # Of the width of a parameter's range, where 2 spans it.
 _SPREAD_OF_PARAMETERS = 0.3
 # Beyond any state in any unit, and sums of its squares are still numbers.
@@ -51,13 +51,14 @@ class Starts(NamedTuple):
 def cut_segments(
     structure: Structure, trajectories: Sequence[Trajectory], horizon: int | None
 ) -> Segments:
-    """Whole records, or, with a horizon, windows of past and horizon spread over them."""
+    """Whole records, or, with a horizon, windows spread over them: past and horizon, or where the
+    initial state is measured the last past sample and the horizon."""
     pieces: list[Trajectory] = list(trajectories)
     if horizon is not None:
-        length = structure.n_past + horizon
+        length = (1 if structure.measured else structure.n_past) + horizon
         pieces = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
         pieces = [t for t in pieces if len(t) == length] or list(trajectories)
-        most = max(1, _MOST_INITIAL_STATES // structure.nx)
+        most = _most_windows(structure, length)
         if len(pieces) > most:
             chosen = np.linspace(0, len(pieces) - 1, most).round().astype(int)
             pieces = [pieces[i] for i in chosen]
@@ -67,9 +68,18 @@ def cut_segments(
         return np.pad(values, ((0, longest - len(values)), (0, 0)), mode="edge")
 
     mask = np.array([np.arange(longest) < len(t) for t in pieces], dtype=np.float64)
-    return Segments(
-        np.stack([pad(t.u) for t in pieces]), np.stack([pad(t.y) for t in pieces]), mask
-    )
+    u = np.stack([pad(t.u) for t in pieces])
+    if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
+        # As in simulation, where the input of the last past sample is not known.
+        u[:, 0] = u[:, 1]
+    return Segments(u, np.stack([pad(t.y) for t in pieces]), mask)
+
+
+def _most_windows(structure: Structure, length: int) -> int:
+    if not structure.measured:
+        return max(1, _MOST_INITIAL_STATES // structure.nx)
+    each = length * structure.ny * max(structure.layout.size, 1) ** 2
+    return int(np.clip(_MOST_WORK / each, *_MEASURED_WINDOWS))
 
 
 def initial_states(structure: Structure, starts: Starts, result: LMResult, i: int) -> Array:
@@ -78,23 +88,13 @@ def initial_states(structure: Structure, starts: Starts, result: LMResult, i: in
     return starts.x_guess[i] + shift * starts.scales.x_scale[i]
 
 
-def _measured(equations: Equations) -> dict[int, int]:
-    """Output index of each state that is observed as it is."""
-    pairs = [
-        (equations.states.index(expression.root.name), k)
-        for k, expression in enumerate(equations.observation)
-        if isinstance(expression.root, Name) and expression.root.name in equations.states
-    ]
-    return dict(pairs)
-
-
 def _first_guess(structure: Structure, segments: Segments) -> Array:
     """Initial states (S, nx): the first measurement, else the middle of the bounds, else 0."""
     low, high = np.array(structure.low), np.array(structure.high)
     closed = np.isfinite(low) & np.isfinite(high)
     middle = np.where(closed, 0.5 * (np.where(closed, low, 0.0) + np.where(closed, high, 0.0)), 0.0)
     guess = np.tile(np.clip(middle, low, high), (segments.u.shape[0], 1))
-    for state, output in _measured(structure.equations).items():
+    for state, output in structure.measured_states.items():
         guess[:, state] = segments.y[:, 0, output]
     return guess
 
@@ -156,7 +156,7 @@ def screen(
     repeated = _repeat(base, drawn)
     states = np.asarray(simulate_many(structure)(z, repeated, guess, segments.u)[1])
     center, scale = _spread(states, segments)
-    hidden = [i for i in range(structure.nx) if i not in _measured(structure.equations)]
+    hidden = [i for i in range(structure.nx) if i not in structure.measured_states]
     guess[:, :, hidden] = center[:, None, hidden]
     scales = repeated._replace(x_center=center, x_scale=scale)
     order = _ranking(structure, segments, Starts(z, np.zeros_like(guess), guess, repeated))

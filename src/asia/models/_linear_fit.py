@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,8 @@ from asia.models._linear_system import LinearSystem, delayed_convolution, powers
 from asia.models._records import Record, contiguous_splits, past_length, windows
 from asia.models._subspace import spread_poles, starts
 from asia.problem import Array
+
+Log = Callable[[float, float], None]
 
 # A system this close to the unit circle or beyond grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
@@ -41,14 +43,26 @@ class LinearFit:
     error: float
 
 
-def fit(records: Sequence[Record], order: int, refinement: Refinement) -> LinearFit:
-    """Best start of this order by simulation error, then refined."""
+def fit(
+    records: Sequence[Record], order: int, refinement: Refinement, log: Log | None = None
+) -> LinearFit:
+    """Best start of this order by simulation error, then refined; log(iteration, error)."""
     pairs = [s.start(order) for s in starts(records, max(order, 4))]
     pairs.append(spread_poles(order, records[0].y.shape[1]))
     solved = [solve_linear_part(records, *pair) for pair in pairs if pair is not None]
     solved.sort(key=lambda s: s.error)
-    refined = [refine(records, s, refinement) for s in solved[:2]]
-    return min(refined, key=lambda s: s.error)
+    count, best = refinement.iterations, solved[0]
+    for i, start in enumerate(solved[:2]):
+        other = refine(records, start, refinement, _offset(log, i * count, best.error))
+        best = min(best, other, key=lambda s: s.error)
+    return best
+
+
+def _offset(log: Log | None, by: int, least: float) -> Log | None:
+    """Iterations counted from `by`, errors never above `least`."""
+    if log is None:
+        return None
+    return lambda step, error: log(by + step, min(error, float(np.sqrt(least))))
 
 
 def choose_order(
@@ -138,7 +152,9 @@ def simulated_states(records: Sequence[Record], system: LinearSystem, x0: Array)
     return [states_of(system, power[: len(r)], x, r.u) for r, x in zip(records, x0, strict=True)]
 
 
-def refine(records: Sequence[Record], start: LinearFit, refinement: Refinement) -> LinearFit:
+def refine(
+    records: Sequence[Record], start: LinearFit, refinement: Refinement, log: Log | None = None
+) -> LinearFit:
     """Levenberg-Marquardt on A, B, C, D, offset and the initial states.
 
     The parametrisation is redundant (any change of state coordinates); the damping makes the
@@ -146,7 +162,9 @@ def refine(records: Sequence[Record], start: LinearFit, refinement: Refinement) 
     """
     prior = refinement.initial_ridge * start.error if np.isfinite(start.error) else 0.0
     current, damping = start, refinement.damping
-    for _ in range(refinement.iterations):
+    for iteration in range(refinement.iterations):
+        if log is not None:
+            log(iteration, float(np.sqrt(current.error)))
         jacobian, residual = _linearised(records, current, prior)
         cost = float(residual @ residual)
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))

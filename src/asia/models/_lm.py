@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 Residual = Callable[[jax.Array], jax.Array]
 Linearised = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
+Cost = Callable[[jax.Array], jax.Array]
 
 # Dampings tried side by side in one iteration: one Jacobian then nearly always yields a step.
 _TRIALS = (0.1, 1.0, 10.0, 100.0)
@@ -22,7 +23,9 @@ class LevenbergMarquardt:
 
     iterations: greatest number of Jacobians; starts: number of starting points of a family that
     can be started from several; damping: first damping, relative to the scaled normal matrix;
-    tolerance: relative decrease of the cost below which it stops.
+    tolerance: relative decrease of the cost below which it stops; stop: "validation" asks
+    `context.validation_score` after every iteration and keeps the best parameters, in families that
+    can (physics_net); without such a score, or elsewhere, the last ones are kept.
     Source: Marquardt, SIAM J. Appl. Math. 11 (1963).
     """
 
@@ -30,6 +33,7 @@ class LevenbergMarquardt:
     starts: int = 1
     damping: float = 1e-2
     tolerance: float = 1e-9
+    stop: Literal["validation"] | None = None
 
     def __post_init__(self) -> None:
         if self.iterations < 0 or self.starts < 1:
@@ -48,7 +52,19 @@ class LMResult(NamedTuple):
     history: jax.Array
 
 
-class _State(NamedTuple):
+class Normal(NamedTuple):
+    """Cost (sum of squared residuals e), and J' J (n, n) and J' e (n,) for the parameters
+    multiplied by `scale` (n,), the norms of the Jacobian's columns."""
+
+    cost: jax.Array
+    scale: jax.Array
+    gram: jax.Array
+    gradient: jax.Array
+
+
+class LMState(NamedTuple):
+    """Where a minimisation stands; `history` as in `LMResult`."""
+
     theta: jax.Array
     cost: jax.Array
     damping: jax.Array
@@ -56,26 +72,31 @@ class _State(NamedTuple):
     done: jax.Array
     history: jax.Array
 
+    @property
+    def result(self) -> LMResult:
+        """What it has found so far."""
+        return LMResult(self.theta, self.cost, self.iteration, self.history)
 
-def _cost(residual: jax.Array) -> jax.Array:
-    cost = jnp.sum(residual**2)
+
+def finite_cost(cost: jax.Array) -> jax.Array:
+    """Infinity for what is not a number."""
     return jnp.where(jnp.isfinite(cost), cost, jnp.inf)
 
 
-def _steps(jacobian: jax.Array, residual: jax.Array, dampings: jax.Array) -> jax.Array:
-    """Steps (trials, n) for several dampings, with Marquardt's column scaling."""
+def normal_of(residual: jax.Array, jacobian: jax.Array) -> Normal:
+    """From residuals (m,) and Jacobian (m, n)."""
     scale = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
     scale = jnp.where(scale > 0, scale, 1.0)
     scaled = jacobian / scale
-    normal = scaled.T @ scaled
-    gradient = scaled.T @ residual
-    identity = jnp.eye(normal.shape[0], dtype=normal.dtype)
+    cost = finite_cost(jnp.sum(residual**2))
+    return Normal(cost, scale, scaled.T @ scaled, scaled.T @ residual)
 
-    def step(damping: jax.Array) -> jax.Array:
-        factor = jax.scipy.linalg.cho_factor(normal + damping * identity, lower=True)
-        return -jax.scipy.linalg.cho_solve(factor, gradient) / scale
 
-    return jax.vmap(step)(dampings)
+def normal_from_sums(cost: jax.Array, gram: jax.Array, gradient: jax.Array) -> Normal:
+    """From J' J (n, n) and J' e (n,) summed in parts, where the Jacobian is too large to hold."""
+    scale = jnp.sqrt(jnp.diag(gram))
+    scale = jnp.where(scale > 0, scale, 1.0)
+    return Normal(finite_cost(cost), scale, gram / jnp.outer(scale, scale), gradient / scale)
 
 
 def levenberg_marquardt(
@@ -101,53 +122,80 @@ def levenberg_marquardt(
         jacobian, value = jax.jacfwd(both, has_aux=True)(theta)
         return value, jacobian
 
+    def cost(theta: jax.Array) -> jax.Array:
+        return finite_cost(jnp.sum(residual(theta) ** 2))
+
+    def normal(theta: jax.Array) -> Normal:
+        return normal_of(*(linearised or forward)(theta))
+
     with jax.enable_x64(True):
-        start = jnp.asarray(theta0, dtype=jnp.float64)
-        return _minimise(residual, linearised or forward, start, method)
+        theta = jnp.asarray(theta0, dtype=jnp.float64)
+        # The first linearisation gives the first cost: compiling the residual once more is dear.
+        known = None if method.iterations else cost(theta)
+        state = advance(cost, normal, initial_state(theta, method, known), method)
+        return state.result
 
 
-def _minimise(
-    residual: Residual, linearised: Linearised, theta0: jax.Array, method: LevenbergMarquardt
-) -> LMResult:
+def initial_state(
+    theta0: jax.Array, method: LevenbergMarquardt, cost: jax.Array | None = None
+) -> LMState:
+    """Before the first iteration, at theta0 (n,) float64."""
+    unknown = jnp.asarray(jnp.inf) if cost is None else cost
+    return LMState(
+        theta=theta0,
+        cost=unknown,
+        damping=jnp.asarray(method.damping),
+        iteration=jnp.asarray(0),
+        done=jnp.asarray(False),
+        history=jnp.full(method.iterations + 1, unknown),
+    )
+
+
+def advance(
+    cost: Cost,
+    normal: Callable[[jax.Array], Normal],
+    state: LMState,
+    method: LevenbergMarquardt,
+    until: jax.Array | None = None,
+) -> LMState:
+    """Iterate to the end, or to iteration `until`, so that a long fit can be watched. Traced, in
+    float64."""
     trials = jnp.asarray(_TRIALS)
+    last = method.iterations if until is None else jnp.minimum(until, method.iterations)
 
-    def unfinished(state: _State) -> jax.Array:
-        return (state.iteration < method.iterations) & ~state.done
+    def unfinished(state: LMState) -> jax.Array:
+        return (state.iteration < last) & ~state.done
 
-    def iterate(state: _State) -> _State:
-        value, jacobian = linearised(state.theta)
-        before = _cost(value)
-        history = jnp.where(state.iteration == 0, before, state.history)
+    def iterate(state: LMState) -> LMState:
+        at = normal(state.theta)
+        history = jnp.where(state.iteration == 0, at.cost, state.history)
         dampings = state.damping * trials
-        candidates = state.theta + _steps(jacobian, value, dampings)
-        costs = jax.vmap(lambda theta: _cost(residual(theta)))(candidates)
+        candidates = state.theta + _steps(at, dampings)
+        costs = jax.vmap(cost)(candidates)
         best = jnp.argmin(costs)
-        better = costs[best] < before
-        cost = jnp.where(better, costs[best], before)
+        better = costs[best] < at.cost
+        reached = jnp.where(better, costs[best], at.cost)
         damping = jnp.where(better, dampings[best] * 0.3, dampings[-1] * 10.0)
-        small = better & (before - cost <= method.tolerance * before)
+        small = better & (at.cost - reached <= method.tolerance * at.cost)
         iteration = state.iteration + 1
-        return _State(
+        return LMState(
             theta=jnp.where(better, candidates[best], state.theta),
-            cost=cost,
+            cost=reached,
             damping=jnp.maximum(damping, 1e-12),
             iteration=iteration,
-            done=small | (damping > 1e12) | (cost == 0.0),
-            history=jnp.where(jnp.arange(method.iterations + 1) >= iteration, cost, history),
+            done=small | (damping > 1e12) | (reached == 0.0),
+            history=jnp.where(jnp.arange(method.iterations + 1) >= iteration, reached, history),
         )
 
-    # The first linearisation gives the first cost: compiling the residual once more is dear.
-    unknown = jnp.asarray(jnp.inf) if method.iterations else _cost(residual(theta0))
-    state = jax.lax.while_loop(
-        unfinished,
-        iterate,
-        _State(
-            theta=theta0,
-            cost=unknown,
-            damping=jnp.asarray(method.damping),
-            iteration=jnp.asarray(0),
-            done=jnp.asarray(False),
-            history=jnp.full(method.iterations + 1, unknown),
-        ),
-    )
-    return LMResult(state.theta, state.cost, state.iteration, state.history)
+    return jax.lax.while_loop(unfinished, iterate, state)
+
+
+def _steps(at: Normal, dampings: jax.Array) -> jax.Array:
+    """Steps (trials, n) for several dampings, with Marquardt's column scaling."""
+    identity = jnp.eye(at.gram.shape[0], dtype=at.gram.dtype)
+
+    def step(damping: jax.Array) -> jax.Array:
+        factor = jax.scipy.linalg.cho_factor(at.gram + damping * identity, lower=True)
+        return -jax.scipy.linalg.cho_solve(factor, at.gradient) / at.scale
+
+    return jax.vmap(step)(dampings)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from asia.problem import Physics
-from asia.problem._expressions import Expression, parse_expression
+from asia.problem._expressions import Expression, Name, parse_expression
 from asia.problem._physics import check_physics, definition_order
 
 Derivative = Callable[[jax.Array, jax.Array], jax.Array]
@@ -82,6 +82,24 @@ class Equations:
     def observe(self, parameters: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
         """Outputs: parameters (np,), x (nx,), u (nu,) -> (ny,)."""
         return self._evaluate(self.observation, parameters, x, u)
+
+    def named(
+        self, names: tuple[str, ...], parameters: jax.Array, x: jax.Array, u: jax.Array
+    ) -> jax.Array:
+        """Values (len(names),) of states, inputs, parameters or definitions."""
+        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in names)
+        return self._evaluate(expressions, parameters, x, u) if names else jnp.zeros(0, x.dtype)
+
+    def closure(self, expression: Expression) -> frozenset[str]:
+        """All names an expression depends on, definitions followed."""
+        known = dict(self.definitions)
+        found, left = set[str](), set(expression.names)
+        while left:
+            name = left.pop()
+            found.add(name)
+            if name in known:
+                left |= known[name].names - found
+        return frozenset(found)
 
     def _evaluate(
         self,

@@ -73,8 +73,19 @@ def windows(record: Record, context: Context) -> Array:
     return window(record.measured_u[back_u], record.y[back_y])
 
 
-def holdout_masks(records: Sequence[Record], fraction: float, blocks: int = 8) -> list[Mask]:
-    """For each record (T,) booleans, True where held out: `blocks` short stretches spread over it.
+def holdout_records(count: int, fraction: float) -> list[int]:
+    """Of four records or more, those to hold out whole, spread over them; of fewer, none."""
+    left_out = round(fraction * count)
+    if count < 4 or left_out < 1:
+        return []
+    return [int((i + 0.5) * count / left_out) for i in range(left_out)]
+
+
+def holdout_masks(
+    records: Sequence[Record], fraction: float, blocks: int = 8, shortest: int = 0
+) -> list[Mask]:
+    """For each record (T,) booleans, True where held out: `blocks` stretches spread over it, fewer
+    where they would have less than `shortest` samples.
 
     A simulated output depends on inputs alone, so a sample whose weight is zero is unseen even
     though the simulation runs through it.
@@ -82,7 +93,7 @@ def holdout_masks(records: Sequence[Record], fraction: float, blocks: int = 8) -
     masks: list[Mask] = []
     for record in records:
         length = len(record)
-        period = max(length / blocks, 4.0)
+        period = max(length / blocks, 4.0, min(shortest / fraction, length))
         phase = np.arange(length) % period
         masks.append((phase >= (1 - fraction) / 2 * period) & (phase < (1 + fraction) / 2 * period))
     return masks

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.models._linear_system import LinearSystem
+from asia.models._linear_windows import Lags, Predictor
 
 Nonlinearity = Literal["state", "input", "output", "both"]
 Basis = Literal["tanh", "polynomial"]
@@ -30,7 +31,8 @@ _RANGE = 4.0
 @dataclass(frozen=True)
 class Structure:
     """Sizes and kind of the functions; hashable. channels: None lets f and g read all of [x, v],
-    a number only so many linear combinations of it."""
+    a number only so many linear combinations of it. lags: None, or the state is the past window
+    itself: its next value follows from the output, and f is left out."""
 
     order: int
     nu: int
@@ -40,6 +42,7 @@ class Structure:
     hidden: int
     degree: int
     channels: int | None
+    lags: Lags | None = None
 
     def input(self, xp: ModuleType, p: Params, u: Any) -> Any:
         """v from u (..., nu)."""
@@ -47,16 +50,22 @@ class Structure:
 
     def split(self, xp: ModuleType, p: Params, x: Any, v: Any) -> tuple[Any, Any]:
         """States x (..., n), inputs v (..., nu) -> next states and outputs before r."""
-        state = x @ p["a"] + v @ p["b"]
         output = x @ p["c"] + v @ p["d"] + p["offset"]
+        if self.lags is not None:
+            output = output + self._change(xp, p, x, v)
+            keep, from_u, from_y = self.lags.shift()
+            return x @ keep + v @ from_u + output @ from_y, output
+        state = x @ p["a"] + v @ p["b"]
         if "f" not in p:
             return state, output
+        change = self._change(xp, p, x, v)
+        return state + change[..., : self.order], output + change[..., self.order :]
+
+    def _change(self, xp: ModuleType, p: Params, x: Any, v: Any) -> Any:
         both = xp.concatenate([x, v], axis=-1)
         if self.channels is None:
-            change = self._net(xp, p["f"], both)
-        else:
-            change = self._net(xp, p["f"], both @ p["read"]) @ p["act"]
-        return state + change[..., : self.order], output + change[..., self.order :]
+            return self._net(xp, p["f"], both)
+        return self._net(xp, p["f"], both @ p["read"]) @ p["act"]
 
     def output(self, xp: ModuleType, p: Params, w: Any) -> Any:
         """y from w (..., ny)."""
@@ -74,6 +83,13 @@ class Structure:
             for d in range(2, self.degree + 1)
         ]
 
+    def start_windowed(self, predictor: Predictor, rng: np.random.Generator) -> dict[str, Any]:
+        """Parameters that simulate as the linear model whose state is the past window."""
+        n, theta = self.order, predictor.theta
+        p: dict[str, Any] = {"c": theta[:n], "d": theta[n:-1], "offset": theta[-1]}
+        self._add_state_function(p, rng, self.ny)
+        return p
+
     def start(self, system: LinearSystem, rng: np.random.Generator) -> dict[str, Any]:
         """Parameters that simulate as the linear system."""
         p: dict[str, Any] = {
@@ -85,18 +101,23 @@ class Structure:
         }
         n, nu, ny = self.order, self.nu, self.ny
         if self.nonlinearity == "state":
-            m = self.channels
-            if m is None:
-                p["f"] = self._function(rng, n + nu, n + ny)
-            else:
-                p["f"] = self._function(rng, m, m)
-                p["read"] = rng.standard_normal((n + nu, m)) / np.sqrt(n + nu)
-                p["act"] = rng.standard_normal((m, n + ny)) / np.sqrt(n + ny)
+            self._add_state_function(p, rng, n + ny)
         if self.nonlinearity in ("input", "both"):
             p["s"] = self._function(rng, nu, nu)
         if self.nonlinearity in ("output", "both"):
             p["r"] = self._function(rng, ny, ny)
         return p
+
+    def _add_state_function(
+        self, p: dict[str, Any], rng: np.random.Generator, outputs: int
+    ) -> None:
+        inputs, m = self.order + self.nu, self.channels
+        if m is None:
+            p["f"] = self._function(rng, inputs, outputs)
+        else:
+            p["f"] = self._function(rng, m, m)
+            p["read"] = rng.standard_normal((inputs, m)) / np.sqrt(inputs)
+            p["act"] = rng.standard_normal((m, outputs)) / np.sqrt(outputs)
 
     def _function(self, rng: np.random.Generator, inputs: int, outputs: int) -> dict[str, Any]:
         if self.basis == "polynomial":

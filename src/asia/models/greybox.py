@@ -14,8 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.errors import UserError
 from asia.models._greybox_config import Config, Range, Structure
 from asia.models._greybox_fit import Fitted, fit
+from asia.models._greybox_measured import measured_simulator
 from asia.models._greybox_simulate import effects, simulator
 from asia.models._greybox_starts import cut_segments
 from asia.models._lm import LevenbergMarquardt
@@ -36,7 +38,8 @@ class GreyBox:
         """Open-loop simulation in physical units.
 
         past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> y_hat (B, H, ny).
-        The initial state is estimated from the past window. Always finite for finite input.
+        The initial state is measured or estimated from the past window (`Config.initial`). Always
+        finite for finite input.
         Raises ValueError when the model is not trained or a past window has another length.
         """
         fitted = self._trained()
@@ -47,8 +50,12 @@ class GreyBox:
                 f"trained with {expected[0]} and {expected[1]}"
             )
         with jax.enable_x64(True):
-            run = simulator(self.structure)
-            y = run(fitted.z, fitted.scales, fitted.prior, past_u, past_y, u)
+            if self.structure.measured:
+                run = measured_simulator(self.structure)
+                y = run(fitted.z, fitted.scales, past_u, past_y, u)
+            else:
+                run = simulator(self.structure)
+                y = run(fitted.z, fitted.scales, fitted.prior, past_u, past_y, u)
             return np.asarray(y, dtype=np.float64)
 
     def parameters(self) -> dict[str, float]:
@@ -79,7 +86,8 @@ class GreyBox:
 
 def build(config: Config, context: Context) -> GreyBox:
     """The untrained model. Raises ValueError when the problem has no physics or the config names
-    an unknown state or output, UserError when the physics do not fit the signals."""
+    an unknown state or output, UserError when the physics do not fit the signals or measured
+    initial states are asked for that are not."""
     physics = context.physics
     if physics is None:
         raise ValueError(
@@ -98,7 +106,18 @@ def build(config: Config, context: Context) -> GreyBox:
         n_past_u=context.n_past_u,
         n_past_y=context.n_past_y,
     )
-    return GreyBox(structure)
+    return GreyBox(replace(structure, measured=_is_measured(structure, context)))
+
+
+def _is_measured(structure: Structure, context: Context) -> bool:
+    asked = structure.config.initial
+    possible = context.n_past_y > 0 and len(structure.measured_states) == structure.nx
+    if asked == "measured" and not possible:
+        raise UserError(
+            'greybox.Config: initial is "measured", but the past window does not show every '
+            'state; use "estimated" or None'
+        )
+    return possible and (asked == "measured" or (asked is None and context.horizon is not None))
 
 
 def train(

@@ -1,7 +1,8 @@
 """Linear state-space model: subspace start, then refinement of the simulation error.
 
 x[k+1] = A x[k] + B u[k - delay],  y[k] = C x[k] + D u[k - delay] + offset, with the initial state
-estimated from the past window. Source: Ljung, System Identification, 2nd ed., chapters 4 and 10.
+estimated from the past window. With a horizon, a model whose state is the past window itself
+competes. Source: Ljung, System Identification, 2nd ed., chapters 4 and 10.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ from asia.candidate import Context
 from asia.errors import UserError
 from asia.models._encoder import Encoder
 from asia.models._linear_fit import LinearFit, Refinement, choose_order, encoder_of, fit
+from asia.models._linear_horizon import MOST_WINDOWS, choose, fit_choice, held_out
 from asia.models._linear_system import LinearSystem
+from asia.models._linear_windows import Predictor
 from asia.models._records import Record, check, past_length, scaled, shortened, window
 from asia.models._scaling import Scaling
+from asia.models._windows import cut_windows, stretches
 from asia.problem import Array, Trajectory
 
 if TYPE_CHECKING:
@@ -26,6 +30,10 @@ if TYPE_CHECKING:
 
 # Choosing order and delay takes dozens of fits; this many samples tell candidates apart.
 _SELECTION_SAMPLES = 3000
+# Beside the model whose state is the past window, a state-space model is tried on up to so many
+# outputs; on more it has too many parameters for simulations of whole records.
+_MOST_OUTPUTS = 3
+_JACOBIAN_NUMBERS = 60_000_000
 
 
 @dataclass(frozen=True)
@@ -50,12 +58,12 @@ class Config:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What training found: system in z-scores, delay in samples, encoder of the past window."""
+    """What training found: system in z-scores, encoder of the past window, delay in samples."""
 
     system: LinearSystem
+    encoder: Encoder
     delay: int
     scaling: Scaling
-    encoder: Encoder
 
 
 @dataclass(frozen=True)
@@ -95,10 +103,49 @@ def train(
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
-    found, delay = fit_records(records, context, model.config, refinement_of(method))
-    context.log(0, float(np.sqrt(found.error)))
-    encoder = encoder_of([shifted(r, delay) for r in records], found, context)
-    return replace(model, fitted=Fitted(found.system, delay, scaling, encoder))
+    predictor = windowed(records, context, model.config, refinement_of(method))
+    if predictor is not None:
+        return replace(model, fitted=Fitted(*predictor.system(), 0, scaling))
+    found, delay, used = fit_records(records, context, model.config, refinement_of(method))
+    encoder = encoder_of(used, found, context)
+    return replace(model, fitted=Fitted(found.system, encoder, delay, scaling))
+
+
+def windowed(
+    records: Sequence[Record], context: Context, config: Config, refinement: Refinement
+) -> Predictor | None:
+    """With a horizon and the order open: the model whose state is the past window, unless the
+    state-space model has the smaller error on windows left out. None means that one."""
+    if context.horizon is None or config.order is not None:
+        return None
+    choice = choose(records, context, refinement)
+    if choice is None:
+        return None
+    if context.ny <= _MOST_OUTPUTS:
+        part = _selection(records, context, config)
+        order = fit_records(part, context, config, refinement)[0].system.order
+        known = replace(config, order=order)
+        errors = [_window_error(*s, context, known, refinement) for s in held_out(part, context)]
+        if np.mean(errors) < choice.error:
+            return None
+    predictor = fit_choice(records, context, choice, refinement)
+    context.log(0, float(np.sqrt(choice.error)))
+    return predictor
+
+
+def _window_error(
+    kept: Sequence[Record],
+    left: Sequence[Record],
+    context: Context,
+    config: Config,
+    refinement: Refinement,
+) -> float:
+    """Mean squared error of the state-space model on windows of records it was not fitted to."""
+    found, delay, used = fit_records(kept, context, config, refinement)
+    encoder = encoder_of(used, found, context)
+    cut = cut_windows([shifted(r, delay) for r in left], context, MOST_WINDOWS)
+    _, y = found.system.simulate(encoder(cut.features), cut.u)
+    return float(((y - cut.y) ** 2).mean())
 
 
 def refinement_of(method: LevenbergMarquardt | None) -> Refinement:
@@ -110,18 +157,30 @@ def refinement_of(method: LevenbergMarquardt | None) -> Refinement:
 
 def fit_records(
     records: Sequence[Record], context: Context, config: Config, refinement: Refinement
-) -> tuple[LinearFit, int]:
-    """Delay, order, then the refined fit to all samples; returns the fit and the delay."""
+) -> tuple[LinearFit, int, list[Record]]:
+    """Delay, order, then the refined fit; returns the fit, the delay and the records it was
+    fitted to, their inputs delayed: all of them, or stretches where they are too long to hold."""
     part = _selection(records, context, config)
     delay = _estimate_delay(part, config) if config.delay is None else config.delay
-    late = [shifted(r, delay) for r in records]
     order = config.order
     if order is None:
         quick = replace(refinement, iterations=min(refinement.iterations, 15))
         late_part = [shifted(r, delay) for r in part]
         highest = _affordable(late_part, config.max_order)
         order = choose_order(late_part, context, highest, config.tolerance, quick)
-    return fit(late, order, refinement), delay
+    late = stretches(
+        [shifted(r, delay) for r in records],
+        _samples_held(order, context),
+        2 * past_length(context) + 100 * order,
+    )
+    return fit(late, order, refinement, context.log), delay, late
+
+
+def _samples_held(order: int, context: Context) -> int:
+    """Samples whose Jacobian fits in memory, with the transforms it is made by."""
+    signals = order + context.nu
+    numbers = context.ny * (5 * order * signals + context.ny * signals)
+    return max(1000, _JACOBIAN_NUMBERS // numbers)
 
 
 def shifted(record: Record, delay: int) -> Record:

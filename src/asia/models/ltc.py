@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -20,13 +20,16 @@ from asia.candidate import Context
 from asia.errors import UserError
 from asia.models._network import (
     NetworkModel,
+    Params,
+    as_built,
     dense,
     linear_output,
     train_network,
+    uniform,
     window_size,
     zeros,
 )
-from asia.models.methods import Adam
+from asia.models.methods import NetworkMethod
 from asia.problem import Trajectory
 
 
@@ -34,18 +37,24 @@ from asia.problem import Trajectory
 class Config:
     """hidden: states; width: units of the inner layer of f and of the initial-state network, None
     for as many as states; tau_min, tau_max: first and last of the log-spaced initial time
-    constants, in samples."""
+    constants, in samples; start: "ridge" solves the output layer by ridge regression, "uniform"
+    draws all weights within 1 / sqrt(fan-in), as PyTorch does; bounded: whether f and the
+    initial-state network end in a tanh or in their linear layer."""
 
     hidden: int = 64
     width: int | None = None
     tau_min: float = 1.0
     tau_max: float = 25.0
+    start: Literal["ridge", "uniform"] = "ridge"
+    bounded: bool = True
 
     def __post_init__(self) -> None:
         if self.hidden < 1 or (self.width is not None and self.width < 1):
             raise UserError("ltc.Config: hidden and width must be at least 1")
         if not 0 < self.tau_min <= self.tau_max:
             raise UserError("ltc.Config: expected 0 < tau_min <= tau_max")
+        if self.start not in ("ridge", "uniform"):
+            raise UserError(f"ltc.Config: start is '{self.start}', expected ridge or uniform")
 
 
 @dataclass(frozen=True)
@@ -54,16 +63,20 @@ class LTCCell:
 
     config: Config
 
+    def parameters(self, context: Context) -> Params:
+        """Untrained parameters drawn from `context.seed`."""
+        return _parameters(self.config, context)
+
     def initial(self, params: Any, window: jax.Array) -> jax.Array:
         """h before the first sample."""
         inner = jnp.tanh(window @ params["enc_w1"] + params["enc_b1"])
-        return jnp.tanh(inner @ params["enc_w2"] + params["enc_b2"])
+        return self._bent(inner @ params["enc_w2"] + params["enc_b2"])
 
     def step(self, params: Any, state: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Each state decays towards f with its own time constant."""
         decay = jnp.exp(-jnp.exp(-params["log_tau"]))
         inner = jnp.tanh(state @ params["f_h"] + u @ params["f_u"] + params["f_b1"])
-        target = jnp.tanh(inner @ params["f_w2"] + params["f_b2"])
+        target = self._bent(inner @ params["f_w2"] + params["f_b2"])
         state = decay * state + (1 - decay) * target
         return state, state
 
@@ -71,32 +84,52 @@ class LTCCell:
         """Linear in h and u."""
         return linear_output(params, features, u)
 
+    def _bent(self, values: jax.Array) -> jax.Array:
+        return jnp.tanh(values) if self.config.bounded else values
+
 
 def build(config: Config, context: Context) -> NetworkModel:
     """An untrained network initialised from `context.seed`."""
-    rng = np.random.default_rng(context.seed)
-    hidden, width = config.hidden, config.width or config.hidden
-    params = {
-        "enc_w1": dense(rng, window_size(context), width),
-        "enc_b1": zeros(width),
-        "enc_w2": dense(rng, width, hidden),
-        "enc_b2": zeros(hidden),
-        "f_h": dense(rng, hidden, width),
-        "f_u": dense(rng, context.nu, width),
-        "f_b1": zeros(width),
-        "f_w2": dense(rng, width, hidden),
-        "f_b2": zeros(hidden),
-        "log_tau": np.linspace(np.log(config.tau_min), np.log(config.tau_max), hidden).astype(
-            np.float32
-        ),
-        "out_w": zeros(hidden + context.nu, context.ny),
-        "out_b": zeros(context.ny),
-    }
-    return NetworkModel(LTCCell(config), params)
+    cell = LTCCell(config)
+    return NetworkModel(cell, cell.parameters(context))
 
 
 def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: Adam
+    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
 ) -> NetworkModel:
     """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    return train_network(model, trajectories, context, method)
+    random = isinstance(model.cell, LTCCell) and model.cell.config.start == "uniform"
+    return train_network(model, trajectories, context, method, as_built if random else None)
+
+
+def _parameters(config: Config, context: Context) -> Params:
+    rng = np.random.default_rng(context.seed)
+    hidden, width = config.hidden, config.width or config.hidden
+    seen, nu = window_size(context), context.nu
+    shapes = {
+        "enc_w1": (seen, width),
+        "enc_w2": (width, hidden),
+        "f_h": (hidden, width),
+        "f_u": (nu, width),
+        "f_w2": (width, hidden),
+    }
+    taus = np.linspace(np.log(config.tau_min), np.log(config.tau_max), hidden)
+    if config.start == "ridge":
+        params = {name: dense(rng, *shape) for name, shape in shapes.items()}
+        biases = {name: zeros(size) for name, size in _biases(config).items()}
+        params |= biases | {"out_w": zeros(hidden + nu, context.ny), "out_b": zeros(context.ny)}
+    else:
+        # f's first layer reads h and u together.
+        fan_in = {name: shape[0] for name, shape in shapes.items()}
+        fan_in |= {"f_h": hidden + nu, "f_u": hidden + nu}
+        fan_in |= {"enc_b1": seen, "enc_b2": width, "f_b1": hidden + nu, "f_b2": width}
+        shapes |= {name: (size,) for name, size in _biases(config).items()}
+        shapes |= {"out_w": (hidden + nu, context.ny), "out_b": (context.ny,)}
+        fan_in |= {"out_w": hidden + nu, "out_b": hidden + nu}
+        params = {name: uniform(rng, shape, fan_in[name]) for name, shape in shapes.items()}
+    return {**params, "log_tau": taus.astype(np.float32)}
+
+
+def _biases(config: Config) -> dict[str, int]:
+    width = config.width or config.hidden
+    return {"enc_b1": width, "enc_b2": config.hidden, "f_b1": width, "f_b2": config.hidden}

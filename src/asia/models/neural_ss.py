@@ -21,18 +21,23 @@ import numpy as np
 from asia.candidate import Context
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._encoder import Encoder, fit_encoder
+from asia.models._encoder import Encoder, affine, fit_encoder
 from asia.models._linear_fit import LinearFit, Refinement, encoder_of
+from asia.models._linear_windows import Predictor
 from asia.models._network import train_cell, window_size
 from asia.models._records import Record, check, past_length, scaled, window, windows
 from asia.models._scaling import Scaling
-from asia.models._state_fit import fit_states
+from asia.models._state_fit import Samples, fit_states, of_records
 from asia.models._structure import Basis, Nonlinearity, Structure
+from asia.models._windows import cut_windows
 from asia.models.methods import Adam, LevenbergMarquardt
 from asia.problem import Array, Trajectory
 
 _LINEAR = ("a", "b", "c", "d", "offset")
 _NONLINEAR = ("f", "s", "r", "read", "act")
+# Samples times squared parameters of one Levenberg-Marquardt iteration on windows, and how many
+# windows that may give.
+_WORK, _WINDOWS = 2e10, (24, 1000)
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,9 @@ class StateCell:
     structure: Structure
 
     def initial(self, params: Any, window: jax.Array) -> jax.Array:
-        """Encoder."""
+        """Encoder, or the past window itself."""
+        if self.structure.lags is not None:
+            return window @ jnp.asarray(self.structure.lags.selection(), window.dtype)
         p = params["encoder"]
         bent = jnp.tanh(window @ p["inner"] + p["shift"])
         return window @ p["weights"] + bent @ p["outer"] + p["bias"]
@@ -135,7 +142,8 @@ def train(
     context: Context,
     method: LevenbergMarquardt | Adam,
 ) -> NeuralStateSpace:
-    """Fits the linear model, then all parameters to the simulation error of all records.
+    """Fits the linear model, then all parameters to the simulation error of all records, or of
+    windows where `linear.windowed` says that the past window is to be the state.
 
     Levenberg-Marquardt suits short records and few parameters (its Jacobian takes samples x
     outputs x parameters numbers); `method.starts` initialisations are tried and the
@@ -145,29 +153,87 @@ def train(
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
-    found, delay = _linear_start(records, context, model.config)
-    late = [linear.shifted(r, delay) for r in records]
     c = model.config
+    predictor = _windowed_start(records, context, c)
+    if predictor is not None:
+        return _train_windowed(model, predictor, records, scaling, context, method)
+    found, delay, used = _linear_start(records, context, c)
     structure = Structure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels,
     )  # fmt: skip
     if isinstance(method, Adam):
-        members = [_by_adam(structure, c, found, late, context, method)]
+        late = [linear.shifted(r, delay) for r in records]
+        encoder = encoder_of(used, found, context)
+        params = _encoded(structure.start(found.system, _random(context)), encoder, c, context)
+        trained = _by_adam(structure, params, late, context, method)
+        members = [(trained, Encoder(**trained.pop("encoder")))]
     else:
-        members = _by_lm(structure, c, found, late, context, method)
+        members = _by_lm(structure, c, found, used, context, method)
     return replace(model, fitted=Fitted(structure, tuple(members), delay, scaling))
+
+
+def _windowed_start(
+    records: Sequence[Record], context: Context, config: Config
+) -> Predictor | None:
+    if config.nonlinearity != "state":
+        return None
+    choice = linear.Config(order=config.order, delay=config.delay)
+    return linear.windowed(records, context, choice, Refinement())
+
+
+def _train_windowed(
+    model: NeuralStateSpace,
+    predictor: Predictor,
+    records: Sequence[Record],
+    scaling: Scaling,
+    context: Context,
+    method: LevenbergMarquardt | Adam,
+) -> NeuralStateSpace:
+    """The state is the past window, so that nothing need be learned of where a window starts."""
+    c, lags = model.config, predictor.lags
+    structure = Structure(
+        lags.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree, c.channels,
+        lags,
+    )  # fmt: skip
+    encoder, rng = affine(lags.selection(), np.zeros(lags.order)), _random(context)
+    if isinstance(method, Adam):
+        params = structure.start_windowed(predictor, rng)
+        members = [_by_adam(structure, params, records, context, method)]
+    else:
+        starts = [structure.start_windowed(predictor, rng) for _ in range(method.starts)]
+        size = sum(np.size(leaf) for leaf in jax.tree.leaves(starts[0]))
+        most = _WORK / (size**2 * (context.horizon or 1) * context.ny)
+        w = cut_windows(records, context, int(np.clip(most, *_WINDOWS)))
+        samples = Samples(encoder(w.features), w.u, w.y, np.ones(w.y.shape[:2]), known=True)
+        # What held the linear model to its training windows has to hold this one as well.
+        ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
+        fits = fit_states(structure, starts, samples, ridges, method, context.log)
+        members = [one.params for one in fits[: c.members]]
+    return replace(
+        model, fitted=Fitted(structure, tuple((p, encoder) for p in members), 0, scaling)
+    )
+
+
+def _random(context: Context) -> np.random.Generator:
+    return np.random.default_rng(context.seed)
 
 
 def _linear_start(
     records: Sequence[Record], context: Context, config: Config
-) -> tuple[LinearFit, int]:
+) -> tuple[LinearFit, int, list[Record]]:
     choice = linear.Config(order=config.order, delay=config.delay)
-    found, delay = linear.fit_records(records, context, choice, Refinement())
+    found, delay, used = linear.fit_records(records, context, choice, Refinement())
     if config.order is None and found.system.order < 2:
         choice = replace(choice, order=2, delay=delay)
-        found, delay = linear.fit_records(records, context, choice, Refinement())
-    return found, delay
+        return linear.fit_records(records, context, choice, Refinement())
+    return found, delay, used
+
+
+def _ridges(config: Config) -> dict[str, float]:
+    ridge: dict[str, float] = dict.fromkeys(_LINEAR, config.linear_ridge)
+    ridge.update(dict.fromkeys(_NONLINEAR, config.ridge))
+    return ridge
 
 
 def _by_lm(
@@ -178,51 +244,47 @@ def _by_lm(
     context: Context,
     method: LevenbergMarquardt,
 ) -> list[tuple[dict[str, Any], Encoder]]:
-    rng = np.random.default_rng(context.seed)
+    rng = _random(context)
     starts = [structure.start(found.system, rng) for _ in range(method.starts)]
-    ridge: dict[str, float] = dict.fromkeys(_LINEAR, config.linear_ridge)
-    ridge.update(dict.fromkeys(_NONLINEAR, config.ridge))
-    ridge["x0"] = found.error / sum(len(r) for r in records)
-    fits = fit_states(structure, starts, found.x0, records, ridge, method)
-    for i, loss in enumerate(fits[0].history):
-        context.log(i, float(loss))
+    ridge = {**_ridges(config), "x0": found.error / sum(len(r) for r in records)}
+    samples = of_records(records, found.x0)
+    fits = fit_states(structure, starts, samples, ridge, method, context.log)
     skip = past_length(context)
-    features = [windows(r, context) for r in records]
+    long = [i for i, r in enumerate(records) if len(r) > skip]
+    features = [windows(records[i], context) for i in long]
     members: list[tuple[dict[str, Any], Encoder]] = []
     for one in fits[: config.members]:
         states = [
-            structure.simulate(one.params, x[None], r.u[None])[0][0, skip:]
-            for x, r in zip(one.x0, records, strict=True)
+            structure.simulate(one.params, one.x0[i, None], records[i].u[None])[0][0, skip:]
+            for i in long
         ]
         encoder = fit_encoder(features, states, config.encoder, context.seed)
         members.append((one.params, encoder))
     return members
 
 
+def _encoded(
+    params: dict[str, Any], start: Encoder, config: Config, context: Context
+) -> dict[str, Any]:
+    """With an encoder that starts as `start`, its tanh functions without effect."""
+    rng = np.random.default_rng(context.seed + 1)
+    d, m = window_size(context), config.encoder
+    inner = rng.standard_normal((d, m)) / np.sqrt(max(d, 1))
+    bend = {"inner": inner, "shift": rng.uniform(-1.0, 1.0, m)}
+    outer = np.zeros((m, len(start.bias)))
+    encoder = {"weights": start.weights, "bias": start.bias, **bend, "outer": outer}
+    return {**params, "encoder": encoder}
+
+
 def _by_adam(
     structure: Structure,
-    config: Config,
-    found: LinearFit,
+    params: dict[str, Any],
     records: Sequence[Record],
     context: Context,
     method: Adam,
-) -> tuple[dict[str, Any], Encoder]:
-    rng = np.random.default_rng(context.seed)
-    start = encoder_of(records, found, context)
-    d, n, m = window_size(context), structure.order, config.encoder
-    params = {
-        **structure.start(found.system, rng),
-        "encoder": {
-            "weights": start.weights,
-            "bias": start.bias,
-            "inner": rng.standard_normal((d, m)) / np.sqrt(max(d, 1)),
-            "shift": rng.uniform(-1.0, 1.0, m),
-            "outer": np.zeros((m, n)),
-        },
-    }
+) -> Any:
     trained = train_cell(StateCell(structure), _cast(params, np.float32), records, context, method)
-    trained = _cast(trained, np.float64)
-    return trained, Encoder(**trained.pop("encoder"))
+    return _cast(trained, np.float64)
 
 
 def _cast(tree: Any, dtype: type[np.floating[Any]]) -> dict[str, Any]:

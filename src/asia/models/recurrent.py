@@ -18,14 +18,18 @@ import numpy as np
 from asia.candidate import Context
 from asia.errors import UserError
 from asia.models._network import (
+    Float32,
     NetworkModel,
+    Params,
+    as_built,
     dense,
     linear_output,
     train_network,
+    uniform,
     window_size,
     zeros,
 )
-from asia.models.methods import Adam
+from asia.models.methods import NetworkMethod
 from asia.problem import Trajectory
 
 _GATES = {"rnn": 1, "gru": 3, "lstm": 4}
@@ -33,18 +37,35 @@ _GATES = {"rnn": 1, "gru": 3, "lstm": 4}
 
 @dataclass(frozen=True)
 class Config:
-    """cell; hidden: units a layer; layers; encoder: units of the initial-state network."""
+    """cell; hidden: units a layer; layers; encoder: units of the initial-state network.
+
+    activation: that of the network's inner layer; with "relu" its outputs are linear, with "tanh"
+    they are bent too. tied: an LSTM's c starts equal to h. direct: whether the output has a linear
+    term of the input. start: "ridge" draws orthogonal recurrent weights and gates that remember 1
+    to 100 samples and solves the output layer by ridge regression; "uniform" draws everything
+    within 1 / sqrt(fan-in), as PyTorch does.
+    """
 
     cell: Literal["rnn", "gru", "lstm"] = "gru"
     hidden: int = 32
     layers: int = 1
     encoder: int = 32
+    activation: Literal["tanh", "relu"] = "tanh"
+    tied: bool = False
+    direct: bool = True
+    start: Literal["ridge", "uniform"] = "ridge"
 
     def __post_init__(self) -> None:
         if self.cell not in _GATES:
             raise UserError(f"recurrent.Config: cell is '{self.cell}', expected rnn, gru or lstm")
         if min(self.hidden, self.layers, self.encoder) < 1:
             raise UserError("recurrent.Config: hidden, layers and encoder must be at least 1")
+        if self.activation not in ("tanh", "relu"):
+            raise UserError(
+                f"recurrent.Config: activation is '{self.activation}', expected tanh or relu"
+            )
+        if self.start not in ("ridge", "uniform"):
+            raise UserError(f"recurrent.Config: start is '{self.start}', expected ridge or uniform")
 
 
 @dataclass(frozen=True)
@@ -53,10 +74,22 @@ class RecurrentCell:
 
     config: Config
 
+    def parameters(self, context: Context) -> Params:
+        """Untrained parameters drawn from `context.seed`."""
+        rng = np.random.default_rng(context.seed)
+        if self.config.start == "uniform":
+            return _uniform_parameters(rng, self.config, context)
+        return _parameters(rng, self.config, context)
+
     def initial(self, params: Any, window: jax.Array) -> Any:
         """One (h, c) for each layer; c is used by the LSTM alone."""
-        inner = jnp.tanh(window @ params["enc_w1"] + params["enc_b1"])
-        start = jnp.tanh(inner @ params["enc_w2"] + params["enc_b2"])
+        inner = window @ params["enc_w1"] + params["enc_b1"]
+        bend = jnp.tanh if self.config.activation == "tanh" else jax.nn.relu
+        start = bend(inner) @ params["enc_w2"] + params["enc_b2"]
+        if self.config.activation == "tanh":
+            start = jnp.tanh(start)
+        if self.config.tied:
+            return [(h, h) for h in jnp.split(start, self.config.layers, axis=-1)]
         parts = jnp.split(start, 2 * self.config.layers, axis=-1)
         return [(parts[2 * i], parts[2 * i + 1]) for i in range(self.config.layers)]
 
@@ -70,7 +103,9 @@ class RecurrentCell:
         return result, signal
 
     def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
-        """Linear in the last layer's h and in u."""
+        """Linear in the last layer's h and, with `direct`, in u."""
+        if not self.config.direct:
+            return features @ params["out_w"] + params["out_b"]
         return linear_output(params, features, u)
 
     def _layer(
@@ -92,7 +127,19 @@ class RecurrentCell:
 
 def build(config: Config, context: Context) -> NetworkModel:
     """An untrained network initialised from `context.seed`."""
-    rng = np.random.default_rng(context.seed)
+    cell = RecurrentCell(config)
+    return NetworkModel(cell, cell.parameters(context))
+
+
+def train(
+    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
+) -> NetworkModel:
+    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
+    random = isinstance(model.cell, RecurrentCell) and model.cell.config.start == "uniform"
+    return train_network(model, trajectories, context, method, as_built if random else None)
+
+
+def _parameters(rng: np.random.Generator, config: Config, context: Context) -> Params:
     hidden, gates = config.hidden, _GATES[config.cell]
     layers = [
         {
@@ -102,31 +149,48 @@ def build(config: Config, context: Context) -> NetworkModel:
         }
         for i in range(config.layers)
     ]
-    params = {
+    states = (1 if config.tied else 2) * config.layers * hidden
+    return {
         "enc_w1": dense(rng, window_size(context), config.encoder),
         "enc_b1": zeros(config.encoder),
-        "enc_w2": dense(rng, config.encoder, 2 * config.layers * hidden, gain=0.5),
-        "enc_b2": zeros(2 * config.layers * hidden),
+        "enc_w2": dense(rng, config.encoder, states, gain=0.5),
+        "enc_b2": zeros(states),
         "layers": layers,
-        "out_w": zeros(hidden + context.nu, context.ny),
+        "out_w": zeros(hidden + (context.nu if config.direct else 0), context.ny),
         "out_b": zeros(context.ny),
     }
-    return NetworkModel(RecurrentCell(config), params)
 
 
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: Adam
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    return train_network(model, trajectories, context, method)
+def _uniform_parameters(rng: np.random.Generator, config: Config, context: Context) -> Params:
+    hidden, wide = config.hidden, _GATES[config.cell] * config.hidden
+    layers = [
+        {
+            "u": uniform(rng, (context.nu if i == 0 else hidden, wide), hidden),
+            "h": uniform(rng, (hidden, wide), hidden),
+            # PyTorch has a bias for each of the two products.
+            "b": uniform(rng, (wide,), hidden) + uniform(rng, (wide,), hidden),
+        }
+        for i in range(config.layers)
+    ]
+    states = (1 if config.tied else 2) * config.layers * hidden
+    seen, read = window_size(context), hidden + (context.nu if config.direct else 0)
+    return {
+        "enc_w1": uniform(rng, (seen, config.encoder), seen),
+        "enc_b1": uniform(rng, (config.encoder,), seen),
+        "enc_w2": uniform(rng, (config.encoder, states), config.encoder),
+        "enc_b2": uniform(rng, (states,), config.encoder),
+        "layers": layers,
+        "out_w": uniform(rng, (read, context.ny), read),
+        "out_b": uniform(rng, (context.ny,), read),
+    }
 
 
-def _orthogonal(rng: np.random.Generator, size: int) -> np.ndarray[Any, np.dtype[np.float32]]:
+def _orthogonal(rng: np.random.Generator, size: int) -> Float32:
     q, r = np.linalg.qr(rng.standard_normal((size, size)))
     return (0.9 * q * np.sign(np.diag(r))).astype(np.float32)
 
 
-def _memory(rng: np.random.Generator, config: Config) -> np.ndarray[Any, np.dtype[np.float32]]:
+def _memory(rng: np.random.Generator, config: Config) -> Float32:
     """Biases; those of the gate that keeps the state spread the memory over 1 to 100 samples
     (chrono initialisation, Tallec and Ollivier, ICLR 2018)."""
     bias = np.zeros(_GATES[config.cell] * config.hidden, np.float32)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from asia.problem._blocks import blocks, rests
+from asia.problem._blocks import splits, windows
 from asia.problem._digest import data_digest, protocol_digest
 from asia.problem._problem import Problem, Seal
 from asia.problem._types import Array, ProtocolRule, Signal, Trajectory
@@ -71,11 +71,14 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class FoldCheck:
-    """What one fold holds out; `training_samples` are left to train on."""
+    """What one fold holds out; `training_samples` are left to train on. group: its name, None for
+    contiguous folds. windows: held-out windows, None where whole blocks are simulated."""
 
     number: int
     held_out: tuple[HeldOut, ...]
     training_samples: int
+    group: str | None = None
+    windows: int | None = None
 
 
 @dataclass(frozen=True)
@@ -102,8 +105,9 @@ class CheckReport:
             *(f"record {r.name}: {r.samples} samples, {r.seconds:g} s" for r in self.records),
             "missing values: none (a record with one is refused)",
             *(_fold_line(f) for f in self.folds),
-            f"past window: {past}; metric {rule.metric}, normalised; "
+            f"{_cases(rule)}; past window: {past}; metric {rule.metric}, normalised; "
             f"protocol {self.protocol_sha256[:12]}",
+            *_early_stopping_lines(rule),
             *_seal_lines(self.seal, rule),
             f"physics: {self.physics or 'none'}",
             f"baseline: {'baseline.py' if p.baseline else 'none'}",
@@ -175,14 +179,24 @@ def _excitation_order(parts: Sequence[Array]) -> int:
 
 
 def _folds(problem: Problem) -> tuple[FoldCheck, ...]:
-    rule = problem.protocol
-    folds: list[FoldCheck] = []
-    for k in range(rule.folds.count):
-        held = [(t, blocks(len(t), rule)[k]) for t in problem.train]
-        held_out = tuple(HeldOut(t.name, block.start + 1, block.stop) for t, block in held)
-        kept = sum(len(rest) for t, block in held for rest in rests(len(t), block, rule))
-        folds.append(FoldCheck(k + 1, held_out, kept))
-    return tuple(folds)
+    rule, train = problem.protocol, problem.train
+    names = [group.name for group in rule.folds.groups]
+    found = splits([t.name for t in train], [len(t) for t in train], rule)
+    return tuple(
+        FoldCheck(
+            number=k + 1,
+            held_out=tuple(
+                HeldOut(train[p.record].name, p.samples.start + 1, p.samples.stop)
+                for p in split.held_out
+            ),
+            training_samples=sum(len(p.samples) for p in split.train),
+            group=names[k] if names else None,
+            windows=None
+            if rule.horizon is None
+            else sum(len(windows(p.samples, rule)) for p in split.held_out),
+        )
+        for k, split in enumerate(found)
+    )
 
 
 def _physics_summary(problem: Problem) -> str | None:
@@ -256,6 +270,21 @@ def _inputs_together(inputs: Sequence[Signal], train: Sequence[Trajectory]) -> l
     ]
 
 
+def _cases(rule: ProtocolRule) -> str:
+    if rule.horizon is None:
+        return "whole blocks are simulated"
+    return f"windows of {rule.horizon} samples are simulated"
+
+
+def _early_stopping_lines(rule: ProtocolRule) -> list[str]:
+    if rule.early_stopping == "inner":
+        return []
+    return [
+        "early stopping: on the validation fold, so that V is not leak-free and compares with "
+        "other runs of this setting alone"
+    ]
+
+
 def _scored(seal: Seal, rule: ProtocolRule) -> tuple[int, ...]:
     return tuple(max(length - rule.past - rule.test.skip, 0) for length in seal.lengths)
 
@@ -274,18 +303,36 @@ def _signal_line(s: SignalCheck) -> str:
 
 
 def _fold_line(fold: FoldCheck) -> str:
-    parts = ", ".join(f"{h.record} {h.first}-{h.last}" for h in fold.held_out)
-    return f"fold {fold.number}: holds out {parts}; trains on {fold.training_samples} samples"
+    name = f"fold {fold.number}" + (f", {fold.group}" if fold.group else "")
+    many = "" if fold.windows is None else f"{fold.windows} windows of "
+    # A group's records are held out from end to end.
+    parts = ", ".join(
+        h.record if fold.group else f"{h.record} {h.first}-{h.last}" for h in fold.held_out
+    )
+    return f"{name}: holds out {many}{parts}; trains on {fold.training_samples} samples"
 
 
 def _seal_lines(seal: Seal, rule: ProtocolRule) -> list[str]:
     if seal.sha256 is None:
         return ["test: none"]
+    digest = f"sha256 {seal.sha256[:12]}"
+    if rule.horizon is not None:
+        counts = [len(windows(range(rule.past, length), rule)) for length in seal.lengths]
+        sizes = zip(seal.names, seal.lengths, counts, strict=True)
+        records = ", ".join(f"{name} ({length} samples, {n} windows)" for name, length, n in sizes)
+        table = "" if not rule.test.groups else f"; {_table_summary(rule)}"
+        return [f"test, sealed: {records}; {sum(counts)} windows{table}; {digest}"]
     sizes = zip(seal.names, seal.lengths, _scored(seal, rule), strict=True)
     records = ", ".join(
         f"{name} ({length} samples, {scored} scored)" for name, length, scored in sizes
     )
-    return [
-        f"test, sealed: {records}; {rule.test.skip} samples after the past window are skipped; "
-        f"sha256 {seal.sha256[:12]}"
-    ]
+    skipped = f"{rule.test.skip} samples after the past window are skipped"
+    return [f"test, sealed: {records}; {skipped}; {digest}"]
+
+
+def _table_summary(rule: ProtocolRule) -> str:
+    groups = ", ".join(
+        f"{g.name} ({' '.join(g.outputs)}{', rotation' if g.distance == 'geodesic' else ''})"
+        for g in rule.test.groups
+    )
+    return f"mean Euclidean error of {groups}"

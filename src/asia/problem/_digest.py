@@ -23,8 +23,9 @@ def data_digest(trajectories: Sequence[Trajectory]) -> str:
 
 
 def protocol_digest(problem: Problem) -> str:
-    """Hex sha256 of the protocol with its defaults filled in."""
-    return _of_json(asdict(problem.protocol))
+    """Hex sha256 of the protocol with its defaults filled in; what is absent does not count, so
+    that a digest outlives additions to the rules."""
+    return _of_json(_present(asdict(problem.protocol)))
 
 
 def physics_digest(physics: Physics) -> str:
@@ -35,6 +36,15 @@ def physics_digest(physics: Physics) -> str:
 def text_digest(text: str) -> str:
     """Hex sha256 of the text as UTF-8."""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _present(value: Any) -> Any:
+    """Mappings without their entries that are None or an empty tuple."""
+    if isinstance(value, dict):
+        return {k: _present(v) for k, v in value.items() if v is not None and v != ()}
+    if isinstance(value, tuple):
+        return [_present(v) for v in value]
+    return value
 
 
 def _of_json(value: Any) -> str:

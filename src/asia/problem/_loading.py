@@ -9,10 +9,12 @@ from importlib import resources
 from pathlib import Path
 
 from asia.errors import UserError
+from asia.problem._blocks import least_case
 from asia.problem._lock import check_digests
 from asia.problem._nearest import suggestion
 from asia.problem._physics import check_physics
 from asia.problem._problem import CsvSource, DataSource, Problem, TestSource
+from asia.problem._protocol import check_protocol, with_groups
 from asia.problem._schema import DataTable, LockFile, ProblemFile, ProblemTables
 from asia.problem._sources import Channels, parse_source, read_records
 from asia.problem._toml import read_table
@@ -115,9 +117,11 @@ def _assemble(file: ProblemTables, root: Path, texts: _Texts, test_sha256: str |
     if physics is not None:
         names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
         check_physics(physics, *names)
-    rule = file.protocol.rule()
+    check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
     data, test = _data(file.data, root)
     records = read_records(data, "train", channels)
+    names = [t.name for t in records.trajectories]
+    rule = with_groups(file.protocol.rule(), file.data.groups, names)
     require_length(records.trajectories, rule)
     _require_motion(records.trajectories, channels.outputs)
     return Problem(
@@ -167,14 +171,23 @@ def _data(table: DataTable, root: Path) -> tuple[DataSource, DataSource | None]:
 def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
     """Raises UserError when a record is too short for the folds: each held-out block must be able
     to hold a past window and some samples to train on."""
-    count = rule.folds.count
-    least = rule.past + count * (rule.past + _LEAST_BEYOND_PAST)
+    if rule.folds.kind == "leave_one_group_out":
+        least = rule.past + max(least_case(rule), _LEAST_BEYOND_PAST)
+        wanted = f"a past window of {rule.past}"
+        advice = "a shorter past window"
+    else:
+        count = rule.folds.count
+        least = rule.past + count * (rule.past + max(least_case(rule), _LEAST_BEYOND_PAST))
+        wanted = f"{count} folds with a past window of {rule.past}"
+        advice = "fewer folds, a shorter past window"
+    if rule.horizon is not None:
+        wanted += f" and a horizon of {rule.horizon}"
+        advice = f"{advice} or horizon"
     for t in trajectories:
         if len(t) < least:
             raise UserError(
-                f"record '{t.name}' has {len(t)} samples, but {count} folds with a past window of "
-                f"{rule.past} need at least {least}: use fewer folds, a shorter past window or a "
-                "longer record"
+                f"record '{t.name}' has {len(t)} samples, but {wanted} need at least {least}: "
+                f"use {advice} or a longer record"
             )
 
 

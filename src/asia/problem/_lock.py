@@ -10,7 +10,15 @@ from typing import Any
 
 from asia.errors import UserError
 from asia.problem._digest import data_digest, physics_digest, protocol_digest, text_digest
-from asia.problem._problem import BenchmarkSource, CsvSource, Problem, Seal, SimulatedSource
+from asia.problem._problem import (
+    BenchmarkSource,
+    CsvSource,
+    NanodroneSource,
+    Problem,
+    Seal,
+    SimulatedSource,
+)
+from asia.problem._protocol import groups_table, protocol_table
 from asia.problem._schema import DigestTable
 from asia.problem._toml import toml_text
 
@@ -94,8 +102,8 @@ def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
         "sampling_time": problem.sampling_time,
         "inputs": [asdict(s) for s in problem.inputs],
         "outputs": [asdict(s) for s in problem.outputs],
-        "data": _data(problem),
-        "protocol": asdict(problem.protocol),
+        "data": {**_data(problem), "groups": groups_table(problem.protocol)},
+        "protocol": protocol_table(problem.protocol),
         "budget": asdict(problem.budget),
         "physics": None if problem.physics is None else asdict(problem.physics),
         "digests": _digests(problem, seal.sha256),
@@ -107,6 +115,8 @@ def _data(problem: Problem) -> dict[str, Any]:
         return {"source": f"nonlinear_benchmarks:{problem.data.benchmark}"}
     if isinstance(problem.data, SimulatedSource):
         return {"source": f"simulated:{problem.data.system}", "seed": problem.data.seed}
+    if isinstance(problem.data, NanodroneSource):
+        return {"source": "nanodrone"}
     test = problem.test.source
     return {
         "train": [str(p) for p in problem.data.paths],

@@ -30,7 +30,12 @@ class SimulatedSource:
     seed: int
 
 
-DataSource = CsvSource | BenchmarkSource | SimulatedSource
+@dataclass(frozen=True)
+class NanodroneSource:
+    """The flights of the nanodrone benchmark's repository."""
+
+
+DataSource = CsvSource | BenchmarkSource | SimulatedSource | NanodroneSource
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,15 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from asia.problem._types import (
     Bounds,
     Budget,
+    EarlyStopping,
     FoldRule,
     Metric,
+    OutputGroup,
     ParameterRange,
     Physics,
     ProtocolRule,
     Signal,
+    TestMetric,
     TestRule,
 )
 
@@ -29,25 +32,6 @@ class Table(BaseModel):
 
 def _named(value: object) -> object:
     return {"name": value} if isinstance(value, str) else value
-
-
-def _later(*words: str) -> BeforeValidator:
-    """Refuses what a later version will know with other words than a typing error."""
-
-    def check(value: object) -> object:
-        if value in words:
-            raise ValueError(f"'{value}' is not supported by this version")
-        return value
-
-    return BeforeValidator(check)
-
-
-def _later_key(value: object) -> object:
-    del value
-    raise ValueError("is not supported by this version: leave it out")
-
-
-Later = Annotated[object, BeforeValidator(_later_key)]
 
 
 class SignalTable(Table):
@@ -75,38 +59,62 @@ class DataTable(Table):
     test: list[FileName] = []
     source: str | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
-    groups: Later = None
+    groups: dict[str, list[str]] = {}
 
 
 class FoldsTable(Table):
-    kind: Annotated[Literal["contiguous"], _later("leave_one_group_out")] = "contiguous"
-    count: int = Field(default=2, ge=2, le=100)
+    kind: Literal["contiguous", "leave_one_group_out"] = "contiguous"
+    count: Annotated[int, Field(ge=2, le=100)] | None = None
+
+    def rule(self) -> FoldRule:
+        """Without the groups, which are known once the records were read."""
+        if self.kind == "leave_one_group_out":
+            return FoldRule(self.kind, 0)
+        return FoldRule(self.kind, FoldRule.count if self.count is None else self.count)
+
+
+class RotationTable(Table):
+    """Outputs that are angles of one rotation."""
+
+    roll_pitch_yaw: list[str] = Field(min_length=3, max_length=3)
 
 
 class TestTable(Table):
-    metrics: list[Metric] = Field(default=["rmse"], min_length=1)
+    metrics: list[TestMetric] = Field(default=["rmse"], min_length=1)
     skip: int = Field(default=0, ge=0)
+    groups: dict[str, Annotated[list[str], Field(min_length=1)] | RotationTable] = {}
+    horizons: list[Annotated[int, Field(ge=1)]] = []
+
+    def rule(self) -> TestRule:
+        groups = tuple(
+            OutputGroup(name, tuple(entry))
+            if isinstance(entry, list)
+            else OutputGroup(name, tuple(entry.roll_pitch_yaw), "geodesic")
+            for name, entry in self.groups.items()
+        )
+        return TestRule(tuple(self.metrics), self.skip, groups, tuple(self.horizons))
 
 
 class ProtocolTable(Table):
-    kind: Annotated[Literal["simulation"], _later("windows")] = "simulation"
+    kind: Literal["simulation", "windows"] = "simulation"
     folds: FoldsTable = FoldsTable()
     past_inputs: int = Field(default=ProtocolRule.past_inputs, ge=0, le=100_000)
     past_outputs: int = Field(default=ProtocolRule.past_outputs, ge=0, le=100_000)
     metric: Metric = "rmse"
-    early_stopping: Annotated[Literal["inner"], _later("validation")] = "inner"
+    early_stopping: EarlyStopping = "inner"
+    horizon: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     test: TestTable = TestTable()
-    horizon: Later = None
 
     def rule(self) -> ProtocolRule:
         return ProtocolRule(
             kind=self.kind,
-            folds=FoldRule(self.folds.kind, self.folds.count),
+            folds=self.folds.rule(),
             past_inputs=self.past_inputs,
             past_outputs=self.past_outputs,
             metric=self.metric,
             early_stopping=self.early_stopping,
-            test=TestRule(tuple(self.test.metrics), self.test.skip),
+            horizon=self.horizon,
+            test=self.test.rule(),
         )
 
 

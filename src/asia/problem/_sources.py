@@ -11,8 +11,15 @@ from typing import Literal
 from asia.errors import UserError
 from asia.problem._benchmarks import benchmark_records, check_benchmark
 from asia.problem._csv import read_csv
+from asia.problem._nanodrone import flight_paths
 from asia.problem._nearest import nearest
-from asia.problem._problem import BenchmarkSource, CsvSource, DataSource, SimulatedSource
+from asia.problem._problem import (
+    BenchmarkSource,
+    CsvSource,
+    DataSource,
+    NanodroneSource,
+    SimulatedSource,
+)
 from asia.problem._two_tanks import SAMPLING_TIME, simulate_two_tanks
 from asia.problem._types import Array, Signal, Trajectory
 
@@ -38,8 +45,8 @@ class Records:
     warnings: tuple[str, ...] = ()
 
 
-def parse_source(text: str, seed: int | None) -> BenchmarkSource | SimulatedSource:
-    """`nonlinear_benchmarks:<name>` or `simulated:<system>`. Raises UserError."""
+def parse_source(text: str, seed: int | None) -> DataSource:
+    """`nonlinear_benchmarks:<name>`, `nanodrone` or `simulated:<system>`. Raises UserError."""
     kind, _, name = text.partition(":")
     if kind == "simulated":
         if name not in _SYSTEMS:
@@ -47,9 +54,11 @@ def parse_source(text: str, seed: int | None) -> BenchmarkSource | SimulatedSour
         return SimulatedSource(name, seed or 0)
     if seed is not None:
         raise UserError("data.seed belongs to a simulated source: leave it out")
+    if text == "nanodrone":
+        return NanodroneSource()
     if kind != "nonlinear_benchmarks":
         raise UserError(
-            f"data.source is '{text}', expected 'nonlinear_benchmarks:<name>' or "
+            f"data.source is '{text}', expected 'nonlinear_benchmarks:<name>', 'nanodrone' or "
             "'simulated:<system>'; CSV files are named in data.train and data.test"
         )
     check_benchmark(name)
@@ -63,6 +72,8 @@ def read_records(source: DataSource, part: Literal["train", "test"], channels: C
     """
     if isinstance(source, CsvSource):
         return _csv_records(source.paths, channels)
+    if isinstance(source, NanodroneSource):
+        return _csv_records(flight_paths(part), channels)
     if isinstance(source, SimulatedSource):
         record = simulate_two_tanks(source.seed, _REALISATIONS[part])
         name = f"{source.system}_{part}"

@@ -9,7 +9,7 @@ import numpy as np
 
 from asia.errors import UserError
 from asia.problem import Array, ProtocolRule, Trajectory
-from asia.problem._blocks import blocks, rests
+from asia.problem._blocks import Part, least_case, splits, windows
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,9 @@ class Block:
 
 @dataclass(frozen=True)
 class Fold:
-    """Training records and held-out blocks of one fold; `scale` (ny,) is the standard deviation
-    (ddof 0) of each output over the training samples."""
+    """Training records and held-out blocks of one fold, each record's in time order; `scale` (ny,)
+    is the standard deviation (ddof 0) of each output over the training samples (with a horizon:
+    over the concatenated training windows)."""
 
     index: int
     train: tuple[Trajectory, ...]
@@ -69,41 +70,57 @@ def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: in
 
 
 def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...]:
-    """Each record simulated from its first past window to its end."""
-    return tuple(cut(r, rule.past, len(r), rule, i) for i, r in enumerate(records))
+    """Each record from its first past window to its end: one block, or one for each window.
+
+    Windows follow each other every `horizon` samples; the last one ends with the record and may
+    overlap its neighbour, so that N samples give ceil((N - past) / horizon) of them.
+    """
+    parts = [Part(i, range(rule.past, len(r))) for i, r in enumerate(records)]
+    return _blocks(records, parts, rule)
 
 
 def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold, ...]:
-    """Contiguous folds: each record is split by `array_split` after its first past window.
+    """The folds of a problem's training records.
 
-    Block k of every record is held out in fold k; what lies before and after it trains, as records
-    of their own. A training record too short to hold its own past window and one sample is left
-    out. Raises UserError when a fold has nothing to train on or an output does not move in it.
+    Contiguous: each record is split by `array_split` after its first past window. Block k of every
+    record is held out in fold k; what lies before and after it trains, as records of their own. A
+    training record too short to hold its own past window and one case is left out.
+    Leave one group out: the records of group k are held out in fold k, all others train whole.
+    Raises UserError when a fold has nothing to train on or an output does not move in it.
     """
     if rule.folds.count < 2:
         raise UserError(f"protocol.folds.count is {rule.folds.count}: at least 2 folds are needed")
-    pieces = [blocks(len(record), rule) for record in records]
+    found = splits([r.name for r in records], [len(r) for r in records], rule)
+    for part in (part for split in found for part in split.held_out):
+        if len(part.samples) < least_case(rule):
+            record = records[part.record]
+            raise UserError(
+                f"record '{record.name}': {len(record)} samples are too few for "
+                f"{rule.folds.count} folds after a past window of {rule.past}"
+            )
     folds: list[Fold] = []
-    for k in range(rule.folds.count):
-        train: list[Trajectory] = []
-        held_out: list[Block] = []
-        for index, (record, parts) in enumerate(zip(records, pieces, strict=True)):
-            if any(len(part) == 0 for part in parts):
-                raise UserError(
-                    f"record '{record.name}': {len(record)} samples are too few for "
-                    f"{rule.folds.count} folds after a past window of {rule.past}"
-                )
-            block = parts[k]
-            held_out.append(cut(record, block.start, block.stop, rule, index))
-            train += [record[r.start : r.stop] for r in rests(len(record), block, rule)]
-        folds.append(Fold(k, tuple(train), tuple(held_out), _scale(train, k)))
+    for k, split in enumerate(found):
+        train = tuple(records[p.record][p.samples.start : p.samples.stop] for p in split.train)
+        held_out = _blocks(records, split.held_out, rule)
+        folds.append(Fold(k, train, held_out, _scale(train, rule, k)))
     return tuple(folds)
 
 
-def _scale(train: Sequence[Trajectory], index: int) -> Array:
+def _blocks(
+    records: Sequence[Trajectory], parts: Sequence[Part], rule: ProtocolRule
+) -> tuple[Block, ...]:
+    return tuple(
+        cut(records[part.record], window.start, window.stop, rule, part.record)
+        for part in parts
+        for window in windows(part.samples, rule)
+    )
+
+
+def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array:
     if not train:
         raise UserError(f"fold {index + 1} has no training record longer than the past window")
-    y = np.concatenate([t.y for t in train])
+    samples = [t.y for t in train] if rule.horizon is None else [b.y for b in whole(train, rule)]
+    y = np.concatenate(samples)
     moves = y.max(axis=0) > y.min(axis=0)
     if not moves.all():
         channel = int(np.argmin(moves)) + 1

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from asia.errors import UserError
 from asia.problem import Trajectory
+from asia.problem._blocks import least_case
 from asia.problem._digest import data_digest
 from asia.problem._problem import Problem, Seal
 from asia.problem._sources import Channels, read_records
@@ -20,13 +21,19 @@ def seal(problem: Problem) -> Seal:
     """Reads the test records, checks that they can be scored, keeps their digest and drops them.
 
     Raises UserError when they cannot be read, do not fit the problem, or are too short for the
-    past window and protocol.test.skip.
+    past window and protocol.test.skip, or for one window.
     """
     if problem.test.source is None:
         return Seal(None)
     records = _read(problem)
-    least = problem.protocol.past + problem.protocol.test.skip + 1
+    rule = problem.protocol
+    least = rule.past + rule.test.skip + least_case(rule)
     for record in records:
+        if rule.horizon is not None and len(record) < least:
+            raise UserError(
+                f"test record '{record.name}' has {len(record)} samples, but the past window and "
+                f"one window of {rule.horizon} need {least}: bring a longer record"
+            )
         if len(record) < least:
             raise UserError(
                 f"test record '{record.name}' has {len(record)} samples, but the past window and "

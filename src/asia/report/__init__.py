@@ -9,11 +9,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from asia.report._leaderboard import Entry, leaderboard
+from asia.report._sides import BenchPictures, Curve, Level, PublishedMee, Side, SidesPicture
 
 if TYPE_CHECKING:
     from asia.problem.load import Problem
 
-__all__ = ["Entry", "draw_problem", "leaderboard", "write_report"]
+__all__ = [
+    "BenchPictures",
+    "Curve",
+    "Entry",
+    "Level",
+    "PublishedMee",
+    "Side",
+    "SidesPicture",
+    "draw_bench",
+    "draw_problem",
+    "leaderboard",
+    "write_report",
+]
 
 
 def write_report(directory: Path) -> tuple[Path, ...]:
@@ -38,3 +51,13 @@ def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
     from asia.report._write import write_problem
 
     return write_problem(problem, directory)
+
+
+def draw_bench(pictures: BenchPictures, directory: Path) -> tuple[Path, ...]:
+    """Draw a comparison of searches into `directory`, each picture as PNG and PDF.
+
+    Returns the paths written. Raises UserError when a run named in `pictures` is not what it was.
+    """
+    from asia.report._bench import write_bench
+
+    return write_bench(pictures, directory)

@@ -18,17 +18,30 @@ def cross_correlation(a: Sequence[Array], b: Sequence[Array], most: int) -> Arra
     """
     total = np.zeros(2 * most + 1)
     energy_a = energy_b = 0.0
-    for x, y in zip(a, b, strict=True):
-        x, y = x - x.mean(), y - y.mean()
-        energy_a += float(x @ x)
-        energy_b += float(y @ y)
-        reach = min(most, len(x) - 1)
+    for x, y in _stacked(a, b):
+        x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+        energy_a += float(np.sum(x * x))
+        energy_b += float(np.sum(y * y))
+        length = x.shape[1]
+        reach = min(most, length - 1)
         for lag in range(-reach, reach + 1):
-            early = y[max(0, -lag) : len(y) - max(0, lag)]
-            late = x[max(0, lag) : len(x) - max(0, -lag)]
-            total[most + lag] += float(late @ early)
+            early = y[:, max(0, -lag) : length - max(0, lag)]
+            late = x[:, max(0, lag) : length - max(0, -lag)]
+            total[most + lag] += float(np.sum(late * early))
     floor = np.finfo(np.float64).tiny
     return total / np.sqrt(max(energy_a * energy_b, floor))
+
+
+def _stacked(a: Sequence[Array], b: Sequence[Array]) -> list[tuple[Array, Array]]:
+    """Blocks of one length as one (blocks, H) array each: windows come in hundreds."""
+    lengths = dict.fromkeys(len(x) for x in a)
+    return [
+        (
+            np.stack([x for x in a if len(x) == length]),
+            np.stack([y for x, y in zip(a, b, strict=True) if len(x) == length]),
+        )
+        for length in lengths
+    ]
 
 
 def white_band(samples: int) -> float:

@@ -70,11 +70,12 @@ class Panel:
 
 @dataclass(frozen=True)
 class Words:
-    """Title of the picture and names of the curves."""
+    """Title of the picture, names of the curves, and what the pieces of a panel are."""
 
     title: str
     simulated: str
     other: str = ""
+    pieces: str = "records"
 
 
 def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) -> Figure:
@@ -85,11 +86,11 @@ def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) ->
     FigureCanvasAgg(figure)
     cells: list[Cell] = []
     for index, (panel, axis) in enumerate(
-        zip(panels, _time_axes(panels, sampling_time), strict=True)
+        zip(panels, _time_axes(panels, sampling_time, words.pieces), strict=True)
     ):
         plot = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         strip = figure.add_axes((0.0, 0.0, 1.0, 1.0), sharex=plot)
-        _curves(plot, panel, axis)
+        _curves(plot, panel, axis, 90 if columns == 1 else 72)
         _errors(strip, panel, axis)
         title = panel.heading.lines(80 if columns == 1 else 56)
         plot.set_title(title)
@@ -102,13 +103,13 @@ def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) ->
     return figure
 
 
-def _time_axes(panels: Sequence[Panel], sampling_time: float) -> list[TimeAxis]:
+def _time_axes(panels: Sequence[Panel], sampling_time: float, pieces: str) -> list[TimeAxis]:
     stretches = [[Stretch(p.start, len(p.measured)) for p in panel.pieces] for panel in panels]
     unit = time_unit(sampling_time * max(last_sample(s) for s in stretches))
-    return [lay_out(s, sampling_time, unit) for s in stretches]
+    return [lay_out(s, sampling_time, unit, pieces) for s in stretches]
 
 
-def _curves(axes: Axes, panel: Panel, axis: TimeAxis) -> None:
+def _curves(axes: Axes, panel: Panel, axis: TimeAxis, characters: int) -> None:
     raster = sum(len(p.measured) for p in panel.pieces) > _MANY_SAMPLES
     for piece, time in zip(panel.pieces, axis.times, strict=True):
         axes.plot(time, piece.measured, color=FAINT, lw=2.6, rasterized=raster)
@@ -121,7 +122,7 @@ def _curves(axes: Axes, panel: Panel, axis: TimeAxis) -> None:
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 0.15 * (high - low))
         for piece, time in zip(panel.pieces, axis.times, strict=True):
-            _name_piece(axes, piece.name, time, 90 // len(panel.pieces))
+            _name_piece(axes, piece.name, time, characters // len(panel.pieces))
 
 
 def _name_piece(axes: Axes, name: str, time: Array, room: int) -> None:

@@ -117,7 +117,9 @@ def _title(view: SearchView) -> str:
     if best is None or best.score is None:
         return f"{head}: no model yet"
     total = len(view.finished)
-    return f"{head}: best V = {number(best.score.value)} (experiment {best.number} of {total})"
+    link = ": " if start.early_stopping == "inner" else "\n"
+    value = f"{view.v_name} = {number(best.score.value)}"
+    return f"{head}{link}best {value} (experiment {best.number} of {total})"
 
 
 def _scale(axes: Axes, search: _Search, metric: str) -> None:
@@ -127,15 +129,20 @@ def _scale(axes: Axes, search: _Search, metric: str) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=16, min_n_ticks=1))
     low, high = min(search.values, default=0.0), max(search.values, default=1.0)
     if search.log:
-        axes.set_yscale("log")
-        axes.set_ylim(low / 1.6, high * 1.35)
-        steps = (1.0, 2.0, 5.0) if high / low < 300.0 else (1.0,)
-        axes.yaxis.set_major_locator(LogLocator(subs=steps))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        axes.yaxis.set_minor_locator(NullLocator())
+        log_values(axes, low, high)
     else:
         axes.set_ylim(0.0, high * 1.12 if high > 0 else 1.0)
     quiet_grid(axes)
+
+
+def log_values(axes: Axes, low: float, high: float) -> None:
+    """A log scale of V from below `low` to above `high`, with plain numbers."""
+    axes.set_yscale("log")
+    axes.set_ylim(low / 1.6, high * 1.35)
+    steps = (1.0, 2.0, 5.0) if high / low < 300.0 else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=steps))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def _mark(axes: Axes, search: _Search) -> None:

@@ -8,13 +8,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from asia.ledger import Experiment, Run
 from asia.problem import Array, Signal
 from asia.problem.load import Problem
 from asia.protocol import Fold
+from asia.report._artifacts import fold_outputs
 from asia.report._correlation import cross_correlation, independent_band, white_band
-from asia.report._simulation import fold_outputs
+from asia.report._simulation import lowest, worst_fits
 from asia.report._style import BLUE, INK, SHADE, WIDTH, headline, plain, quiet_grid, shown
 
 _LAGS = 40
@@ -26,26 +28,29 @@ def draw_residuals(
     run: Run, problem: Problem, experiment: Experiment, folds: Sequence[Fold]
 ) -> Figure:
     """Autocorrelation of the simulation residuals and their cross-correlation with each input,
-    with 99 % bands; all held-out blocks together."""
+    with 99 % bands; all held-out blocks together. Of many outputs those with the lowest fit."""
     outputs = fold_outputs(run.store, experiment, folds)
     blocks = [b for fold in folds for b in fold.validation]
     simulated = [y_hat for fold in outputs for y_hat in fold]
     residual = [b.y - y_hat for b, y_hat in zip(blocks, simulated, strict=True)]
     inputs = [b.case.u for b in blocks]
-    rows = min(len(problem.outputs), _MOST_ROWS)
+    assert experiment.score is not None
+    chosen = lowest(worst_fits(experiment.score), _MOST_ROWS)
+    rows = len(chosen)
     columns = 1 + min(len(problem.inputs), _MOST_INPUTS)
     lags = max(1, min(_LAGS, min(len(r) for r in residual) // 4))
     figure = Figure(figsize=(max(WIDTH, 2.9 * columns), 0.8 + 1.9 * rows), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col")
-    for row in range(rows):
-        e = [r[:, row] for r in residual]
-        _whiteness(grid[row, 0], e, problem.outputs[row], lags)
+    for row, output in enumerate(chosen):
+        e = [r[:, output] for r in residual]
+        _whiteness(grid[row, 0], e, problem.outputs[output], lags)
         for column in range(1, columns):
             u = [v[:, column - 1] for v in inputs]
             _independence(grid[row, column], e, u, problem.inputs[column - 1], lags)
     for column, axes in enumerate(grid[-1]):
         axes.set_xlabel("Lag of the input [samples]" if column else "Lag [samples]")
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
     figure.align_ylabels(list(grid[:, 0]))
     title = f"Experiment {experiment.number}, {plain(experiment.proposed.title, 40)}: "
     title += f"residuals of the held-out folds, 99 % bands{_left_out(problem)}"
@@ -57,7 +62,7 @@ def draw_residuals(
 def _left_out(problem: Problem) -> str:
     outputs, inputs = len(problem.outputs), len(problem.inputs)
     return shown(
-        (min(outputs, _MOST_ROWS), outputs, "outputs"),
+        (min(outputs, _MOST_ROWS), outputs, "outputs with the lowest fit"),
         (min(inputs, _MOST_INPUTS), inputs, "inputs"),
     )
 

@@ -12,11 +12,29 @@ from matplotlib.ticker import MaxNLocator
 
 from asia.problem import Array, Signal
 from asia.report._leaderboard import Entry
-from asia.report._style import BLUE, INK, QUIET, RED, SHADE, WIDTH, plain, quantity, quiet_grid
+from asia.report._style import (
+    BLUE,
+    INK,
+    ORANGE,
+    QUIET,
+    RED,
+    SHADE,
+    WIDTH,
+    plain,
+    quantity,
+    quiet_grid,
+)
 
 
-def draw_standing(entries: Sequence[Entry], ours: float, output: Signal, run: str) -> Figure:
-    """Published test RMSE with our mark. ours: test RMSE in the unit of `output`."""
+def draw_standing(
+    entries: Sequence[Entry],
+    ours: float,
+    output: Signal,
+    run: str,
+    mark: tuple[str, float] | None = None,
+) -> Figure:
+    """Published test RMSE with our mark. ours: test RMSE in the unit of `output`; mark: another
+    one to point out, with its name."""
     values = np.array([e.test_rmse for e in entries])
     figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
     FigureCanvasAgg(figure)
@@ -24,6 +42,22 @@ def draw_standing(entries: Sequence[Entry], ours: float, output: Signal, run: st
     label = f"Test RMSE [{plain(output.unit, 16)}]" if output.unit else "Test RMSE"
     _box(box, values, ours)
     box.set_ylabel(label)
+    if mark is not None:
+        box.plot([1.0], [mark[1]], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5, zorder=4)
+        bars.axvline(mark[1], color=ORANGE, lw=1.4, dashes=(1.5, 1.5))
+        bars.plot(
+            [mark[1]],
+            [0.0],
+            "D",
+            mfc="white",
+            mec=ORANGE,
+            mew=1.6,
+            ms=6.5,
+            clip_on=False,
+            zorder=4,
+            label=f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}",
+        )
+        bars.legend(loc="upper right")
     _histogram(bars, values, ours, quantity(ours, output.unit))
     bars.set_xlabel(label)
     lower = int((values < ours).sum())

@@ -20,6 +20,7 @@ QUIET: Final = "#6b6b6b"
 FAINT: Final = "#a8a8a8"
 BLUE: Final = "#0072B2"
 ORANGE: Final = "#E69F00"
+GREEN: Final = "#009E73"
 RED: Final = "#D1330A"
 SHADE: Final = "#e9e9e9"
 

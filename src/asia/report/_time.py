@@ -37,7 +37,8 @@ class Stretch:
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """Where each stretch lies on one axis: `times` holds the time of each sample in `unit`.
+    """Where each stretch lies on one axis: `times` holds the time of each sample in `unit`,
+    `pieces` what the stretches are.
 
     A single stretch keeps the time of its record; several are laid end to end with a gap.
     """
@@ -45,11 +46,12 @@ class TimeAxis:
     times: tuple[Array, ...]
     unit: TimeUnit
     limits: tuple[float, float]
+    pieces: str = "records"
 
     @property
     def label(self) -> str:
         """Text for the axis."""
-        joined = ", records end to end" if len(self.times) > 1 else ""
+        joined = f", {self.pieces} end to end" if len(self.times) > 1 else ""
         return f"Time{joined} [{self.unit.name}]"
 
     @property
@@ -65,7 +67,9 @@ def last_sample(stretches: Sequence[Stretch]) -> int:
     return stretches[0].start + total if len(stretches) == 1 else total
 
 
-def lay_out(stretches: Sequence[Stretch], sampling_time: float, unit: TimeUnit) -> TimeAxis:
+def lay_out(
+    stretches: Sequence[Stretch], sampling_time: float, unit: TimeUnit, pieces: str = "records"
+) -> TimeAxis:
     """The axis for `stretches`, whose records are sampled every `sampling_time` seconds."""
     total = sum(s.length for s in stretches)
     gap = total // 50 + 1
@@ -76,4 +80,5 @@ def lay_out(stretches: Sequence[Stretch], sampling_time: float, unit: TimeUnit) 
         times.append((first + np.arange(stretch.length, dtype=np.float64)) * scale)
         first += stretch.length + gap
     edge = total * scale / 100
-    return TimeAxis(tuple(times), unit, (float(times[0][0]) - edge, float(times[-1][-1]) + edge))
+    limits = float(times[0][0]) - edge, float(times[-1][-1]) + edge
+    return TimeAxis(tuple(times), unit, limits, pieces)

@@ -19,6 +19,7 @@ from asia.report._residuals import draw_residuals
 from asia.report._simulation import draw_simulation, draw_test
 from asia.report._standing import draw_standing
 from asia.report._style import DPI, drawing
+from asia.report._windows import draw_horizon, draw_test_horizon
 
 Picture = tuple[str, Callable[[], Figure]]
 
@@ -47,17 +48,28 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     if best is not None:
         folds = make_folds(problem.train, problem.protocol)
         yield "simulation", lambda: draw_simulation(run, problem, best, folds)
+        if problem.protocol.kind == "windows":
+            yield "horizon", lambda: draw_horizon(run, problem, best, folds)
         yield "residuals", lambda: draw_residuals(run, problem, best, folds)
     if opened is None or not isinstance(opened.ensemble, TestRecord):
         return
     ensemble = opened.ensemble
     yield "test", lambda: draw_test(run, problem, opened, ensemble)
+    if opened.horizon is not None:
+        yield "test_horizon", lambda: draw_test_horizon(run, problem, opened, ensemble)
+    yield from standing(run, problem, ensemble)
+
+
+def standing(
+    run: Run, problem: Problem, ensemble: TestRecord, mark: tuple[str, float] | None = None
+) -> Iterator[Picture]:
+    """The test error among the published ones, for a benchmark that has some."""
     # A person's own data may bear a benchmark's name; its error has no place in that list.
     published = leaderboard(problem.name) if isinstance(problem.data, BenchmarkSource) else ()
     ours = [s.value for s in ensemble.scores if s.metric == "rmse"]
     if published and ours:
-        name, output = view.started.run, problem.outputs[0]
-        yield "leaderboard", lambda: draw_standing(published, ours[0], output, name)
+        name, output = run.view.started.run, problem.outputs[0]
+        yield "leaderboard", lambda: draw_standing(published, ours[0], output, name, mark)
 
 
 def save(drawn: Iterator[Picture], directory: Path) -> tuple[Path, ...]:

@@ -13,6 +13,7 @@ import os
 import pickle
 import resource
 import sys
+import threading
 import traceback
 from collections.abc import Callable
 from types import ModuleType
@@ -99,9 +100,9 @@ def _execute(source: str) -> ModuleType:
     return module
 
 
-def _as_model(value: object) -> Model:
+def _as_model(value: object, what: str = "fit returned") -> Model:
     if not callable(getattr(value, "simulate", None)):
-        raise _RefusedError(f"fit returned {type(value).__name__}, which has no simulate method")
+        raise _RefusedError(f"{what} {type(value).__name__}, which has no simulate method")
     return value  # pyright: ignore[reportReturnType]
 
 
@@ -114,6 +115,9 @@ class _Session:
         self._pid = os.getpid()
         self._token = bytes(_wire.TOKEN_BYTES)
         self._model: Model | None = None
+        self._executed: str | None = None
+        self._fitting = False
+        self._asking = threading.Lock()
 
     def serve(self) -> NoReturn:
         self._reply(_wire.Status.STARTED)
@@ -160,6 +164,7 @@ class _Session:
         source: str,
         records: list[tuple[Array, Array, float, str]],
         known: dict[str, Any],
+        scored: bool,
     ) -> bytes:
         trajectories = [_trajectory(*record) for record in records]
         module = _execute(source)
@@ -167,16 +172,32 @@ class _Session:
         if not callable(fit):
             raise _RefusedError("the source defines no function fit(trajectories, context)")
         curve = _Curve(_wire.CURVE_ROWS)
-        context = _context(known, curve.log)
+        context = _context(known, curve.log, self._validation_score if scored else None)
         self._reply(_wire.Status.STARTED)
+        self._fitting = True
         self._model = _as_model(fit(trajectories, context))
+        self._fitting = False
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(Exception):
                 stream.flush()
         return curve.tobytes()
 
+    def _validation_score(self, model: Model) -> float:
+        body = self._pickled(_as_model(model, "validation_score was given"))
+        with self._asking:
+            if not self._fitting:
+                raise RuntimeError("validation_score is there for the time of fit only")
+            self._reply(_wire.Status.SCORE, body)
+            self._token, name, (answer,) = pickle.loads(self._request())
+        if name == "refuse":
+            raise RuntimeError(answer)
+        return answer
+
     def _load(self, source: str, model: bytes) -> bytes:
-        _execute(source)
+        """The source runs once, so that what it compiled serves the next model too."""
+        if source != self._executed:
+            _execute(source)
+            self._executed = source
         self._model = _as_model(pickle.loads(model))
         return b""
 
@@ -197,9 +218,12 @@ class _Session:
         return y.tobytes()
 
     def _dump(self) -> bytes:
+        return self._pickled(self._model)
+
+    def _pickled(self, model: object) -> bytes:
         import cloudpickle
 
-        return cloudpickle.dumps(self._model, protocol=5)
+        return cloudpickle.dumps(model, protocol=5)
 
     def _describe(self, error: BaseException, *, private: bool) -> tuple[int, bytes]:
         """Status and words for an error; `private` gives away the class name only."""
@@ -258,10 +282,14 @@ def _trajectory(u: Array, y: Array, sampling_time: float, name: str) -> Trajecto
     return Trajectory(u, y, sampling_time, name)
 
 
-def _context(known: dict[str, Any], log: Callable[[float, float], None]) -> Context:
+def _context(
+    known: dict[str, Any],
+    log: Callable[[float, float], None],
+    validation_score: Callable[[Model], float] | None,
+) -> Context:
     from asia.candidate import Context
 
-    return Context(**known, log=log)
+    return Context(**known, log=log, validation_score=validation_score)
 
 
 def main(arguments: list[str]) -> NoReturn:

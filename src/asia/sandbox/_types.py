@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -37,6 +38,15 @@ class Limits:
     simulate_seconds: float
     memory_mb: int
     model_mb: int = 64
+
+
+class ScoreRefusedError(Exception):
+    """No score is given; the candidate gets a RuntimeError with these words."""
+
+
+ScoreModel = Callable[[bytes, float], float]
+"""(model as `Worker.dump` gives it, `time.monotonic()` value to answer by) -> its score. Raises
+ScoreRefusedError, and CandidateError where the model makes the candidate fail."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 A request is a u64 length and a pickle, which only travels into the sandbox. A reply is a status
 byte, the token of the request it answers, a u64 length and raw bytes: nothing in it is parsed.
+During a fit a SCORE reply brings a model, and the next request brings its score.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ SHAPE_DIMENSIONS = 8
 
 
 class Status(IntEnum):
-    """First byte of a reply. All but OK and STARTED end the worker."""
+    """First byte of a reply. All but OK, STARTED and SCORE end the worker."""
 
     OK = 0
     STARTED = 1
@@ -30,3 +31,4 @@ class Status(IntEnum):
     EXITED = 5
     MEMORY = 6
     SHAPE = 7
+    SCORE = 8

@@ -18,7 +18,7 @@ from asia.errors import CandidateError, Reason, SandboxError
 from asia.problem import Array, Trajectory
 from asia.sandbox._cell import Cell
 from asia.sandbox._channel import Channel, GoneError, Head, LateError, UnsolicitedError, printable
-from asia.sandbox._types import FitReply, Limits
+from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError
 from asia.sandbox._wire import (
     CURVE_ROW_BYTES,
     CURVE_ROWS,
@@ -49,9 +49,9 @@ class Worker:
     """One fresh process behind the walls of one isolation level; use it as a context manager.
 
     Open, use and close it in one thread: where the thread that opened it ends, the worker ends.
-    After a CandidateError the process is gone and every further request is a SandboxError. All
-    requests raise CandidateError for what the candidate does and SandboxError for what it cannot
-    have caused.
+    After a CandidateError the process is gone and every further request is a SandboxError, but for
+    NOT_FINITE, after which it goes on. All requests raise CandidateError for what the candidate
+    does and SandboxError for what it cannot have caused.
     """
 
     def __init__(self, cell: Cell, limits: Limits) -> None:
@@ -60,6 +60,8 @@ class Worker:
         self._channel = Channel(cell.pipes, cell.running)
         self._closed = False
         self._started = False
+        self._latest = math.inf
+        self._loaded_source: str | None = None
         self._ny = 0
         self._model_loaded = False
         self._cases_seen = False
@@ -75,18 +77,29 @@ class Worker:
     ) -> None:
         self.close()
 
-    def fit(self, source: str, trajectories: Sequence[Trajectory], context: Context) -> FitReply:
+    def fit(
+        self,
+        source: str,
+        trajectories: Sequence[Trajectory],
+        context: Context,
+        score: ScoreModel | None = None,
+    ) -> FitReply:
         """Execute the source and call its `fit`. The context's deadline becomes the earlier of
-        its own and now + fit_seconds; its `log` is replaced by one that fills `FitReply.curve`."""
+        its own and now + fit_seconds; its `log` is replaced by one that fills `FitReply.curve`,
+        its `validation_score` by one that asks `score`, whose time counts as the fit's."""
         late = Reason.FIT_TIMEOUT
         self._start()
         deadline = time.monotonic() + self._limits.fit_seconds
         context = replace(context, deadline=min(context.deadline, deadline))
         records = [(t.u, t.y, t.sampling_time, t.name) for t in trajectories]
-        self._send("fit", (source, records, _plain(context)), deadline, late)
-        self._head(deadline, late, Status.STARTED)
+        self._send("fit", (source, records, _plain(context), score is not None), deadline, late)
+        self._head(deadline, late, (Status.STARTED,))
         begin = time.monotonic()
-        head = self._head(deadline, late)
+        wanted = (Status.OK,) if score is None else (Status.OK, Status.SCORE)
+        head = self._head(deadline, late, wanted)
+        while score is not None and head.status is Status.SCORE:
+            self._answer(score, self._model_bytes(head, deadline, late), deadline)
+            head = self._head(deadline, late, wanted)
         seconds = time.monotonic() - begin
         if head.length > CURVE_ROWS * CURVE_ROW_BYTES or head.length % CURVE_ROW_BYTES:
             raise self._failure(Reason.UNSOLICITED, "a training curve of an impossible size")
@@ -95,11 +108,14 @@ class Worker:
         return FitReply(curve, self._channel.take_output(), seconds)
 
     def load(self, source: str, model: bytes, context: Context) -> None:
-        """Execute the source and take up the model that `dump` gave, in at most fit_seconds."""
+        """Execute the source and take up the model that `dump` gave, in at most fit_seconds. May
+        be called again with another model of the same source, which is executed once."""
         late = Reason.SIMULATE_TIMEOUT
         self._cases_seen = True
-        self._start()
-        deadline = time.monotonic() + self._limits.fit_seconds
+        if self._closed or self._loaded_source != source:
+            self._start()
+            self._loaded_source = source
+        deadline = self._by(self._limits.fit_seconds)
         self._send("load", (source, model), deadline, late)
         if self._head(deadline, late).length:
             raise self._failure(Reason.UNSOLICITED)
@@ -111,14 +127,14 @@ class Worker:
         late = Reason.SIMULATE_TIMEOUT
         self._cases_seen = True
         shape = (u.shape[0], u.shape[1], self._ny)
-        deadline = time.monotonic() + self._limits.simulate_seconds
+        deadline = self._by(self._limits.simulate_seconds)
         self._send("simulate", (past_u, past_y, u, self._ny), deadline, late)
         head = self._head(deadline, late, expected=shape)
         if head.length != math.prod(shape) * 8:
             raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
         y = _floats(self._body(head, deadline, late)).reshape(shape)
         if not np.isfinite(y).all():
-            raise self._failure(Reason.NOT_FINITE)
+            raise CandidateError(Reason.NOT_FINITE)
         return y
 
     def dump(self) -> bytes:
@@ -127,11 +143,11 @@ class Worker:
         late = Reason.FIT_TIMEOUT
         deadline = time.monotonic() + self._limits.fit_seconds
         self._send("dump", (), deadline, late)
-        head = self._head(deadline, late)
-        if head.length > self._limits.model_mb * 1024 * 1024:
-            detail = f"{head.length} bytes, at most {self._limits.model_mb} MB are kept"
-            raise self._failure(Reason.MODEL_SIZE, detail)
-        return self._body(head, deadline, late)
+        return self._model_bytes(self._head(deadline, late), deadline, late)
+
+    def answer_by(self, latest: float) -> None:
+        """No later load or simulate waits past this `time.monotonic()` value."""
+        self._latest = latest
 
     def abort(self) -> None:
         """End the process from another thread: the one that uses it then sees it gone."""
@@ -150,7 +166,7 @@ class Worker:
     def _start(self) -> None:
         """Wait for the fresh process to be ready: its start is nobody's fit time."""
         if self._started or self._closed:
-            raise SandboxError("a worker takes one fit or one load; open a fresh one")
+            raise SandboxError("a worker takes one fit, or models of one source; open a fresh one")
         self._started = True
         try:
             head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
@@ -161,6 +177,23 @@ class Worker:
             said = self._channel.take_output()[-500:].strip()
             self.close()
             raise SandboxError(f"a worker did not start: {said or 'no message'}")
+
+    def _by(self, seconds: float) -> float:
+        return min(time.monotonic() + seconds, self._latest)
+
+    def _answer(self, score: ScoreModel, model: bytes, deadline: float) -> None:
+        """Score a model that the candidate is training. Both processes end with a failure."""
+        late = Reason.FIT_TIMEOUT
+        try:
+            answer = ("score", (score(model, deadline),))
+        except ScoreRefusedError as refused:
+            answer = ("refuse", (str(refused),))
+        except CandidateError:
+            self.close()
+            if time.monotonic() >= deadline:
+                raise self._translated(LateError(), late) from None
+            raise
+        self._send(*answer, deadline, late)
 
     def _need_model(self) -> None:
         if self._closed or not self._model_loaded:
@@ -180,13 +213,13 @@ class Worker:
         self,
         deadline: float,
         late: Reason,
-        wanted: Status = Status.OK,
+        wanted: tuple[Status, ...] = (Status.OK,),
         expected: tuple[int, ...] = (),
     ) -> Head:
         """Head of a reply that is no failure; `expected` is the shape to name in one."""
         try:
             head = self._channel.receive_head(deadline)
-            if head.status is wanted:
+            if head.status in wanted:
                 return head
             if head.status not in _REASONS:
                 raise UnsolicitedError
@@ -195,6 +228,13 @@ class Worker:
         except (LateError, GoneError, UnsolicitedError) as error:
             raise self._translated(error, late) from None
         raise self._failure(_REASONS[head.status], self._words(head.status, body, expected))
+
+    def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
+        """A model that follows `head`."""
+        if head.length > self._limits.model_mb * 1024 * 1024:
+            detail = f"{head.length} bytes, at most {self._limits.model_mb} MB are kept"
+            raise self._failure(Reason.MODEL_SIZE, detail)
+        return self._body(head, deadline, late)
 
     def _body(self, head: Head, deadline: float, late: Reason) -> bytes:
         try:
@@ -242,8 +282,9 @@ class Worker:
 
 
 def _plain(context: Context) -> dict[str, object]:
-    """The context's fields but `log`, which need not be a function that pickles."""
-    return {f.name: getattr(context, f.name) for f in fields(context) if f.name != "log"}
+    """The context's fields but its functions, which the worker has its own of."""
+    own = ("log", "validation_score")
+    return {f.name: getattr(context, f.name) for f in fields(context) if f.name not in own}
 
 
 def _floats(data: bytes) -> Array:

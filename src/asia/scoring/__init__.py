@@ -1,6 +1,7 @@
 """(y, y_hat) -> Score or Failure. Sees targets, never runs a candidate."""
 
 from asia.scoring._diagnostics import Diagnostics, diagnose
+from asia.scoring._mee import GroupError, MeeTable, mee_table
 from asia.scoring._metrics import METRICS, fit_index, mae, r2, rmse
 from asia.scoring._outcome import (
     Failure,
@@ -19,6 +20,8 @@ __all__ = [
     "Diagnostics",
     "Failure",
     "FoldScore",
+    "GroupError",
+    "MeeTable",
     "Outcome",
     "Score",
     "TestScore",
@@ -27,6 +30,7 @@ __all__ = [
     "diagnose",
     "fit_index",
     "mae",
+    "mee_table",
     "r2",
     "rmse",
     "score_fold",

@@ -4,13 +4,16 @@ validation or test outputs."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asia.errors import CandidateError, Reason
 from asia.problem import Array
+
+Samples = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -18,8 +21,9 @@ class Diagnostics:
     """Residual analysis of one fold's training simulation, worst channel of each.
 
     train_error: the normalised metric on the training records. bias: |mean residual| / scale.
-    whiteness: largest |autocorrelation| at lags 1..20. input_correlation: largest
-    |cross-correlation| of residual and past inputs, lags 0..20. top_error and bottom_error: RMS
+    whiteness: largest |autocorrelation| at lags 1..20, over all pairs of samples inside one record
+    or window. input_correlation: largest |cross-correlation| of residual and past inputs, lags
+    0..20, likewise. top_error and bottom_error: RMS
     residual where the output lies in its highest / lowest tenth, over the RMS residual.
     start_error: RMS residual in the first 5 % of the records, over the RMS residual. curvature:
     |correlation| of the residual with the squared centred output.
@@ -42,7 +46,7 @@ def diagnose(
     scale: Array,
     train_error: float,
 ) -> Diagnostics:
-    """Residual analysis of simulated training records, one (H, n) array a record. Raises
+    """Residual analysis of simulated training records, one (H, n) array a record or window. Raises
     CandidateError when the residual is too large to analyse."""
     with np.errstate(over="ignore", invalid="ignore"):
         found = _analyse(u, y, y_hat, scale, train_error)
@@ -63,11 +67,12 @@ def _analyse(
     rms = np.sqrt(np.mean(e**2, axis=0)) + 1e-300
     high, low = np.quantile(out, 0.9, axis=0), np.quantile(out, 0.1, axis=0)
     starts = np.concatenate([r[: max(1, len(r) // 20)] for r in residual])
+    place = np.concatenate([np.arange(len(r)) for r in residual])
     return Diagnostics(
         train_error=train_error,
         bias=float(np.max(np.abs(e.mean(axis=0)))),
-        whiteness=max(_largest(r, r, 1) for r in residual),
-        input_correlation=max(_largest(r, v, 0) for r, v in zip(residual, u, strict=True)),
+        whiteness=_whiteness(e, place),
+        input_correlation=_input_correlation(e, np.concatenate(list(u)), place),
         top_error=float(np.max(_rms_where(e, (out >= high).astype(np.float64)) / rms)),
         bottom_error=float(np.max(_rms_where(e, (out <= low).astype(np.float64)) / rms)),
         start_error=float(np.max(np.sqrt(np.mean(starts**2, axis=0)) / rms)),
@@ -79,20 +84,38 @@ def _rms_where(e: Array, weight: Array) -> Array:
     return np.sqrt((e**2 * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0))
 
 
-def _standardised(x: Array) -> Array:
-    x = x - x.mean(axis=0)
+def _unit(x: Array) -> Array:
+    """Columns of norm 1."""
     return x / np.maximum(np.sqrt((x**2).sum(axis=0)), 1e-300)
 
 
 def _correlation(a: Array, b: Array) -> Array:
-    return (_standardised(a) * _standardised(b)).sum(axis=0)
+    return (_unit(a - a.mean(axis=0)) * _unit(b - b.mean(axis=0))).sum(axis=0)
 
 
-def _largest(e: Array, other: Array, first_lag: int) -> float:
-    """Largest |correlation| of e(t) with other(t - lag) over lags first_lag..20."""
-    a, b = _standardised(e), _standardised(other)
-    lags = range(first_lag, min(21, len(a) - 1))
-    values = [float(np.abs(a[lag:].T @ b[: len(b) - lag]).max()) for lag in lags]
-    if e is other:
-        values = [float(np.abs((a[lag:] * b[: len(b) - lag]).sum(axis=0)).max()) for lag in lags]
+def _pairs(place: Samples, first_lag: int) -> Iterator[tuple[Samples, Samples]]:
+    """For each lag the samples t and t - lag of one record, both as positions in the pooled arrays.
+    place: each sample's number within its record. A lag with hardly any pair tells nothing."""
+    for lag in range(first_lag, 21):
+        late = np.flatnonzero(place >= lag)
+        if len(late) < 3:
+            return
+        yield late, late - lag
+
+
+def _whiteness(e: Array, place: Samples) -> float:
+    a = e - e.mean(axis=0)
+    values = [
+        float(np.abs((_unit(a[late]) * _unit(a[early])).sum(axis=0)).max())
+        for late, early in _pairs(place, 1)
+    ]
+    return max(values, default=0.0)
+
+
+def _input_correlation(e: Array, u: Array, place: Samples) -> float:
+    """Largest |correlation| of e(t) with u(t - lag)."""
+    a, b = e - e.mean(axis=0), u - u.mean(axis=0)
+    values = [
+        float(np.abs(_unit(a[late]).T @ _unit(b[early])).max()) for late, early in _pairs(place, 0)
+    ]
     return max(values, default=0.0)

@@ -1,7 +1,7 @@
 """The loop: problem + agent + budget + ledger. Alone holds both an agent and an evaluator."""
 
 from asia.search._agent_view import agent_view, problem_facts
-from asia.search._search import LOCK, Prepared, check_baseline, prepare, search
+from asia.search._search import LOCK, Prepared, check_baseline, prepare, search, with_early_stopping
 from asia.search._simulate import simulate
 from asia.search._unseal import UnsealResult, unseal
 
@@ -16,4 +16,5 @@ __all__ = [
     "search",
     "simulate",
     "unseal",
+    "with_early_stopping",
 ]

@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-from asia.agents import AgentView, Facts, Trial
+from asia.agents import AgentView, Effort, Facts, Trial
 from asia.candidate import source_digest
 from asia.errors import CandidateError
 from asia.ledger import Experiment, SearchView, Store
@@ -18,14 +18,22 @@ CURVE_POINTS = 200
 
 def problem_facts(problem: Problem) -> Facts:
     """The problem as agents may know it."""
+    rule = problem.protocol
     return Facts(
         description=problem.description,
         inputs=problem.inputs,
         outputs=problem.outputs,
         sampling_time=problem.sampling_time,
         records=problem.train,
-        past=problem.protocol.past,
+        past_inputs=rule.past_inputs,
+        past_outputs=rule.past_outputs,
         physics=problem.physics,
+        horizon=rule.horizon,
+        metric=rule.metric,
+        early_stopping=rule.early_stopping,
+        folds=rule.folds.count,
+        groups=tuple(group.records for group in rule.folds.groups),
+        budget=Effort(problem.budget.experiments, problem.budget.fit_seconds),
     )
 
 

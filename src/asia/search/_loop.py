@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from asia.agents import Agent, Proposal
@@ -135,6 +135,7 @@ class Loop:
             output=self.store.put(evaluation.output.encode()) if evaluation.output else None,
             seconds=time.monotonic() - start,
             deadline=_touched_deadline(evaluation),
+            validation_scores=evaluation.validation_scores,
         )
 
     def _judge(self, source: str) -> Evaluation:
@@ -143,7 +144,7 @@ class Loop:
         if decide(evaluation.outcome, self.view) == "keep":
             failure = self.evaluator.reload_differs(source, evaluation.folds)
             if failure is not None:
-                return Evaluation(failure, (), evaluation.output)
+                return replace(evaluation, outcome=failure, folds=())
         return evaluation
 
     def _keep(self, fold: FoldResult) -> FoldRecord:
@@ -153,6 +154,7 @@ class Loop:
             curve=self.store.put_arrays([fold.curve]),
             diagnostics=fold.diagnostics,
             fit_seconds=fold.seconds,
+            validation_scores=fold.validation_scores,
         )
 
     def _refit(self) -> None:

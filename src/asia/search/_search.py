@@ -7,8 +7,9 @@ import importlib.metadata
 import math
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 from asia.agents import Agent
 from asia.candidate import Context, check_source
@@ -16,7 +17,7 @@ from asia.errors import CandidateError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
 from asia.executor import Executor, LocalExecutor
 from asia.ledger import Chain, Extended, SearchView, Started, Store, check_lock, replay
-from asia.problem import Budget
+from asia.problem import Budget, EarlyStopping
 from asia.problem.load import Problem, Seal, lock_differences, lock_text, protocol_digest
 from asia.protocol import make_folds
 from asia.protocol._sealed import seal
@@ -56,7 +57,8 @@ def prepare(
     _check_budget(problem.budget)
     make_folds(problem.train, problem.protocol)
     sealed = seal(problem)
-    run_name = name or f"{problem.name}-{agent_name}-s{seed}"
+    setting = "" if problem.protocol.early_stopping == "inner" else "-validation"
+    run_name = name or f"{problem.name}-{agent_name}-s{seed}{setting}"
     directory = runs / run_name
     found = _probe(isolation)
     lock = lock_text(problem, sealed)
@@ -74,6 +76,7 @@ def prepare(
         isolation=found.level.value,
         isolation_notes=found.notes,
         environment=_environment(),
+        early_stopping=problem.protocol.early_stopping,
     )
     if not (directory / "ledger.jsonl").is_file() or not (directory / LOCK).is_file():
         return Prepared(problem, directory, lock, started, resumes=False)
@@ -130,6 +133,7 @@ def make_evaluator(
         sampling_time=problem.sampling_time,
         n_past_u=rule.past_inputs,
         n_past_y=rule.past_outputs,
+        horizon=rule.horizon,
         metric=rule.metric,
         physics=problem.physics,
         seed=derive_seed(view.started.seed, "search"),
@@ -142,6 +146,17 @@ def make_evaluator(
         budget=problem.budget,
         isolation=Isolation(view.started.isolation),
         executor=executor or LocalExecutor(),
+    )
+
+
+def with_early_stopping(problem: Problem, setting: str) -> Problem:
+    """The problem with this setting instead of its file's. Raises UserError for another word."""
+    for known in get_args(EarlyStopping):
+        if setting == known:
+            return replace(problem, protocol=replace(problem.protocol, early_stopping=known))
+    raise UserError(
+        f"early stopping '{setting}': expected {' or '.join(get_args(EarlyStopping))}; "
+        "choose one, or leave it out for the problem's own"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,11 +23,11 @@ from asia.ledger import (
     replay,
     write_exports,
 )
-from asia.problem import Array, TestRule
-from asia.problem.load import data_digest, load_lock
+from asia.problem import Array
+from asia.problem.load import Problem, data_digest, load_lock
 from asia.protocol import Block, whole
 from asia.protocol._sealed import open_test
-from asia.scoring import Failure, score_test
+from asia.scoring import METRICS, Failure, mee_table, score_test
 from asia.search._search import LOCK, make_evaluator
 
 
@@ -97,7 +98,8 @@ def _score(directory: Path, view: SearchView, best: Experiment, digest: str) -> 
     if data_digest(records) != digest:
         raise UserError(f"the test data are not those that run '{view.started.run}' had sealed")
     blocks = whole(records, problem.protocol)
-    judge = _Judge(make_evaluator(problem, view), store, best, blocks, problem.protocol.test)
+    judge = _Judge(make_evaluator(problem, view), store, best, blocks, problem)
+    measured = _by_record([b.y for b in blocks], blocks)
     assert best.result is not None
     refitted = view.refitted.model if view.refitted else None
     return Unsealed(
@@ -105,12 +107,20 @@ def _score(directory: Path, view: SearchView, best: Experiment, digest: str) -> 
         test_digest=digest,
         channels=tuple(s.name for s in problem.outputs),
         trajectories=tuple(r.name for r in records),
-        lengths=tuple(len(b.y) for b in blocks),
+        lengths=tuple(len(y) for y in measured),
         skip=problem.protocol.test.skip,
-        measured=store.put_arrays([b.y for b in blocks]),
+        measured=store.put_arrays(measured),
         ensemble=judge.score(tuple(fold.model for fold in best.result.folds)),
         refit=judge.score((refitted,)) if refitted else None,
+        horizon=problem.protocol.horizon,
     )
+
+
+def _by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, ...]:
+    """The parts of each test record, one for each block, one below the other."""
+    records = dict.fromkeys(block.record for block in blocks)
+    pairs = list(zip(parts, blocks, strict=True))
+    return tuple(np.concatenate([p for p, block in pairs if block.record == r]) for r in records)
 
 
 @dataclass(frozen=True)
@@ -119,19 +129,26 @@ class _Judge:
     store: Store
     best: Experiment
     blocks: tuple[Block, ...]
-    rule: TestRule
+    problem: Problem
 
     def score(self, models: tuple[str, ...]) -> TestRecord | Failure:
         """Score of the mean of the models' simulations, or why there is none."""
         try:
-            y_hat = self._mean(models)
-            measured = [b.y for b in self.blocks]
-            scores = tuple(
-                score_test(measured, y_hat, m, self.rule.skip) for m in self.rule.metrics
-            )
+            return self._record(self._mean(models))
         except CandidateError as error:
             return Failure(error.reason, error.detail)
-        return TestRecord(scores, self.store.put_arrays(y_hat))
+
+    def _record(self, y_hat: tuple[Array, ...]) -> TestRecord:
+        rule, y = self.problem.protocol.test, [b.y for b in self.blocks]
+        measured, simulated = (_by_record(parts, self.blocks) for parts in (y, y_hat))
+        scores = tuple(
+            score_test(measured, simulated, m, rule.skip) for m in rule.metrics if m in METRICS
+        )
+        names = [s.name for s in self.problem.outputs]
+        mee = None
+        if "mee" in rule.metrics:
+            mee = mee_table(y, y_hat, names, rule.groups, rule.horizons)
+        return TestRecord(scores, self.store.put_arrays(simulated), mee)
 
     def _mean(self, models: tuple[str, ...]) -> tuple[Array, ...]:
         source = self.store.text(self.best.proposed.source)

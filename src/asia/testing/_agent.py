@@ -19,7 +19,7 @@ _FAILED = 1 / 6
 
 def check_agent(make: Callable[[], Agent]) -> None:
     """Drive an agent through made-up searches: with and without physics, one and several channels,
-    good, bad and failing outcomes. No candidate is run.
+    whole records and windows, good, bad and failing outcomes. No candidate is run.
 
     Checked: proposals are a function of the view (a second agent gives the same, and the view may
     be presented again), candidates pass the static checks, none is proposed twice, hypothesis and
@@ -118,6 +118,15 @@ def _problems() -> Iterator[Facts]:
             observation={"y1": "x2"},
         ),
     )
+    yield replace(
+        _facts(2, 2),
+        past_inputs=0,
+        past_outputs=1,
+        horizon=20,
+        metric="mae",
+        early_stopping="validation",
+        groups=(("made up",),),
+    )
 
 
 def _facts(nu: int, ny: int) -> Facts:
@@ -129,5 +138,6 @@ def _facts(nu: int, ny: int) -> Facts:
         outputs=tuple(Signal(f"y{i + 1}") for i in range(ny)),
         sampling_time=1.0,
         records=records,
-        past=5,
+        past_inputs=5,
+        past_outputs=5,
     )

@@ -3,102 +3,169 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from asia.agents import AgentView, ExpertAgent, Facts, Proposal, Trial
+from asia.agents import ExpertAgent, Facts, Proposal, Trial
 from asia.agents._evidence import overfit, plateau_share
-from asia.candidate import source_digest
-from asia.ledger import Diagnostics
-from asia.problem import ParameterRange, Physics, Signal, Trajectory
+from asia.agents._library import families
+from asia.agents._recipe import Recipe
+from asia.problem import Trajectory
+from tests.unit.agents.searches import (
+    CLEAN,
+    body,
+    recipe_of,
+    search,
+    simulation,
+    trial,
+    view,
+    windows,
+)
 
-CLEAN = Diagnostics(0.1, 0.0, 0.1, 0.05, 1.0, 1.0, 1.0, 0.05)
-
-
-def facts(*, physics: bool) -> Facts:
-    rng = np.random.default_rng(0)
-    record = Trajectory(rng.normal(size=200), rng.normal(size=200), 1.0)
-    equations = Physics(
-        states=("x1", "x2"),
-        dynamics={"x1": "-a*x1 + u", "x2": "x1 - a*x2"},
-        parameters={"a": ParameterRange(0.01, 1.0)},
-        observation={"y": "x2"},
-    )
-    return Facts(
-        "", (Signal("u"),), (Signal("y"),), 1.0, (record,), 5, equations if physics else None
-    )
+AGENT = ExpertAgent
 
 
-def trial(proposal: Proposal, number: int, value: float, evidence: Diagnostics = CLEAN) -> Trial:
-    return Trial(
-        number, proposal.parent, "explore", proposal.family, proposal.title, proposal.hypothesis,
-        proposal.expected, proposal.source, "keep", value, (value, value), None,
-        (evidence, evidence),
-    )  # fmt: skip
-
-
-def view(known: Facts, trials: tuple[Trial, ...], phase: str) -> AgentView:
-    tried = {source_digest(t.source) for t in trials}
-    return AgentView(
-        known,
-        0,
-        phase,
-        trials,
-        10,
-        lambda s: source_digest(s) in tried,  # type: ignore[arg-type]
-    )
-
-
-def climb(known: Facts, values: dict[str, float]) -> tuple[Trial, ...]:
+def climb(known: Facts, values: dict[str, float], rest: float = 0.9) -> tuple[Trial, ...]:
     """Explore until no family is left; V by family."""
     trials: tuple[Trial, ...] = ()
-    agent = ExpertAgent()
     while True:
-        proposal = agent.propose(view(known, trials, "explore"))
+        proposal = AGENT().propose(view(known, trials, "explore"))
         if proposal is None or proposal.family in {t.family for t in trials}:
             return trials
-        trials = (*trials, trial(proposal, len(trials) + 1, values.get(proposal.family, 0.9)))
+        trials = (*trials, trial(proposal, len(trials) + 1, values.get(proposal.family, rest)))
 
 
-def next_title(known: Facts, trials: tuple[Trial, ...]) -> str:
-    proposal = ExpertAgent().propose(view(known, trials, "refine"))
+def following(known: Facts, trials: tuple[Trial, ...], phase: str = "refine") -> Proposal:
+    proposal = AGENT().propose(view(known, trials, phase))
     assert proposal is not None
-    return proposal.title
+    return proposal
 
 
 def test_the_ladder_tries_each_family_once_and_physics_first() -> None:
-    with_physics = [t.family for t in climb(facts(physics=True), {})]
-    assert with_physics[0] == "greybox"
-    assert len(with_physics) == len(set(with_physics)) == 6
-    without = [t.family for t in climb(facts(physics=False), {})]
+    known = simulation(physics=True)
+    ladder = [t.family for t in climb(known, {})]
+    assert ladder[0] == "greybox"
+    assert ladder == [row.name for row in families(known)]
+    without = [t.family for t in climb(simulation(physics=False), {})]
     assert without[0] == "linear"
     assert not {"greybox", "hybrid"} & set(without)
 
 
+def test_the_ladder_follows_the_kind_of_problem() -> None:
+    def place(known: Facts, name: str) -> int:
+        return [row.name for row in families(known)].index(name)
+
+    short, long = simulation(physics=False), simulation(physics=False, samples=100_000)
+    for name in ("subnet", "lru", "recurrent"):
+        assert place(long, name) < place(short, name), name
+    assert place(windows(), "autoregressive") < place(short, "autoregressive")
+    assert place(windows(), "autoregressive") < place(windows(), "ltc")
+    assert families(body())[0].name == "physics_net"
+    assert "physics_net" not in {row.name for row in families(simulation(physics=True))}
+    assert "gp_narx" not in {row.name for row in families(long)}
+
+
+def test_a_near_certain_move_interrupts_the_ladder() -> None:
+    known = simulation(physics=True)
+    first = trial(following(known, (), "explore"), 1, 0.3)
+    assert following(known, (first,), "explore").family == "linear"
+    sure = replace(first, diagnostics=(replace(CLEAN, top_error=2.0),))
+    assert following(known, (sure,), "explore").title == "grey-box: x1 runs over"
+
+
 def test_a_grey_box_that_fails_on_top_gets_an_overflow_then_a_limit_alone() -> None:
-    known = facts(physics=True)
+    known = simulation(physics=True)
     trials = climb(known, {"greybox": 0.3})
     first = replace(trials[0], diagnostics=(replace(CLEAN, top_error=2.0),))
     trials = (first, *trials[1:])
-    assert next_title(known, trials) == "grey-box: x1 runs over"
-    proposal = ExpertAgent().propose(view(known, trials, "refine"))
-    assert proposal is not None
+    proposal = following(known, trials)
+    assert proposal.title == "grey-box: x1 runs over"
     assert proposal.parent == first.number
-    assert 'saturation=("x1",), spill=True' in proposal.source
+    assert 'saturation=("x1",)' in proposal.source
+    assert "spill=True" in proposal.source
     worse = trial(proposal, len(trials) + 1, 0.35)
-    assert next_title(known, (*trials, worse)) == "grey-box: x1 saturates"
+    assert following(known, (*trials, worse)).title == "grey-box: x1 saturates"
 
 
 def test_a_biased_grey_box_gets_an_offset_before_other_things() -> None:
-    known = facts(physics=True)
+    known = simulation(physics=True)
     trials = climb(known, {"greybox": 0.3})
     first = replace(trials[0], diagnostics=(replace(CLEAN, bias=0.2),))
-    assert next_title(known, (first, *trials[1:])) == "grey-box: output offset"
+    assert following(known, (first, *trials[1:])).title == "grey-box: output offset"
 
 
 def test_overfit_and_plateau_are_read_from_the_training_side() -> None:
-    known = facts(physics=False)
+    known = simulation(physics=False)
     one = climb(known, {"linear": 0.4})[0]
     assert overfit(one) == 4.0
     y = np.minimum(np.sin(np.arange(400) / 20), 0.5)
     flat = replace(known, records=(Trajectory(y, y, 1.0),))
     assert plateau_share(flat) > 0.2
     assert plateau_share(known) < 0.02
+
+
+def steps(recipe: Recipe) -> float:
+    return recipe.number("steps", 0)
+
+
+def test_successive_halving_promotes_the_best_third_and_no_other() -> None:
+    known = windows()
+    values = {"autoregressive": 0.30, "recurrent": 0.31, "subnet": 0.32}
+    trials = climb(known, values)
+    short = {t.family: steps(recipe_of(t)) for t in trials}
+    promoted: list[str] = []
+    for number in range(len(trials) + 1, len(trials) + 16):
+        proposal = following(known, trials)
+        if proposal.title.endswith(": fitted in full"):
+            promoted.append(proposal.family)
+            assert steps(recipe_of(proposal)) > 2 * short[proposal.family]
+            # The trial's own settings stay.
+            cheap = next(t for t in trials if t.family == proposal.family)
+            assert recipe_of(proposal).config == recipe_of(cheap).config
+        trials = (*trials, trial(proposal, number, values.get(proposal.family, 0.9) + 0.01))
+    assert promoted[:3] == ["autoregressive", "recurrent", "subnet"]
+    assert len(promoted) <= -(-len(families(known)) // 3)
+
+
+@pytest.mark.parametrize("known", [simulation(physics=False), windows()])
+def test_validation_mode_stops_every_gradient_method_by_the_held_out_part(known: Facts) -> None:
+    known = replace(known, early_stopping="validation")
+    seen: set[str] = set()
+    for done in search(AGENT, known, 40):
+        recipe = recipe_of(done)
+        if recipe.method in ("Adam", "LBFGS", "MultipleShooting"):
+            seen.add(recipe.method)
+            assert recipe.get("stop") == "validation", done.title
+            assert not recipe.get("holdout")
+    assert "Adam" in seen
+    inner = search(AGENT, replace(known, early_stopping="inner"), 40)
+    assert all(recipe_of(t).get("stop") is None for t in inner)
+
+
+def test_a_family_that_ran_away_or_out_of_time_gets_a_second_chance() -> None:
+    known = simulation(physics=False)
+    trials = tuple(
+        replace(t, value=None, folds=(), diagnostics=(), status="timeout")
+        if t.family == "ltc"
+        else t
+        for t in climb(known, {"linear": 0.06}, rest=0.15)
+    )
+    proposal = following(known, trials)
+    assert proposal.title == "LTC network: a shorter fit"
+    first = next(t for t in trials if t.family == "ltc")
+    assert steps(recipe_of(proposal)) < 0.5 * steps(recipe_of(first))
+    trials = tuple(replace(t, status="invalid") if t.family == "ltc" else t for t in trials)
+    calmer = following(known, trials)
+    assert calmer.title == "LTC network: a calmer fit"
+    assert recipe_of(calmer).number("learning_rate", 1) < 5e-4
+
+
+@pytest.mark.parametrize(
+    "known",
+    [simulation(physics=True), simulation(physics=False, samples=50_000), windows(), body()],
+    ids=["physics", "long", "windows", "body"],
+)
+def test_sixty_proposals_are_sixty_configurations(known: Facts) -> None:
+    trials = search(AGENT, known, 60)
+    assert len(trials) == 60
+    assert len({recipe_of(t).key for t in trials}) == 60
+    assert any(t.value is None for t in trials)

@@ -64,9 +64,10 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
     assert done.out.count("\n") == 1
     answer = json.loads(done.out)
     assert set(answer) == {
-        "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation", "best",
-        "rungs",
+        "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
+        "early_stopping", "validation_scores", "best", "rungs",
     }  # fmt: skip
+    assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
     assert answer["problem"] == "toy"
     assert answer["state"] == "finished"
     assert answer["experiments"] == answer["budget"] == 1

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.ledger import Chain, Store, find_run, journal, open_run, results_table, verify
+from asia.ledger import Chain, Store, Unsealed, find_run, journal, open_run, results_table, verify
+from asia.ledger import TestRecord as Record
+from asia.ledger._events import adapter
 
 
 def test_replay_tells_the_search(run: Path) -> None:
@@ -103,3 +105,25 @@ def test_runs_are_found_by_name_by_path_and_by_age(run: Path) -> None:
         find_run(run.parent, "other")
     with pytest.raises(UserError, match="asia run"):
         find_run(run / "artifacts", None)
+
+
+def test_an_unsealing_without_a_table_still_reads() -> None:
+    """Ledgers from before windows existed hold neither a table nor a horizon."""
+    scores = [{"metric": "rmse", "value": 1.0, "per_channel": [1.0], "per_trajectory": [1.0]}]
+    old = {
+        "event": "unsealed",
+        "experiment": 1,
+        "test_digest": "0" * 64,
+        "channels": ["y"],
+        "trajectories": ["t"],
+        "lengths": [9],
+        "skip": 0,
+        "measured": "a",
+        "ensemble": {"scores": scores, "y_hat": "b"},
+        "refit": None,
+    }
+    event = adapter.validate_python(old)
+    assert isinstance(event, Unsealed)
+    assert event.horizon is None
+    assert isinstance(event.ensemble, Record)
+    assert event.ensemble.mee is None

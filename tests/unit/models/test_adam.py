@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -10,12 +10,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from asia.models import ltc
-from asia.models._adam import train_adam
+from asia.errors import UserError
+from asia.models import _training, ltc
+from asia.models._chunks import laid, tracks
+from asia.models._network import NetworkModel, Params, as_built, rollout, train_network
+from asia.models._objective import objective
 from asia.models._records import Batch, batch, holdout_masks, reweighted, scaled
 from asia.models._scaling import Scaling
+from asia.models._training import Split, Task
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import Case, case, filtered
+from tests.unit.models.network_cells import (
+    Echo,
+    Hidden,
+    Plain,
+    context,
+    error,
+    model,
+    records,
+    start,
+)
 
 
 @dataclass(frozen=True)
@@ -45,12 +59,19 @@ def silent(step: float, loss: float) -> None:
     del step, loss
 
 
+def trained(samples: Batch | Split, method: Adam, cell: Any = None, **task: Any) -> Params:
+    """A gain of zero, trained."""
+    start = task.pop("start", {"w": np.zeros(1, np.float32)})
+    settings = {"horizon": None, "seed": 0, "log": silent, **task}
+    with jax.enable_x64(False):
+        return _training.train(Task(cell or Gain(), samples, **settings), start, method)
+
+
 @pytest.mark.parametrize("truncation", [None, 30])
 def test_finds_the_minimum_with_records_of_unequal_length(truncation: int | None) -> None:
     data = case(filtered, lengths=(100, 60, 40))
     method = Adam(300, 0.05, weight_decay=0.0, truncation=truncation)
-    start = {"w": np.zeros(1, np.float32)}
-    found = train_adam(Gain(), start, records_of(data, 1.7), None, method, 0, silent)
+    found = trained(records_of(data, 1.7), method)
     assert found["w"] == pytest.approx(1.7, abs=0.02)
 
 
@@ -59,8 +80,7 @@ def test_records_shorter_than_a_chunk_are_learned_from() -> None:
     u, y = both.u.copy(), both.y.copy()
     u[0], y[0] = 0.0, 0.0
     method = Adam(300, 0.05, weight_decay=0.0, truncation=60)
-    start = {"w": np.zeros(1, np.float32)}
-    found = train_adam(Gain(), start, replace(both, u=u, y=y), None, method, 0, silent)
+    found = trained(replace(both, u=u, y=y), method)
     assert found["w"] == pytest.approx(1.7, abs=0.02)
 
 
@@ -72,11 +92,7 @@ def test_samples_without_weight_do_not_count() -> None:
     weight = clean.weight.copy()
     weight[0, 20:60] = 0.0
     method = Adam(20, 0.05)
-    start = {"w": np.zeros(1, np.float32)}
-    found = [
-        train_adam(Gain(), start, replace(clean, y=values, weight=weight), None, method, 0, silent)
-        for values in (clean.y, y)
-    ]
+    found = [trained(replace(clean, y=values, weight=weight), method) for values in (clean.y, y)]
     assert found[0]["w"] == found[1]["w"]
 
 
@@ -84,11 +100,10 @@ def test_held_out_blocks_pick_the_number_of_steps() -> None:
     data = case(filtered, lengths=(100,))
     fitted = records_of(data, 1.0)
     # The held-out samples want half the gain: passed on the way up, so fewer steps are best.
-    held_out = replace(fitted, y=0.5 * fitted.y, weight=0.01 * fitted.weight)
+    held_out = replace(fitted, y=0.5 * fitted.y)
     method = Adam(100, 0.02, weight_decay=0.0, schedule="constant")
-    start = {"w": np.zeros(1, np.float32)}
-    found = train_adam(Gain(), start, fitted, held_out, method, 0, silent)
-    whole = train_adam(Gain(), start, fitted, None, method, 0, silent)
+    found = trained(Split(fitted, held_out, fitted), method)
+    whole = trained(fitted, method)
     assert found["w"] == pytest.approx(0.5, abs=0.1)
     assert whole["w"] == pytest.approx(1.0, abs=0.1)
 
@@ -96,16 +111,15 @@ def test_held_out_blocks_pick_the_number_of_steps() -> None:
 def test_few_steps_are_picked_among_those_that_were_tried() -> None:
     data = case(filtered, lengths=(100,))
     fitted = records_of(data, 1.0)
-    held_out = replace(fitted, y=0.5 * fitted.y, weight=0.01 * fitted.weight)
+    held_out = replace(fitted, y=0.5 * fitted.y)
     method = Adam(10, 0.1, weight_decay=0.0, schedule="constant")
-    start = {"w": np.zeros(1, np.float32)}
     reported: list[float] = []
 
     def log(step: float, loss: float) -> None:
         del loss
         reported.append(step)
 
-    found = train_adam(Gain(), start, fitted, held_out, method, 0, log)
+    found = trained(Split(fitted, held_out, fitted), method, log=log)
     assert found["w"] == pytest.approx(0.5, abs=0.05)
     assert reported == [*range(1, 11), *range(1, 6)]
 
@@ -127,7 +141,7 @@ def test_step_with_a_gradient_that_is_not_finite_is_skipped() -> None:
     clean = records_of(data, 1.0)
     broken = replace(clean, y=np.full_like(clean.y, np.inf))
     start = {"w": np.full(1, 0.25, np.float32)}
-    found = train_adam(Gain(), start, broken, None, Adam(5), 0, silent)
+    found = trained(broken, Adam(5), start=start)
     assert found["w"] == pytest.approx(0.25)
 
 
@@ -151,5 +165,199 @@ def test_network_is_trained_in_single_precision_inside_a_double_precision_proces
     with jax.enable_x64(True):
         assert jnp.ones(1).dtype == jnp.float64
         model = ltc.build(ltc.Config(hidden=4), data.context)
-        trained = ltc.train(model, data.training, data.context, Adam(steps=2))
-        assert all(v.dtype == np.float32 for v in jax.tree.leaves(trained.params))
+        found = ltc.train(model, data.training, data.context, Adam(steps=2))
+        assert all(v.dtype == np.float32 for v in jax.tree.leaves(found.params))
+
+
+def test_teacher_forcing_learns_from_a_start_whose_simulation_diverges() -> None:
+    data = records(200)
+    plain = Adam(300, 0.03, weight_decay=0.0)
+    forced = replace(plain, teacher=1.0, teacher_end=1.0)
+    found = [train_network(model(1.6, -0.5), data, context(), m) for m in (forced, plain)]
+    assert error(found[0], data[0]) < 0.05
+    assert not error(found[1], data[0]) < 0.5
+
+
+def test_probability_of_the_teacher_falls_from_its_start_to_its_end() -> None:
+    data = records(100)
+    methods = [
+        Adam(40, 0.01, teacher=first, teacher_end=last)
+        for first, last in ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
+    ]
+    fits = [train_network(model(), data, context(), m).params["a"][0] for m in methods]
+    assert len(set(fits)) == 3
+
+
+def test_teacher_never_shows_samples_that_do_not_count() -> None:
+    data = batch(scaled(records(80), Scaling.of(records(80))), context())
+    weight = data.weight.copy()
+    weight[:, 30:50] = 0.0
+    hidden = data.y.copy()
+    hidden[:, 30:50] = 7.0
+    method = Adam(10, 0.01, teacher=1.0, teacher_end=1.0)
+    begin = start(0.2, 0.2)
+    found = [
+        trained(replace(data, y=y, weight=weight), method, Echo(), start=begin)
+        for y in (data.y, hidden)
+    ]
+    assert found[0]["a"] == found[1]["a"]
+
+
+def test_state_is_carried_from_chunk_to_chunk() -> None:
+    rows = scaled(records(100), Scaling.of(records(100)))
+    data = batch(rows, context())
+    errors: list[float] = []
+    method = Adam(7, 1e-12, weight_decay=0.0, truncation=14, carry=True)
+    begin = start(0.95, 0.3)
+    trained(data, method, Echo(), start=begin, log=lambda step, loss: errors.append(loss**2))
+    y = rollout(Echo(), begin, jnp.asarray(data.window), jnp.asarray(data.u))
+    squares = np.asarray((y - data.y) ** 2).reshape(7, 14)
+    np.testing.assert_allclose(errors, squares.mean(axis=1), rtol=1e-3)
+
+
+def test_carried_chunks_learn_and_long_records_are_read_in_parallel() -> None:
+    data = records(400)
+    method = Adam(300, 0.02, weight_decay=0.0, truncation=20, carry=True)
+    for parallel in (None, 4):
+        found = train_network(model(), data, context(), replace(method, batch=parallel))
+        assert error(found, data[0]) < 0.05
+    samples = batch(scaled(data, Scaling.of(data)), context())
+    side_by_side = tracks(samples, 20, 4, washout=3)
+    assert side_by_side.u.shape == (4, 100, 1)
+    assert float(side_by_side.weight.sum()) == 398 - 4 * 3
+
+
+def test_chunks_laid_end_to_end_are_the_published_windows() -> None:
+    samples = batch(scaled(records(151, 80), Scaling.of(records(151, 80))), context())
+    data = laid(samples, 40)
+    # 149 samples after the past window make four windows, the last one ending with the record.
+    assert data.u.shape == (4 + 2, 40, 1)
+    np.testing.assert_allclose(data.y[3], samples.y[0, 109:149], rtol=1e-6)
+    np.testing.assert_allclose(data.y[5], samples.y[1, 38:78], rtol=1e-6)
+    np.testing.assert_allclose(data.window[1, -1], samples.y[0, 39, 0], rtol=1e-6)
+    assert float(data.weight.min()) == 1.0
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Remembers the shapes it was asked to simulate."""
+
+    shapes: list[tuple[int, ...]] = field(default_factory=list[tuple[int, ...]], hash=False)
+
+    def sequence(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+        del window
+        self.shapes.append(u.shape)
+        return u * params["w"]
+
+
+@pytest.mark.parametrize(
+    ("horizon", "method", "expected"),
+    [
+        (None, Adam(1), (1, 998, 1)),
+        (20, Adam(1), (49, 20, 1)),
+        (5, Adam(1), (128, 5, 1)),
+        (20, Adam(1, batch=3), (3, 20, 1)),
+        (20, Adam(1, truncation=30), (33, 30, 1)),
+        (20, Adam(1, full_batch=True), (50, 20, 1)),
+    ],
+)
+def test_a_step_sees_windows_of_the_horizon(
+    horizon: int | None, method: Adam, expected: tuple[int, ...]
+) -> None:
+    samples = batch(scaled(records(1000), Scaling.of(records(1000))), context())
+    probe = Probe()
+    trained(samples, method, probe, horizon=horizon)
+    assert set(probe.shapes) == {expected}
+
+
+def test_losses_are_what_their_names_say() -> None:
+    residual = jnp.array([[[0.5], [-3.0], [1.0], [2.0]]])
+    weight = jnp.array([[1.0, 1.0, 0.0, 1.0]])
+    for loss, each in (
+        ("mse", [0.25, 9.0, 4.0]),
+        ("mae", [0.5, 3.0, 2.0]),
+        ("huber", [0.25, 5.0, 3.0]),
+    ):
+        assert float(objective(loss, residual, weight)) == pytest.approx(np.mean(each))  # type: ignore[arg-type]
+    assert float(objective("mse", residual, weight, washout=1)) == pytest.approx(6.5)
+    several = objective("mse", residual, weight, 0, (1, 2, 50))
+    assert float(several) == pytest.approx(np.mean([0.25, 9.25 / 2, 13.25 / 3]))
+
+
+def test_robust_loss_is_less_moved_by_an_outlier() -> None:
+    data = records_of(case(filtered, lengths=(100,)), 1.0)
+    y = data.y.copy()
+    y[0, 10] = 60.0 * np.sign(data.u[0, 10])
+    found = [
+        float(trained(replace(data, y=y), Adam(400, 0.02, 0.0, loss=loss))["w"][0])
+        for loss in ("mse", "huber", "mae")
+    ]
+    assert abs(found[2] - 1.0) < abs(found[1] - 1.0) < abs(found[0] - 1.0)
+    assert found[2] == pytest.approx(1.0, abs=0.03)
+
+
+def test_dropout_acts_in_training_alone_and_keeps_the_mean() -> None:
+    data = records(200, a=0.0)
+    zeros = {"out_w": np.zeros((4, 1), np.float32), "out_b": np.zeros(1, np.float32)}
+    method = Adam(500, 0.02, weight_decay=0.0, truncation=20)
+    fits = [
+        train_network(NetworkModel(Hidden(), zeros), data, context(), m, as_built)
+        for m in (method, replace(method, dropout=0.5))
+    ]
+    assert error(fits[0], data[0]) < 0.02
+    # Of four equal features, half of them dropped: ridge regression that shrinks the gain to 4/5.
+    gains = [float(m.params["out_w"].sum()) for m in fits]
+    assert gains[1] / gains[0] == pytest.approx(0.8, abs=0.1)
+    sequence = NetworkModel(Plain(), {"out_w": np.zeros((1, 1), np.float32)})
+    dropped = train_network(sequence, data, context(), replace(method, dropout=0.5))
+    assert float(dropped.params["out_w"][0, 0]) / gains[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_average_trails_behind_the_weights() -> None:
+    data = records_of(case(filtered, lengths=(100,)), 9.0)
+    method = Adam(100, 0.01, weight_decay=0.0, schedule="constant")
+    last = float(trained(data, method)["w"][0])
+    mean = float(trained(data, replace(method, average=0.9))["w"][0])
+    # Ten steps of 0.01 behind.
+    assert last - mean == pytest.approx(0.1, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"steps": 0}, "steps is 0"),
+        ({"learning_rate": float("nan")}, "learning_rate is nan"),
+        ({"weight_decay": -1.0}, "weight_decay"),
+        ({"schedule": "linear"}, "one of cosine, constant, plateau"),
+        ({"noise": -0.1}, "noise"),
+        ({"dropout": 1.0}, "dropout is 1.0"),
+        ({"average": 1.0}, "average"),
+        ({"teacher": 1.5}, "teacher is 1.5"),
+        ({"batch": 0}, "batch is 0"),
+        ({"loss": "rmse"}, "one of mse, mae, huber"),
+        ({"holdout": 0.95}, "holdout is 0.95"),
+        ({"stop": "inner"}, "None or 'validation'"),
+        ({"members": 0}, "members is 0"),
+        ({"every": 0}, "every is 0"),
+        ({"patience": 0}, "patience is 0"),
+        ({"horizons": ()}, "horizons"),
+        ({"horizons": (2, 10), "washout": 2}, "horizons"),
+        ({"carry": True}, "give truncation"),
+        ({"full_batch": True, "batch": 3}, "leave batch out"),
+    ],
+)
+def test_bad_settings_are_refused(settings: dict[str, Any], words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        Adam(**settings)
+
+
+def test_settings_that_do_not_go_with_the_network_are_refused() -> None:
+    data = records(50)
+    sequence = NetworkModel(Plain(), {"w": np.zeros((1, 1), np.float32)})
+    for method, words in (
+        (Adam(1, teacher=0.5), "feed back their own output"),
+        (Adam(1, truncation=10, carry=True), "networks with a state"),
+        (Adam(1, dropout=0.5), "needs an output layer"),
+    ):
+        with pytest.raises(UserError, match=words):
+            train_network(sequence, data, context(), method)

@@ -374,3 +374,31 @@ def test_use_before_training_and_wrong_past_windows_are_refused(
         greybox.build(greybox.Config(), duffing_context).simulate(past_u, past_y, u)
     with pytest.raises(ValueError, match="past windows of 4 and 5 samples"):
         duffing.simulate(past_u[:, :4], past_y, u)
+
+
+def inverted(length: int, seed: int) -> Trajectory:
+    """An unstable pendulum, both states measured."""
+    u = held_steps(length, seed, -0.4, 0.4, hold=3)
+    x = simulated(lambda x, u: np.array([x[1], 2.0 * x[0] + 3.0 * u[0]]), u, np.zeros(2), 0.05)
+    return Trajectory(u, x, 0.05, f"run{seed}")
+
+
+def test_measured_states_start_the_windows_of_an_unstable_system() -> None:
+    physics = Physics(
+        states=("angle", "rate"),
+        parameters={"k": ParameterRange(0.1, 10.0), "b": ParameterRange(0.1, 10.0)},
+        dynamics={"angle": "rate", "rate": "k*angle + b*torque"},
+    )
+    context = context_for(physics, "torque", "angle rate", 0.05, n_past_u=1, n_past_y=1, horizon=10)
+    model = greybox.build(greybox.Config(substeps=1), context)
+    assert model.structure.measured
+    run = inverted(120, 0)
+    model = greybox.train(model, [run], context, LevenbergMarquardt(iterations=15))
+    assert model.parameters() == pytest.approx({"k": 2.0, "b": 3.0}, rel=1e-2)
+    y = model.simulate(run.u[None, 4:5], run.y[None, 4:5], run.u[None, 5:15])
+    np.testing.assert_allclose(y[0], run.y[5:15], atol=0.02 * np.abs(run.y[5:15]).max())
+
+
+def test_measured_start_needs_every_state_in_the_past_window() -> None:
+    with pytest.raises(UserError, match="does not show every state"):
+        greybox.build(greybox.Config(initial="measured"), context_for(DUFFING, "force", "y", 0.15))

@@ -61,5 +61,41 @@ def test_batch_of_cases_is_simulated_case_by_case() -> None:
 def test_bad_configuration_is_refused() -> None:
     with pytest.raises(UserError, match="expected rnn, gru or lstm"):
         recurrent.Config("elman")  # type: ignore[arg-type]
-    with pytest.raises(UserError, match="truncation must be longer"):
+    with pytest.raises(UserError, match="washout is 10, expected less than truncation"):
         Adam(truncation=10, washout=10)
+
+
+def test_reference_recipe_starts_as_written() -> None:
+    """Uniform weights, h0 = c0 of one hidden ReLU layer, an output linear in h alone."""
+    context = case(filtered).context
+    config = recurrent.Config(
+        "lstm", 6, encoder=3, activation="relu", tied=True, direct=False, start="uniform"
+    )
+    model = recurrent.build(config, context)
+    p, cell = model.params, recurrent.RecurrentCell(config)
+    window = np.random.default_rng(0).standard_normal((2, 16))
+    inner = np.maximum(window @ p["enc_w1"] + p["enc_b1"], 0.0)
+    ((h, c),) = cell.initial(p, window)  # type: ignore[arg-type]
+    np.testing.assert_allclose(h, inner @ p["enc_w2"] + p["enc_b2"], rtol=1e-4, atol=1e-5)
+    np.testing.assert_array_equal(h, c)
+    assert p["out_w"].shape == (6, 1)
+    np.testing.assert_allclose(cell.output(p, h, window[:, :1]), h @ p["out_w"] + p["out_b"], 1e-5)  # type: ignore[arg-type]
+    for weights, fan_in in ((p["enc_w1"], 16), (p["enc_w2"], 3), (p["layers"][0]["h"], 6)):
+        assert 0.8 / np.sqrt(fan_in) < np.abs(weights).max() <= 1 / np.sqrt(fan_in)
+
+
+def test_uniform_start_is_trained_from_as_it_is_and_ridge_start_is_solved() -> None:
+    data = case(filtered, lengths=(150,))
+    still = Adam(steps=1, learning_rate=1e-9, weight_decay=0.0)
+    for start, unchanged in (("uniform", True), ("ridge", False)):
+        config = recurrent.Config(hidden=4, start=start)  # type: ignore[arg-type]
+        before = recurrent.build(config, data.context).params["out_w"]
+        after = fitted(config, data, still).params["out_w"]
+        assert np.allclose(before, after, atol=1e-6) == unchanged
+
+
+def test_output_layer_without_a_direct_term_is_solved_too() -> None:
+    data = case(filtered, lengths=(150,))
+    still = Adam(steps=1, learning_rate=1e-9, weight_decay=0.0)
+    model = fitted(recurrent.Config(hidden=8, direct=False), data, still)
+    assert np.abs(model.params["out_w"]).max() > 0.01

@@ -79,6 +79,57 @@ def test_cascaded_tanks_load_by_name() -> None:
     assert problem.protocol.past == 5
 
 
+@pytest.fixture
+def flights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A clone of the nanodrone repository with made-up flights, more columns than needed."""
+    monkeypatch.setenv("ASIA_DATA_DIR", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    motors, outputs = "m1_rads,m2_rads,m3_rads,m4_rads", "x,y,z,vx,vy,vz,roll,pitch,yaw,wx,wy,wz"
+    header = f"t,more,{motors},{outputs}"
+    random = np.random.default_rng(0)
+    clone = tmp_path / "nanodrone-sysid-benchmark"
+    for part, kinds, count in (
+        ("train", ("chirp", "random", "square"), 4),
+        ("test", ("melon",), 3),
+    ):
+        (clone / "data" / part).mkdir(parents=True)
+        for kind in kinds:
+            for run in range(1, count + 1):
+                path = clone / "data" / part / f"{kind}_20251017_run{run}.csv"
+                rows = random.standard_normal((70 + run, 18))
+                rows[:, 0] = 0.01 * np.arange(len(rows))
+                np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    return clone
+
+
+def test_nanodrone_loads_from_a_clone_of_its_repository(flights: Path) -> None:
+    problem = load_problem("nanodrone")
+    assert [t.name for t in problem.train[::4]] == [
+        f"{k}_20251017_run1" for k in ("chirp", "random", "square")
+    ]
+    assert [len(t) for t in problem.train] == [71, 72, 73, 74] * 3
+    assert problem.train[0].u.shape[1] == 4
+    assert [g.name for g in problem.protocol.folds.groups] == ["chirp", "random", "square"]
+    assert problem.physics is not None
+    assert problem.physics.states == tuple(s.name for s in problem.outputs)
+    assert problem.baseline is not None
+    (flights / "data" / "train" / "square_20251017_run4.csv").unlink()
+    with pytest.raises(UserError, match=r"square_20251017_run4\.csv is missing"):
+        load_problem("nanodrone")
+
+
+def test_missing_nanodrone_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ASIA_DATA_DIR", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    expected = (
+        r"git clone https://github\.com/idsia-robotics/nanodrone-sysid-benchmark .*ASIA_DATA_DIR"
+    )
+    with pytest.raises(UserError, match=expected):
+        load_problem("nanodrone")
+
+
 def test_missing_benchmark_says_which_file_to_put_where(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,17 +155,6 @@ def test_missing_benchmark_says_which_file_to_put_where(
             ("[data]", "[protocol.folds]\ncuont = 3\n[data]"),
             "unknown key 'cuont' in [protocol.folds]; did you mean 'count'?",
         ),
-        (("[data]", '[protocol]\nkind = "windows"\n[data]'), "not supported by this version"),
-        (
-            ("[data]", '[protocol]\nearly_stopping = "validation"\n[data]'),
-            "protocol.early_stopping = 'validation' is not supported by this version",
-        ),
-        (
-            ("[data]", '[protocol]\nfolds = { kind = "leave_one_group_out" }\n[data]'),
-            "'leave_one_group_out' is not supported by this version",
-        ),
-        (("[data]", "[protocol]\nhorizon = 50\n[data]"), "protocol.horizon is not supported"),
-        (("[data]", "[data]\ngroups = { a = [] }"), "data.groups is not supported"),
         (("[data]", "[budget]\nmemory_mb = 512\n[data]"), "JAX cannot start under 1600 MB"),
         (("[data]", "[budget]\nhours = 0\n[data]"), "budget.hours is 0, expected a number above 0"),
         (("[data]", "[protocol]\npast_inputs = -1\n[data]"), "is -1, expected at least 0"),

@@ -160,7 +160,9 @@ def _score(folds: Sequence[Fold], problem: Problem, value: float):
 def _opened(store: Store, problem: Problem, trajectories: int) -> Unsealed:
     shape = Shape(inputs=problem.inputs, outputs=problem.outputs)
     past, rule = problem.protocol.past, problem.protocol.test
-    measured = [make_record(shape, 240, 100 + i).y[past:] for i in range(trajectories)]
+    horizon = problem.protocol.horizon
+    samples = past + 240 // (horizon or 1) * (horizon or 1)
+    measured = [make_record(shape, samples, 100 + i).y[past:] for i in range(trajectories)]
     ensemble = [wobble(y, 0.2, 1) for y in measured]
     refit = [wobble(y, 0.25, 2) for y in measured]
 
@@ -178,4 +180,5 @@ def _opened(store: Store, problem: Problem, trajectories: int) -> Unsealed:
         measured=store.put_arrays(measured),
         ensemble=record(ensemble),
         refit=record(refit),
+        horizon=horizon,
     )

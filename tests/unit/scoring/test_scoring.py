@@ -112,3 +112,29 @@ def test_diagnostics_see_planted_defects() -> None:
     high = y >= np.quantile(y, 0.9)
     top = diagnose([u], [y], [y - white - 5.0 * high], scale, 1.0)
     assert top.top_error > 2.0
+
+
+def windows(values: np.ndarray, length: int) -> list[np.ndarray]:
+    return list(values.reshape(-1, length, values.shape[-1]))
+
+
+def test_diagnostics_of_many_windows_pool_the_pairs_inside_them() -> None:
+    rng = np.random.default_rng(1)
+    u, y, white = (rng.normal(size=(6000, 2)) for _ in range(3))
+    scale = np.ones(2)
+    parts = [windows(a, 30) for a in (u, y, y - white)]
+    clean = diagnose(*parts, scale, 1.0)
+    assert clean.whiteness < 0.1
+    assert clean.input_correlation < 0.1
+    held = np.repeat(rng.normal(size=(200, 2)), 30, axis=0)
+    steady = diagnose(parts[0], parts[1], windows(y - held, 30), scale, 1.0)
+    assert steady.whiteness > 0.99
+    driven = diagnose(parts[0], parts[1], windows(y - np.roll(u, 2, axis=0), 30), scale, 1.0)
+    assert driven.input_correlation > 0.9
+
+
+def test_windows_of_one_sample_have_no_lag() -> None:
+    y, y_hat = made(2, 40)
+    single = diagnose(windows(y, 1), windows(y, 1), windows(y_hat, 1), np.ones(2), 1.0)
+    assert single.whiteness == 0.0
+    assert 0.0 < single.input_correlation <= 1.0

@@ -1,0 +1,42 @@
+"""The random control of Piga and Forgione: an LSTM that runs freely on its own output, alone or as
+the residual of the equations, with width, depth, learning rate, dropout and weight decay drawn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from asia.agents._family import Family
+from asia.agents._library import family
+from asia.agents._recipe import Recipe
+from asia.agents._space import Choice, Space, Span
+from asia.agents._training import adam
+from asia.agents._view import Facts
+
+_PAPER = ("autoregressive", "physics_net")
+
+
+def paper_families(facts: Facts) -> tuple[Family, ...]:
+    """The paper's two model classes, the second where the problem has equations for it; fits are
+    long ones, by Adam alone."""
+    rows = [row for row in map(family, _PAPER) if row is not None and row.suits(facts)]
+    return tuple(replace(row, trial=partial(_lstm, row), space=_space, methods=()) for row in rows)
+
+
+def _lstm(row: Family, facts: Facts) -> Recipe:
+    if row.name == "physics_net":
+        config = (("network", "lstm"), ("hidden", 32), ("layers", 1))
+        return Recipe("physics_net", config, "Adam", adam(facts, "heavy", "full", 1e-3))
+    return row.full(facts).configured(cell="lstm")
+
+
+def _space(_: Facts) -> Space:
+    return Space(
+        config=(Span("hidden", 16, 128, whole=True), Choice("layers", (1, 2, 3))),
+        options=(
+            Span("learning_rate", 1e-4, 1e-2),
+            Span("dropout", 0.0, 0.3, log=False),
+            Span("weight_decay", 1e-6, 1e-2),
+        ),
+    )

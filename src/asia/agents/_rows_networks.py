@@ -1,0 +1,219 @@
+"""Families of networks, trained by Adam: a short fit first, a long one when it is promising."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from asia.agents._family import Family
+from asia.agents._recipe import Recipe, Settings
+from asia.agents._space import Choice, Parameter, Space
+from asia.agents._training import METHODS, Cost, Stage, adam, network_space
+from asia.agents._traits import Trait
+from asia.agents._view import Facts
+
+CELLS = tuple(METHODS)
+MAPS = ("LBFGS",)
+
+
+@dataclass(frozen=True)
+class Network:
+    """What a row of networks needs beside the words: settings of the first configuration, learning
+    rate, cost of a sample, and what may be varied; features: whether it takes functions of the
+    inputs."""
+
+    config: Settings
+    rate: float
+    cost: Cost
+    vary: tuple[Parameter, ...]
+    features: bool = True
+
+
+def _row(
+    name: str,
+    label: str,
+    use: str,
+    base: float,
+    points: tuple[tuple[Trait, float], ...],
+    network: Network,
+    methods: tuple[str, ...],
+) -> Family:
+    def recipe(stage: Stage) -> Callable[[Facts], Recipe]:
+        return lambda facts: Recipe(
+            name, network.config, "Adam", adam(facts, network.cost, stage, network.rate)
+        )
+
+    def space(facts: Facts) -> Space:
+        return network_space(facts, network.cost, network.vary, features=network.features)
+
+    return Family(
+        name=name,
+        label=label,
+        use=use,
+        base=base,
+        points=points,
+        trial=recipe("trial"),
+        full=recipe("full"),
+        space=space,
+        methods=methods,
+        seeds=True,
+    )
+
+
+NETWORKS: tuple[Family, ...] = (
+    _row(
+        "ltc",
+        "LTC network",
+        "states that decay with learned time constants: dissipative systems",
+        5,
+        (("windows", -2), ("short", 0.5)),
+        Network(
+            (("hidden", 64),),
+            1e-3,
+            "medium",
+            (Choice("hidden", (8, 16, 32, 64)), Choice("tau_max", (10.0, 25.0, 100.0))),
+            features=False,
+        ),
+        CELLS,
+    ),
+    _row(
+        "subnet",
+        "SUBNET",
+        "state-space networks with an encoder, trained on truncated simulations: long records",
+        4,
+        (("long", 3), ("several", 1), ("windows", -1)),
+        Network(
+            (("states", 4), ("width", 32), ("layers", 1)),
+            2e-3,
+            "medium",
+            (
+                Choice("states", (2, 4, 8)),
+                Choice("width", (16, 32, 64)),
+                Choice("layers", (1, 2)),
+                Choice("start", ("linear", "random")),
+            ),
+        ),
+        CELLS,
+    ),
+    _row(
+        "recurrent",
+        "recurrent network",
+        "a general gated network, when nothing is known of the system",
+        4,
+        (("long", 2),),
+        Network(
+            (("cell", "gru"), ("hidden", 16), ("layers", 1)),
+            3e-3,
+            "medium",
+            (
+                Choice("cell", ("rnn", "gru", "lstm")),
+                Choice("hidden", (8, 16, 32, 64)),
+                Choice("layers", (1, 2)),
+            ),
+            features=False,
+        ),
+        CELLS,
+    ),
+    _row(
+        "autoregressive",
+        "autoregressive network",
+        "increments of the last output, fed back: short windows from a measured state",
+        2.5,
+        (("windows", 3), ("measured", 2)),
+        Network(
+            (("cell", "lstm"), ("hidden", 32), ("layers", 1)),
+            2e-3,
+            "medium",
+            (
+                Choice("cell", ("gru", "lstm")),
+                Choice("hidden", (16, 32, 64)),
+                Choice("layers", (1, 2)),
+            ),
+        ),
+        CELLS,
+    ),
+    _row(
+        "cascaded_ltc",
+        "cascaded LTC network",
+        "slow and fast states in a cascade: systems with two time scales",
+        3.5,
+        (("windows", -2),),
+        Network(
+            (("slow", 16), ("fast", 16), ("width", 32)),
+            1e-3,
+            "medium",
+            (Choice("slow", (8, 16, 32)), Choice("fast", (8, 16, 32)), Choice("width", (16, 32))),
+        ),
+        CELLS,
+    ),
+    _row(
+        "lru",
+        "linear recurrent units",
+        "stable linear states between static networks: long memories, long records",
+        3,
+        (("long", 3), ("windows", -1)),
+        Network(
+            (("layers", 2), ("states", 16), ("width", 16)),
+            3e-3,
+            "heavy",
+            (
+                Choice("layers", (1, 2, 3)),
+                Choice("states", (8, 16, 32)),
+                Choice("width", (8, 16, 32)),
+                Choice("tau_max", (30.0, 100.0, 300.0)),
+            ),
+        ),
+        MAPS,
+    ),
+    _row(
+        "koopman",
+        "Koopman model",
+        "a linear model in lifted coordinates: mild nonlinearities, when a linear core is wanted",
+        2.5,
+        (("windows", 0.5),),
+        Network(
+            (("levels", 3), ("states", 16), ("lift", 8), ("width", 32)),
+            3e-3,
+            "heavy",
+            (
+                Choice("levels", (1, 2, 3)),
+                Choice("states", (8, 16, 32)),
+                Choice("lift", (4, 8, 16)),
+                Choice("width", (16, 32)),
+            ),
+        ),
+        MAPS,
+    ),
+    _row(
+        "cnn",
+        "convolutional network",
+        "fading memory seen through dilated convolutions of the inputs: long records",
+        2,
+        (("long", 2), ("windows", -1)),
+        Network(
+            (("receptive_field", 128), ("width", 16)),
+            3e-3,
+            "heavy",
+            (Choice("receptive_field", (32, 64, 128, 256)), Choice("width", (8, 16, 32))),
+        ),
+        MAPS,
+    ),
+    _row(
+        "transformer",
+        "Transformer",
+        "attention over past inputs: long records of systems that nothing simpler fits",
+        1,
+        (("long", 1),),
+        Network(
+            (("layers", 2), ("width", 32), ("span", 64)),
+            1e-3,
+            "heavy",
+            (
+                Choice("layers", (1, 2)),
+                Choice("width", (16, 32)),
+                Choice("span", (32, 64, 128)),
+            ),
+        ),
+        MAPS,
+    ),
+)

@@ -1,0 +1,111 @@
+"""Families that start from the person's equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from asia.agents._family import Family
+from asia.agents._recipe import Recipe
+from asia.agents._space import Choice, Space, Span
+from asia.agents._training import Stage
+from asia.agents._view import Facts
+
+LM = "LevenbergMarquardt"
+
+
+def state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
+    """Single states and all of them together, for settings that name states."""
+    states = facts.physics.states if facts.physics else ()
+    single = tuple((s,) for s in states)
+    return (*single, states) if len(states) > 1 else single
+
+
+def _greybox(_: Facts) -> Recipe:
+    config = (("ridge", 1e-3), ("residual_ridge", 1e-2))
+    return Recipe("greybox", config, LM, (("iterations", 60), ("starts", 8)))
+
+
+def _greybox_space(facts: Facts) -> Space:
+    return Space(
+        config=(
+            Choice("saturation", ((), *state_sets(facts))),
+            Choice("spill", (False, True), needs="saturation"),
+            Choice("linear", (False, True)),
+            Choice("offset", ((), *state_sets(facts)[-1:])),
+            Choice("residual", (0, 4)),
+            Span("ridge", 1e-5, 1e-1),
+            Span("residual_ridge", 1e-4, 1e-1, needs="residual"),
+        ),
+        options=(Choice("iterations", (40, 80)), Choice("starts", (4, 8, 16))),
+    )
+
+
+def _hybrid(_: Facts) -> Recipe:
+    config = (("units", 4), ("ridge", 1e-2))
+    return Recipe("hybrid", config, LM, (("iterations", 60), ("starts", 8)))
+
+
+def _hybrid_space(_: Facts) -> Space:
+    return Space(
+        config=(Choice("units", (2, 4, 8)), Span("ridge", 1e-4, 1e-1)),
+        options=(Choice("iterations", (40, 80)), Choice("starts", (4, 8))),
+    )
+
+
+def _physics_net(stage: Stage) -> Callable[[Facts], Recipe]:
+    windows = {"trial": 240, "full": 480}[stage]
+    config = (("linear", True), ("sparsity", 3e-4), ("robust", 0.3), ("windows", windows))
+    return lambda _: Recipe("physics_net", config, LM, (("iterations", 15),))
+
+
+def _physics_net_space(_: Facts) -> Space:
+    return Space(
+        config=(
+            Choice("linear", (False, True)),
+            Choice("lag", (False, True)),
+            Choice("gain", (False, True)),
+            Choice("disturbance", (False, True)),
+            Span("sparsity", 1e-5, 1e-2, needs="linear"),
+            Span("robust", 0.1, 1.0),
+            Choice("windows", (240, 480)),
+        ),
+        options=(Choice("iterations", (10, 15, 30)),),
+    )
+
+
+PHYSICS: tuple[Family, ...] = (
+    Family(
+        name="greybox",
+        label="grey-box",
+        use="the person's own equations, fitted in physical units",
+        base=10,
+        points=(("windows", -4), ("measured", -2)),
+        needs=frozenset({"physics"}),
+        trial=_greybox,
+        full=_greybox,
+        space=_greybox_space,
+    ),
+    Family(
+        name="physics_net",
+        label="physics network",
+        use="equations whose states are all measured, with learned terms and a network beside them",
+        base=8,
+        points=(("windows", 3),),
+        needs=frozenset({"physics", "measured"}),
+        trial=_physics_net("trial"),
+        full=_physics_net("full"),
+        space=_physics_net_space,
+        methods=("feed-forward residual", "recurrent residual"),
+    ),
+    Family(
+        name="hybrid",
+        label="hybrid",
+        use="the person's equations with a learned residual",
+        base=3,
+        points=(("windows", -2), ("measured", -2)),
+        needs=frozenset({"physics"}),
+        trial=_hybrid,
+        full=_hybrid,
+        space=_hybrid_space,
+    ),
+)

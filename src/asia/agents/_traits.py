@@ -1,0 +1,38 @@
+"""What kind of problem it is, in the few words that the library's rows are chosen by."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from asia.agents._view import Facts
+
+Trait = Literal["physics", "parameters", "windows", "measured", "short", "long", "several"]
+
+_SHORT = 2_000
+_LONG = 20_000
+
+
+def traits(facts: Facts) -> frozenset[Trait]:
+    """physics: equations are given; parameters: with unknown parameters in them; windows: many
+    short simulations instead of whole records; measured: every state is an output or, without
+    equations, the past window is one output sample; short, long: at most 2000 or at least 20 000
+    samples to fit; several: more than one output."""
+    physics = facts.physics
+    found: dict[Trait, bool] = {
+        "physics": physics is not None,
+        "parameters": physics is not None and bool(physics.parameters),
+        "windows": facts.horizon is not None,
+        "measured": _measured(facts),
+        "short": facts.fit_samples <= _SHORT,
+        "long": facts.fit_samples >= _LONG,
+        "several": len(facts.outputs) > 1,
+    }
+    return frozenset(name for name, holds in found.items() if holds)
+
+
+def _measured(facts: Facts) -> bool:
+    if facts.physics is None:
+        return (facts.past_inputs, facts.past_outputs) == (0, 1)
+    outputs = (signal.name for signal in facts.outputs)
+    seen = {facts.physics.observation.get(name, name).strip() for name in outputs}
+    return set(facts.physics.states) <= seen

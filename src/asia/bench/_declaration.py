@@ -1,0 +1,63 @@
+"""Which run's sealed test may be opened: written down before its search begins."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from asia.bench._plan import Plan
+from asia.errors import UserError
+
+_FILE = "bench.json"
+
+
+def declare(plan: Plan) -> str | None:
+    """The name of the declared run, written to `bench.json` on the first call.
+
+    What is written there stands. None when the plan has no expert, or when the run had begun
+    before anything was declared. Raises UserError when the file cannot be read or belongs to
+    another problem.
+    """
+    path = plan.directory / _FILE
+    if path.is_file():
+        return _read(path, plan.problem.name)
+    name = plan.candidate_for_test
+    if name is None or (plan.runs / name / "ledger.jsonl").exists():
+        return None
+    plan.directory.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"problem": plan.problem.name, "declared": name}, indent=2)
+    temporary = path.with_name(f".{_FILE}.new")
+    temporary.write_text(text + "\n", encoding="utf-8")
+    temporary.replace(path)
+    return name
+
+
+def require_declared(plan: Plan, declared: str | None) -> str:
+    """The run to unseal after the searches of `plan`. Raises UserError when there is none."""
+    if plan.quick:
+        raise UserError(
+            "--unseal with --quick: the sealed test is opened once, for a full comparison; leave "
+            "one of them out"
+        )
+    if declared is None:
+        raise UserError(
+            "--unseal: no run was declared before its search began (the expert's with the first "
+            "seed is); start the comparison with the expert in another --runs"
+        )
+    if declared not in {search.name for search in plan.searches}:
+        raise UserError(
+            f"--unseal: run '{declared}' was declared for the sealed test, and this comparison "
+            "does not contain it: add its seed, arm and early-stopping setting"
+        )
+    return declared
+
+
+def _read(path: Path, problem: str) -> str | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"cannot read {path}: {error}") from error
+    declared = found.get("declared") if isinstance(found, dict) else None
+    if not isinstance(declared, str) or found.get("problem") != problem:
+        raise UserError(f"{path} does not declare a run of problem '{problem}': put it back")
+    return declared

@@ -1,0 +1,86 @@
+"""Pictures of a comparison, each early-stopping setting in its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from asia.bench._paper import PaperMee
+from asia.bench._plan import Plan
+from asia.bench._rows import Finished
+from asia.bench._test import TestResult
+from asia.problem import EarlyStopping
+from asia.report import (
+    BenchPictures,
+    Curve,
+    Level,
+    PublishedMee,
+    Side,
+    SidesPicture,
+    draw_bench,
+)
+from asia.scoring import Score
+
+_WORDS: dict[EarlyStopping, str] = {
+    "inner": "inner early stopping",
+    "validation": "validation early stopping, as in the paper",
+}
+
+
+def draw(plan: Plan, finished: Sequence[Finished], test: TestResult | None) -> tuple[Path, ...]:
+    """Progress of the expert's first search and the sides against each other for each setting;
+    with an opened test, what it says beside the published results."""
+    sides: list[SidesPicture] = []
+    progress: list[tuple[str, Path]] = []
+    for setting in plan.settings:
+        own = [run for run in finished if run.planned.setting == setting]
+        experts = [run for run in own if run.planned.arm.name == "expert"]
+        if experts:
+            progress.append((f"progress-{setting}", plan.runs / experts[0].planned.name))
+        if any(run.planned.arm.fixed is None for run in own):
+            sides.append(_sides(plan, setting, own))
+    paper = plan.paper
+    pictures = BenchPictures(
+        progress=tuple(progress),
+        sides=tuple(sides),
+        opened=plan.runs / test.run if test else None,
+        test_mark=("paper", paper.test[0].value) if paper and paper.test else None,
+        mee=tuple(_published(row) for row in paper.mee) if paper else (),
+        caption=paper.protocol if paper else "",
+    )
+    return draw_bench(pictures, plan.directory)
+
+
+def _published(row: PaperMee) -> PublishedMee:
+    points = [((g.group, 10, g.h10), (g.group, 50, g.h50)) for g in row.groups]
+    return PublishedMee(row.model, tuple(point for pair in points for point in pair))
+
+
+def _sides(plan: Plan, setting: EarlyStopping, runs: Sequence[Finished]) -> SidesPicture:
+    arms = dict.fromkeys(r.planned.arm for r in runs if r.planned.arm.fixed is None)
+    sides = tuple(
+        Side(arm.label, tuple(_curve(run) for run in runs if run.planned.arm == arm))
+        for arm in arms
+    )
+    return SidesPicture(
+        name=f"arms-{setting}",
+        title=f"{plan.problem.name}: expert against random search, {_WORDS[setting]}",
+        sides=sides,
+        levels=_levels(plan, setting, runs),
+        metric=plan.problem.protocol.metric,
+    )
+
+
+def _curve(run: Finished) -> Curve:
+    return Curve(tuple(e.score.value if e.score else None for e in run.view.finished))
+
+
+def _levels(plan: Plan, setting: EarlyStopping, runs: Sequence[Finished]) -> tuple[Level, ...]:
+    """The linear model, and the paper's searches where they were measured alike."""
+    rungs = [rung for run in runs[:1] for rung in run.view.rungs if rung.name == "linear model"]
+    levels = [Level("linear model", r.outcome.value) for r in rungs if isinstance(r.outcome, Score)]
+    if setting == "validation" and plan.paper is not None:
+        searches = ("expert", "random-paper")
+        values = [v for v in plan.paper.values if v.row in searches]
+        levels += [Level(f"paper: {v.model}", v.value) for v in values]
+    return tuple(levels)

@@ -1,0 +1,131 @@
+"""Which searches a comparison is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from asia.agents import Agent
+from asia.bench._paper import Paper
+from asia.errors import UserError
+from asia.problem import Budget, EarlyStopping
+from asia.problem.load import Problem
+
+QUICK_EXPERIMENTS = 3
+_QUICK_SECONDS = 30.0
+_REFERENCE_SECONDS = 900.0
+# Arms are compared at equal budget: none may stop because it found nothing for a while.
+_PATIENCE = 100_000
+
+SETTINGS: tuple[EarlyStopping, ...] = ("inner", "validation")
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One side of the comparison. `fixed`: it evaluates given candidates, so many experiments and
+    no more, and only where early stopping sees the validation fold."""
+
+    name: str
+    label: str
+    make: Callable[[], Agent]
+    fixed: int | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A comparison. `paper` is None for problems that the paper does not treat; quick: a few
+    experiments with short fits, to see that everything works."""
+
+    problem: Problem
+    arms: tuple[Arm, ...]
+    seeds: tuple[int, ...]
+    runs: Path
+    settings: tuple[EarlyStopping, ...] = SETTINGS
+    experiments: int | None = None
+    paper: Paper | None = None
+    quick: bool = False
+
+    def __post_init__(self) -> None:
+        for what, given in (
+            ("arm", [a.name for a in self.arms]),
+            ("seed", list(self.seeds)),
+            ("early-stopping setting", list(self.settings)),
+        ):
+            if not given or len(set(given)) < len(given):
+                words = ", ".join(str(g) for g in given) or "none"
+                raise UserError(f"a comparison needs every {what} once, got: {words}")
+
+    @property
+    def name(self) -> str:
+        """`bench-PROBLEM`, or `bench-PROBLEM-quick`: the directory of the results."""
+        return f"bench-{self.problem.name}" + ("-quick" if self.quick else "")
+
+    @property
+    def directory(self) -> Path:
+        """Where tables and pictures go."""
+        return self.runs / self.name
+
+    @property
+    def budget(self) -> int:
+        """Experiments of each search."""
+        if self.experiments is not None:
+            return self.experiments
+        if self.quick:
+            return QUICK_EXPERIMENTS
+        return self.paper.experiments if self.paper else self.problem.budget.experiments
+
+    @property
+    def searches(self) -> tuple[PlannedRun, ...]:
+        """Every search, the honest setting first, the expert's before the controls."""
+        return tuple(
+            self._search(arm, setting, seed)
+            for setting in self.settings
+            for seed in self.seeds
+            for arm in self.arms
+            if arm.fixed is None or setting == "validation"
+        )
+
+    @property
+    def candidate_for_test(self) -> str | None:
+        """Name of the run whose test may be opened: the expert's with the first seed, in the
+        honest setting where there is one. None without an expert."""
+        experts = (s for s in self.searches if s.arm.name == "expert")
+        return next((s.name for s in experts), None)
+
+    def _search(self, arm: Arm, setting: EarlyStopping, seed: int) -> PlannedRun:
+        rule = replace(self.problem.protocol, early_stopping=setting)
+        budget = self._budget(arm)
+        problem = replace(self.problem, protocol=rule, budget=budget)
+        return PlannedRun(f"{self.name}-{arm.name}-{setting}-s{seed}", arm, setting, seed, problem)
+
+    def _budget(self, arm: Arm) -> Budget:
+        budget = replace(self.problem.budget, experiments=self.budget, patience=_PATIENCE)
+        if arm.fixed is not None:
+            seconds = max(budget.fit_seconds, _REFERENCE_SECONDS)
+            return replace(budget, experiments=1 + arm.fixed, fit_seconds=seconds)
+        if self.quick:
+            return replace(budget, fit_seconds=min(budget.fit_seconds, _QUICK_SECONDS))
+        return budget
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """One search: the name of its run, and the problem with its own protocol and budget."""
+
+    name: str
+    arm: Arm
+    setting: EarlyStopping
+    seed: int
+    problem: Problem
+
+
+def chosen(arms: Sequence[Arm], names: Sequence[str] | None) -> tuple[Arm, ...]:
+    """The arms of these names, all when None. Raises UserError for an unknown name."""
+    if names is None:
+        return tuple(arms)
+    known = {arm.name: arm for arm in arms}
+    for name in names:
+        if name not in known:
+            raise UserError(f"no arm '{name}'; there is: {', '.join(known)}")
+    return tuple(known[name] for name in names)

@@ -1,0 +1,159 @@
+"""V of everything in a comparison, one early-stopping setting at a time."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from asia.bench._paper import Paper
+from asia.bench._plan import PlannedRun
+from asia.bench._references import TITLES
+from asia.ledger import Experiment, SearchView
+from asia.problem import EarlyStopping
+from asia.scoring import Score
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A search of the comparison and what its ledger tells."""
+
+    planned: PlannedRun
+    view: SearchView
+
+
+@dataclass(frozen=True)
+class Row:
+    """V of one model or search, a value a run that has a score, in order of the seeds; `runs` is
+    how many there are. paper: V in the paper, None where it reports none or where its figure was
+    measured under another early-stopping setting; scores_seen: how often a fit was told its score
+    on the held-out part, the most in one run."""
+
+    key: str
+    model: str
+    values: tuple[float, ...]
+    runs: int
+    paper: float | None = None
+    scores_seen: int = 0
+
+    @property
+    def median(self) -> float | None:
+        """Over the runs that have a score."""
+        return statistics.median(self.values) if self.values else None
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Experiments the expert needed to come to the best V of a control with the same seed; None
+    where it did not, or where the control has no score."""
+
+    control: str
+    seeds: tuple[int, ...]
+    experiments: tuple[int | None, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Everything measured under one early-stopping setting."""
+
+    setting: EarlyStopping
+    rows: tuple[Row, ...]
+    reached: tuple[Reached, ...]
+
+
+def compare(setting: EarlyStopping, runs: Sequence[Finished], paper: Paper | None) -> Comparison:
+    """The rows of one setting; `runs` of other settings are passed over."""
+    own = [run for run in runs if run.planned.setting == setting]
+    published = {v.row: v.value for v in paper.values if v.row} if paper else {}
+    rows = [*_rungs(own), *_baseline(own), *_references(own), *_arms(own)]
+    if setting == "validation":
+        rows = [_beside(row, published) for row in rows]
+        rows += _paper_only(paper, {row.key for row in rows})
+    return Comparison(setting, tuple(rows), _reached(own))
+
+
+def _beside(row: Row, published: dict[str, float]) -> Row:
+    return replace(row, paper=published.get(row.key))
+
+
+def _paper_only(paper: Paper | None, ours: set[str]) -> list[Row]:
+    values = paper.values if paper else ()
+    return [
+        Row(v.row or v.model, f"paper only: {v.model}", (), 0, v.value)
+        for v in values
+        if v.row not in ours
+    ]
+
+
+def _rungs(runs: Sequence[Finished]) -> list[Row]:
+    """The same in every run of a seed; the linear model may depend on the seed."""
+    first = list({run.planned.seed: run for run in reversed(runs)}.values())[::-1]
+    names = list(dict.fromkeys(rung.name for run in first for rung in run.view.rungs))
+    outcomes = [{rung.name: rung.outcome for rung in run.view.rungs} for run in first]
+    rows: list[Row] = []
+    for name in names:
+        found = [o.get(name) for o in outcomes]
+        values = tuple(o.value for o in found if isinstance(o, Score))
+        rows.append(Row(name, name, values, len(first)))
+    return rows
+
+
+def _baseline(runs: Sequence[Finished]) -> list[Row]:
+    first = list({run.planned.seed: run for run in reversed(runs)}.values())[::-1]
+    if not first:
+        return []
+    experiments = [run.view.experiment(1) for run in first if run.view.experiments]
+    return [_row("baseline", "baseline of the problem", experiments, len(first))]
+
+
+def _references(runs: Sequence[Finished]) -> list[Row]:
+    fixed = [run for run in runs if run.planned.arm.fixed is not None]
+    keys = {title: key for key, title in TITLES.items()}
+    titles = [e.proposed.title for run in fixed for e in run.view.experiments[1:]]
+    rows: list[Row] = []
+    for title in dict.fromkeys(titles):
+        same = [e for run in fixed for e in run.view.experiments if e.proposed.title == title]
+        rows.append(_row(keys.get(title, title), f"{title}, rebuilt", same, len(fixed)))
+    return rows
+
+
+def _arms(runs: Sequence[Finished]) -> list[Row]:
+    rows: list[Row] = []
+    for arm in dict.fromkeys(run.planned.arm for run in runs if run.planned.arm.fixed is None):
+        own = [run for run in runs if run.planned.arm == arm]
+        best = [run.view.best for run in own if run.view.best is not None]
+        most = max(len(run.view.finished) for run in own)
+        rows.append(_row(arm.name, f"{arm.label}, best of {most}", best, len(own)))
+    return rows[::-1]
+
+
+def _row(key: str, model: str, experiments: Iterable[Experiment], runs: int) -> Row:
+    found = list(experiments)
+    values = tuple(e.score.value for e in found if e.score is not None)
+    seen = [e.result.validation_scores for e in found if e.result is not None]
+    return Row(key, model, values, runs, scores_seen=max(seen, default=0))
+
+
+def _reached(runs: Sequence[Finished]) -> tuple[Reached, ...]:
+    expert = {run.planned.seed: run.view for run in runs if run.planned.arm.name == "expert"}
+    controls = dict.fromkeys(
+        run.planned.arm.name
+        for run in runs
+        if run.planned.arm.fixed is None and run.planned.arm.name != "expert"
+    )
+    answer: list[Reached] = []
+    for control in controls:
+        views = {run.planned.seed: run.view for run in runs if run.planned.arm.name == control}
+        seeds = tuple(seed for seed in expert if seed in views)
+        if seeds:
+            counts = tuple(_first_as_good(expert[s], views[s]) for s in seeds)
+            answer.append(Reached(control, seeds, counts))
+    return tuple(answer)
+
+
+def _first_as_good(expert: SearchView, control: SearchView) -> int | None:
+    best = control.best
+    if best is None or best.score is None:
+        return None
+    goal = best.score.value
+    return next((e.number for e in expert.finished if e.score and e.score.value <= goal), None)

@@ -1,0 +1,182 @@
+"""What the declared run's opened test says, beside published results."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from asia.bench._paper import PaperMee
+from asia.bench._plan import Plan
+from asia.bench._tables import Table
+from asia.errors import UserError
+from asia.ledger import TestRecord, Unsealed, error_value, open_run
+from asia.problem.load import BenchmarkSource
+from asia.report import Entry, leaderboard
+from asia.scoring import Failure
+
+_SEALED = "sealed"
+
+
+@dataclass(frozen=True)
+class TestResult:
+    """The test result of run `run`; opened_before: other runs that had opened the same test."""
+
+    run: str
+    record: Unsealed
+    opened_before: tuple[str, ...]
+
+    @property
+    def models(self) -> tuple[tuple[str, TestRecord | Failure], ...]:
+        """The ensemble of the fold models, and the refit where there is one."""
+        refit = self.record.refit
+        first = ("ours, ensemble of the fold models", self.record.ensemble)
+        return (first,) if refit is None else (first, ("ours, refitted on all data", refit))
+
+
+def read_test(directory: Path) -> TestResult | None:
+    """What the run's ledger tells; None while its test is sealed. Opens nothing."""
+    try:
+        view = open_run(directory).view
+    except UserError:
+        return None
+    if view.unsealed is None:
+        return None
+    before = view.unsealing.opened_before if view.unsealing else ()
+    return TestResult(directory.name, view.unsealed, before)
+
+
+def test_tables(plan: Plan, declared: str | None, test: TestResult | None) -> tuple[Table, ...]:
+    """One table a test metric that the problem has, ours beside what was published; declared: the
+    run whose test may be opened."""
+    if plan.problem.test.source is None:
+        return ()
+    tables = [
+        _mee_table(plan, declared, test)
+        if metric == "mee"
+        else _error_table(plan, declared, test, metric)
+        for metric in plan.problem.protocol.test.metrics
+    ]
+    return tuple(table for table in tables if test is not None or len(table.rows) > 1)
+
+
+def _error_table(plan: Plan, declared: str | None, test: TestResult | None, metric: str) -> Table:
+    outputs = plan.problem.outputs
+    unit = f" [{outputs[0].unit}]" if len(outputs) == 1 and outputs[0].unit else ""
+    rows = [(model, cells[0]) for model, cells in _ours(test, 1, partial(_value, metric))]
+    notes = _notes(declared, test)
+    if metric == "rmse" and plan.paper is not None:
+        entries = _entries(plan)
+        rows += [(row.model, error_value(row.value)) for row in plan.paper.test]
+        rows += _standing(entries)
+        notes += [*_rank(entries, test), plan.paper.protocol]
+    header = ("model", f"test {metric.upper()}{unit}")
+    return Table(f"Sealed test: {metric.upper()}", header, tuple(rows), tuple(notes))
+
+
+def _mee_table(plan: Plan, declared: str | None, test: TestResult | None) -> Table:
+    rule = plan.problem.protocol.test
+    names = [f"h{h}" for h in rule.horizons]
+    header = [f"{group.name} {name}" for group in rule.groups for name in (*names, "sum")]
+    rows = [(model, *cells) for model, cells in _ours(test, len(header), _mee_cells)]
+    notes = _notes(declared, test)
+    if plan.paper is not None:
+        rows += [(row.model, *_paper_cells(row)) for row in plan.paper.mee]
+        notes.append(plan.paper.protocol)
+    title = "Sealed test: Mean Euclidean Error by output group, after so many samples and summed"
+    return Table(title, ("model", *header), tuple(rows), tuple(notes))
+
+
+def _ours(
+    test: TestResult | None, width: int, cells: Callable[[TestRecord], tuple[str, ...]]
+) -> list[tuple[str, tuple[str, ...]]]:
+    """Our models with their cells; `sealed` in each while the test is."""
+    if test is None:
+        return [("ours", (_SEALED,) * width)]
+    rows: list[tuple[str, tuple[str, ...]]] = []
+    for name, model in test.models:
+        if isinstance(model, Failure):
+            rows.append((f"{name}: {model.reason.value}", ("-",) * width))
+        else:
+            rows.append((name, cells(model)))
+    return rows
+
+
+def _value(metric: str, model: TestRecord) -> tuple[str, ...]:
+    return tuple(error_value(s.value) for s in model.scores if s.metric == metric)
+
+
+def _mee_cells(model: TestRecord) -> tuple[str, ...]:
+    assert model.mee is not None
+    horizons = model.mee.horizons
+    numbers = [(*(g.at(h) for h in horizons), g.total) for g in model.mee.groups]
+    return tuple(f"{value:.4g}" for group in numbers for value in group)
+
+
+def _paper_cells(row: PaperMee) -> tuple[str, ...]:
+    return tuple(f"{v:.4g}" for g in row.groups for v in (g.h10, g.h50, g.total))
+
+
+def _notes(declared: str | None, test: TestResult | None) -> list[str]:
+    if test is None and declared is None:
+        return ["The test is sealed, and no run is declared for it: the expert is not compared."]
+    if test is None:
+        return [
+            f"The test is sealed; --unseal opens that of run {declared}, once, after the last "
+            "search."
+        ]
+    notes = [f"Run {test.run}, experiment {test.record.experiment}, declared before its search."]
+    if test.opened_before:
+        notes.append(f"The same test had been opened before, by {', '.join(test.opened_before)}.")
+    return notes
+
+
+def _entries(plan: Plan) -> tuple[Entry, ...]:
+    """A person's own data may bear a benchmark's name; its error has no place in that list."""
+    measured = isinstance(plan.problem.data, BenchmarkSource)
+    return leaderboard(plan.problem.name) if measured else ()
+
+
+def _standing(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+    if not entries:
+        return []
+    ordered = sorted(entries, key=lambda e: e.test_rmse)
+    middle = statistics.median(e.test_rmse for e in entries)
+    rows = [(f"published {e.year}: {e.method}", error_value(e.test_rmse)) for e in ordered[:3]]
+    return [*rows, (f"median of {len(entries)} published", error_value(middle))]
+
+
+def _rank(entries: Sequence[Entry], test: TestResult | None) -> list[str]:
+    if not entries or test is None or isinstance(test.record.ensemble, Failure):
+        return []
+    ours = next((s.value for s in test.record.ensemble.scores if s.metric == "rmse"), None)
+    if ours is None:
+        return []
+    lower = sum(e.test_rmse < ours for e in entries)
+    return [f"{lower} of {len(entries)} published results have a lower test RMSE than ours."]
+
+
+def test_object(test: TestResult) -> dict[str, Any]:
+    """For scripts: the value of every metric of each model, or why it has none."""
+    refit = test.record.refit
+    return {
+        "run": test.run,
+        "experiment": test.record.experiment,
+        "ensemble": _model_object(test.record.ensemble),
+        "refit": None if refit is None else _model_object(refit),
+    }
+
+
+def _model_object(model: TestRecord | Failure) -> dict[str, Any]:
+    if isinstance(model, Failure):
+        return {"failure": model.reason.value, "advice": model.advice}
+    values: dict[str, Any] = {score.metric: score.value for score in model.scores}
+    if model.mee is not None:
+        values["mee"] = {
+            g.name: {**{f"h{h}": g.at(h) for h in model.mee.horizons}, "sum": g.total}
+            for g in model.mee.groups
+        }
+    return values

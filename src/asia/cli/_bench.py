@@ -1,0 +1,208 @@
+"""asia bench: the paper's comparisons on this machine."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, MORE, Json, Runs
+
+if TYPE_CHECKING:
+    from asia.bench import Arm, Paper, Plan, PlannedRun, Result
+    from asia.ledger import Event, SearchView
+    from asia.problem import EarlyStopping
+    from asia.problem.load import Problem
+
+LISTS = ("--seeds", "--arms")
+DEFAULT_SEEDS = 3
+
+Problems = Annotated[
+    str,
+    typer.Argument(
+        metavar="PROBLEM",
+        help="cascaded-tanks, nanodrone, another built-in name, or a directory with problem.toml.",
+    ),
+]
+Seeds = Annotated[
+    list[int] | None,
+    typer.Option(
+        metavar="N | S S ...",
+        help=f"One number: how many seeds, from 0 on (default {DEFAULT_SEEDS}); several: the "
+        "seeds themselves.",
+    ),
+]
+Arms = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="ARM ...", help="Of expert, random, random-paper, references; default all."
+    ),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("bench", rich_help_panel=MORE)(bench)
+
+
+def bench(
+    problem: Problems,
+    experiments: Annotated[
+        int | None, typer.Option(min=1, help="Candidates a search; default the paper's number.")
+    ] = None,
+    seeds: Seeds = None,
+    early_stopping: Annotated[
+        str, typer.Option(help="inner (honest), validation (as in the paper), or both.")
+    ] = "both",
+    arms: Arms = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Minutes: few experiments, one seed, short fits.")
+    ] = False,
+    unseal: Annotated[
+        bool,
+        typer.Option("--unseal", help="At the very end, open the sealed test of the declared run."),
+    ] = False,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Rerun the paper's comparisons: expert against random search, beside the paper's figures.
+
+    Each early-stopping setting has its own table. Interrupted, the same command goes on. The
+    expert's run with the first seed is declared for the sealed test before it starts; without
+    --unseal no test is opened.
+    """
+    from asia.bench import Plan, chosen
+    from asia.bench import bench as compare
+
+    loaded, figures = _load(problem)
+    plan = Plan(
+        problem=loaded,
+        arms=chosen(_sides(figures, quick), arms),
+        seeds=_seeds(seeds, quick),
+        runs=runs,
+        settings=_settings(early_stopping),
+        experiments=experiments,
+        paper=figures,
+        quick=quick,
+    )
+    lines = _Lines(json)
+    lines.head(plan)
+    result = compare(plan, lines, open_test=unseal)
+    if json:
+        from asia.bench import result_object
+
+        print(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
+    else:
+        _print(result)
+
+
+def _load(name: str) -> tuple[Problem, Paper | None]:
+    """The problem, and the paper's figures when it is one of the two it treats."""
+    from asia.bench import paper
+    from asia.problem.load import builtin_problems, load_problem
+
+    builtin = name.replace("-", "_")
+    if builtin in builtin_problems():
+        return load_problem(builtin), paper(builtin)
+    return load_problem(name), None
+
+
+def _sides(figures: Paper | None, quick: bool) -> tuple[Arm, ...]:
+    """The references take their full training or show nothing."""
+    from asia.bench import arms
+
+    return tuple(arm for arm in arms(figures) if arm.fixed is None or not quick)
+
+
+def _seeds(given: list[int] | None, quick: bool) -> tuple[int, ...]:
+    from asia.errors import UserError
+
+    if given is None:
+        return tuple(range(1 if quick else DEFAULT_SEEDS))
+    if min(given) < 0 or given == [0]:
+        raise UserError(
+            f"--seeds {' '.join(str(s) for s in given)}: expected how many seeds (3 for 0, 1, 2), "
+            "or several seeds (0 1 2), none below 0"
+        )
+    return tuple(range(given[0])) if len(given) == 1 else tuple(given)
+
+
+def _settings(word: str) -> tuple[EarlyStopping, ...]:
+    from asia.errors import UserError
+
+    known: dict[str, tuple[EarlyStopping, ...]] = {
+        "inner": ("inner",),
+        "validation": ("validation",),
+        "both": ("inner", "validation"),
+    }
+    if word not in known:
+        raise UserError(f"--early-stopping {word}: expected inner, validation or both")
+    return known[word]
+
+
+@dataclass
+class _Lines:
+    """A line an experiment; with `json` JSON lines on stdout and these lines on stderr."""
+
+    json: bool
+    start: float = field(default_factory=time.monotonic)
+
+    def head(self, plan: Plan) -> None:
+        """What is going to be run."""
+        searches = plan.searches
+        total = sum(run.problem.budget.experiments for run in searches)
+        self._print(
+            f"bench {plan.problem.name}: {len(searches)} searches, {total} experiments, seeds "
+            f"{', '.join(str(s) for s in plan.seeds)}, early stopping {', '.join(plan.settings)}"
+        )
+
+    def on_run(self, run: PlannedRun, number: int, total: int) -> None:
+        """Name the search."""
+        self._print(f"\n[{number}/{total}] {run.name}")
+
+    def on_event(self, event: Event, view: SearchView) -> None:
+        """A line an experiment."""
+        from asia.cli._format import experiment_line
+        from asia.ledger import Evaluated
+
+        if isinstance(event, Evaluated):
+            self._print(experiment_line(view.experiment(event.experiment), view))
+
+    def on_end(self, run: PlannedRun, view: SearchView) -> None:
+        """The best V of the search."""
+        from asia.ledger import error_value
+
+        best = view.best
+        value = best.score.value if best is not None and best.score is not None else None
+        words = "no candidate has a score" if value is None else f"best V {error_value(value)}"
+        self._print(f"    {words} after {len(view.finished)} experiments")
+        if self.json:
+            found = {
+                "event": "run",
+                "run": run.name,
+                "arm": run.arm.name,
+                "early_stopping": run.setting,
+                "seed": run.seed,
+                "experiments": len(view.finished),
+                "V": value,
+            }
+            print(jsonlib.dumps(found, allow_nan=False), flush=True)
+
+    def _print(self, text: str) -> None:
+        print(text, file=sys.stderr if self.json else sys.stdout, flush=True)
+
+
+def _print(result: Result) -> None:
+    print()
+    for table in result.tables:
+        print(table.markdown())
+    print(f"tables   {result.document}")
+    for picture in result.pictures:
+        if picture.suffix == ".png":
+            print(f"picture  {picture}")
+    if result.test is None and result.declared is not None:
+        print(f"sealed   the test of {result.declared} is declared and unopened: --unseal")

@@ -1,0 +1,76 @@
+"""The score on a fold's held-out part while a candidate trains: metered, capped, a number only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from asia.candidate import VALIDATION_SCORES, Context
+from asia.errors import CandidateError, Reason
+from asia.evaluation._requests import simulate_held_out
+from asia.problem import ProtocolRule
+from asia.protocol import Fold
+from asia.sandbox import ScoreRefusedError, Worker
+from asia.scoring import score_fold
+
+
+@dataclass
+class Oracle:
+    """Answers `context.validation_score` of one fit of `source` on `fold`; use it as a context
+    manager.
+
+    Models are simulated in a worker of their own, opened for the first of them and kept for all:
+    the worker that trains never receives a case, and targets stay in the parent. `calls`: scores
+    given so far, of `most`.
+    """
+
+    open_worker: Callable[[], AbstractContextManager[Worker]]
+    source: str
+    context: Context
+    fold: Fold
+    rule: ProtocolRule
+    most: int = VALIDATION_SCORES
+    calls: int = 0
+    _worker: Worker | None = None
+    _stack: ExitStack = field(default_factory=ExitStack)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def __call__(self, model: bytes, deadline: float) -> float:
+        """The normalised metric; inf where the simulation is not finite, as it may well be before
+        a fit has settled. Raises CandidateError for any other failure of the model, and
+        ScoreRefusedError after `most` calls."""
+        if self.calls >= self.most:
+            raise ScoreRefusedError(
+                f"validation_score was called {self.most} times, all that a fit may: "
+                "call it less often"
+            )
+        self.calls += 1
+        try:
+            return self._score(model, deadline)
+        except CandidateError as error:
+            if error.reason is Reason.NOT_FINITE:
+                return float("inf")
+            detail = f"in a call of validation_score: {error.detail or error.reason.advice}"
+            raise CandidateError(error.reason, detail) from None
+
+    def _score(self, model: bytes, deadline: float) -> float:
+        if self._worker is None:
+            self._worker = self._stack.enter_context(self.open_worker())
+        self._worker.answer_by(deadline)
+        self._worker.load(self.source, model, self.context)
+        blocks = self.fold.validation
+        y_hat = simulate_held_out(self._worker, blocks, self.rule.horizon)
+        return score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric).value

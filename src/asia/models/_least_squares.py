@@ -1,0 +1,37 @@
+"""Training methods of the families that need no iteration on the simulation error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from asia.errors import UserError
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Linear least squares, for families that are linear in their parameters. ridge: weight of the
+    squared parameters against the mean squared error in z-scores, None chooses it inside the
+    training data by the simulation error on stretches left out."""
+
+    ridge: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.ridge is not None and self.ridge < 0:
+            raise UserError(f"LeastSquares: ridge is {self.ridge}, expected at least 0 or None")
+
+
+@dataclass(frozen=True)
+class MarginalLikelihood:
+    """Hyper-parameters of a Gaussian process by the evidence of its training data, with L-BFGS.
+
+    iterations: greatest number of steps for each output; points: training points, spread over the
+    records, that the evidence is computed on (its cost grows with their cube).
+    Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, section 5.4.
+    """
+
+    iterations: int = 60
+    points: int = 400
+
+    def __post_init__(self) -> None:
+        if self.iterations < 0 or self.points < 2:
+            raise UserError("MarginalLikelihood: iterations must be >= 0 and points >= 2")

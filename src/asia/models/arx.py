@@ -1,0 +1,143 @@
+"""ARX and output-error models: a linear difference equation between inputs and outputs.
+
+y[k] = sum_i A_i y[k-i] + sum_j B_j u[k-delay-j] + c. "arx" fits the equation by least squares;
+"oe" goes on from there to the least simulation error, where noise on the measured outputs no
+longer biases the coefficients. Lags the past window is too short for come from a regression on it.
+Source: Ljung, System Identification, 2nd ed., sections 4.2 and 10.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models._free_model import (
+    FreeRunModel,
+    LagChoice,
+    choose_lags,
+    choose_ridge,
+    linear_run,
+    selection,
+    usable,
+)
+from asia.models._lags import History, Lags, fit_history
+from asia.models._least_squares import LeastSquares
+from asia.models._lm import LevenbergMarquardt
+from asia.models._polynomial import PolynomialRun, refine, refinement_samples
+from asia.models._records import Record, check, past_length, scaled
+from asia.models._scaling import Scaling
+from asia.models._segments import segments, simulation_error
+from asia.problem import Array, Trajectory
+
+# An unstable model is held within so many times the width of the training range.
+_MARGIN = 10.0
+_START_RIDGE = 1e-7
+
+
+@dataclass(frozen=True)
+class Config:
+    """na, nb: numbers of lagged outputs and inputs, None chooses among 1..max_order by the
+    simulation error on stretches left out of the training data; delay: samples before the newest
+    input, 0 lets u[k] act on y[k], None chooses among 0..max_delay."""
+
+    na: int | None = None
+    nb: int | None = None
+    delay: int | None = 0
+    structure: Literal["arx", "oe"] = "oe"
+    max_order: int = 6
+    max_delay: int = 10
+
+    def __post_init__(self) -> None:
+        if self.structure not in ("arx", "oe"):
+            raise UserError(f"arx.Config: structure is '{self.structure}', expected arx or oe")
+        given = [n for n in (self.na, self.nb, self.max_order) if n is not None]
+        if min(given) < 1 or (self.delay or 0) < 0 or self.max_delay < 0:
+            raise UserError("arx.Config: na, nb, max_order must be >= 1, delay, max_delay >= 0")
+
+
+def build(config: Config, context: Context) -> FreeRunModel[Config]:
+    """An untrained model."""
+    del context
+    return FreeRunModel(config)
+
+
+def train(
+    model: FreeRunModel[Config],
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LeastSquares | LevenbergMarquardt,
+) -> FreeRunModel[Config]:
+    """Least squares for "arx" (Levenberg-Marquardt would take the same single step), then
+    Levenberg-Marquardt on the simulation error for "oe". Raises UserError for records too short or
+    mis-shaped and for "oe" without Levenberg-Marquardt."""
+    c = model.config
+    if c.structure == "oe" and isinstance(method, LeastSquares):
+        raise UserError(
+            "arx.train: structure oe minimises the simulation error, give LevenbergMarquardt"
+        )
+    check(trajectories, context)
+    scaling = Scaling.of(trajectories)
+    records = scaled(trajectories, scaling)
+    choice = LagChoice(c.na, c.nb, c.delay, c.max_order, c.max_delay)
+    lags = choose_lags(records, context, choice)
+    usable(records, lags)
+    if isinstance(method, LeastSquares) or c.structure == "arx":
+        ridge = _ridge(records, context, lags, method)
+        run = linear_run(records, lags, context, ridge, _MARGIN)
+    else:
+        run = _output_error(records, context, lags, method)
+    data = segments(records, context)
+    if data is not None:
+        context.log(0, float(np.sqrt(simulation_error(run, data))))
+    return replace(model, run=run, scaling=scaling)
+
+
+def _ridge(
+    records: Sequence[Record],
+    context: Context,
+    lags: Lags,
+    method: LeastSquares | LevenbergMarquardt,
+) -> float:
+    if isinstance(method, LeastSquares) and method.ridge is not None:
+        return method.ridge
+    part = selection(records, context, lags.memory)
+    shortest = 2 * past_length(context) + 4 * lags.memory
+    return choose_ridge(
+        part, context, lambda kept, r: linear_run(kept, lags, context, r, _MARGIN), shortest
+    )
+
+
+def _output_error(
+    records: Sequence[Record], context: Context, lags: Lags, method: LevenbergMarquardt
+) -> PolynomialRun:
+    run = linear_run(records, lags, context, _START_RIDGE, _MARGIN)
+    ridge = _ridge(records, context, lags, method)
+    damped = linear_run(records, lags, context, ridge, _MARGIN)
+    data = segments(records, context, refinement_samples(run))
+    if data is None:
+        return damped
+    start = min((run, damped), key=lambda r: simulation_error(r, data))
+    refined, history = refine(start, data, method, 0.0)
+    for i, loss in enumerate(history):
+        context.log(i, loss)
+    if context.horizon is not None:
+        return refined
+    # The model's own outputs are free of the noise of the measured ones.
+    own = replace(refined, history=_own_history(records, context, refined))
+    return min((refined, own), key=lambda r: simulation_error(r, data))
+
+
+def _own_history(records: Sequence[Record], context: Context, run: PolynomialRun) -> History:
+    """Past window -> lagged outputs of the model itself, simulated through its records."""
+    past = past_length(context)
+    outputs: list[Array] = []
+    for r in records:
+        start_u = r.measured_u[None, past - context.n_past_u : past]
+        start_y = r.y[None, past - context.n_past_y : past]
+        outputs.append(np.concatenate([r.y[:past], run(start_u, start_y, r.u[None, past:])[0]]))
+    return fit_history(records, run.history.lags, context, outputs)

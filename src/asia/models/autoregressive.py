@@ -1,0 +1,138 @@
+"""Free-running autoregressive network: a recurrent network that predicts increments of the output.
+
+y[k] = y[k-1] + s (W h[k] + b), h[k] from the layers driven by the input and by the model's own
+y[k-1], s the standard deviation of the measured increments. It starts from the last measured
+output; the layers' states before the first sample come from the past window. `feed` puts measured
+outputs in place of its own while it trains. Sources: Williams and Zipser, Neural Computation 1(2),
+1989 (teacher forcing); Bengio et al., Scheduled sampling, NeurIPS 2015.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from asia.candidate import Context
+from asia.models import recurrent
+from asia.models._features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._network import NetworkModel, Params, train_network, window_size, zeros
+from asia.models._records import Record
+from asia.models._scaling import Scaling
+from asia.models.methods import NetworkMethod
+from asia.problem import Signal, Trajectory
+
+
+@dataclass(frozen=True)
+class Config:
+    """cell; hidden: units a layer; layers; encoder: units of the initial-state network; features:
+    functions of the inputs, see `asia.models._features`."""
+
+    cell: Literal["rnn", "gru", "lstm"] = "lstm"
+    hidden: int = 32
+    layers: int = 1
+    encoder: int = 32
+    features: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        # The inner network checks the rest.
+        _ = self.inner
+        check_features(self.features, "autoregressive.Config")
+
+    @property
+    def inner(self) -> recurrent.Config:
+        """The recurrent network inside."""
+        return recurrent.Config(
+            cell=self.cell, hidden=self.hidden, layers=self.layers, encoder=self.encoder
+        )
+
+
+State = tuple[Any, jax.Array]
+
+
+@dataclass(frozen=True)
+class AutoregressiveCell(Driven):
+    """Structure of the network: see `asia.models._network.Cell` and `OutputFeedback`; ny outputs,
+    the last of them in the past window where `measured`."""
+
+    config: Config
+    ny: int
+    measured: bool
+
+    @property
+    def inner(self) -> recurrent.RecurrentCell:
+        """The recurrent network inside."""
+        return recurrent.RecurrentCell(self.config.inner)
+
+    def parameters(self, context: Context) -> Params:
+        """Untrained parameters drawn from `context.seed`: the output is held."""
+        c = self.config
+        # Seen from inside, the inputs include y[k-1] and the past window is one sample.
+        inputs = drive_size(c.features, context.nu) + context.ny
+        inner = replace(
+            context,
+            inputs=tuple(Signal(f"v{i}") for i in range(inputs)),
+            outputs=tuple(Signal(f"w{i}") for i in range(window_size(context))),
+            n_past_u=0,
+            n_past_y=1,
+        )
+        net = dict(self.inner.parameters(inner))
+        del net["out_w"], net["out_b"]
+        return {
+            "net": net,
+            "out_w": zeros(c.hidden, context.ny),
+            "out_b": zeros(context.ny),
+            "fixed": {"increment": np.ones(context.ny, np.float32)},
+        }
+
+    def initial(self, params: Any, window: jax.Array) -> State:
+        """Layers' states and the last measured output, its mean where none is given."""
+        rest = jnp.zeros((window.shape[0], self.ny), window.dtype)
+        y = window[:, window.shape[1] - self.ny :] if self.measured else rest
+        return self.inner.initial(params["net"], window), y
+
+    def step(self, params: Any, state: State, u: jax.Array) -> tuple[State, jax.Array]:
+        """What the output is read from is the output."""
+        inner, y = state
+        drive = jnp.concatenate([self.drive(u), y], axis=-1)
+        inner, h = self.inner.step(params["net"], inner, drive)
+        y = y + params["fixed"]["increment"] * (h @ params["out_w"] + params["out_b"])
+        return (inner, y), y
+
+    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+        """The features."""
+        del params, u
+        return features
+
+    def feed(self, params: Any, state: State, y: jax.Array, mask: jax.Array) -> State:
+        """The state with its output replaced where the mask is 1."""
+        del params
+        inner, own = state
+        return inner, mask * y + (1 - mask) * own
+
+
+def build(config: Config, context: Context) -> NetworkModel:
+    """An untrained network initialised from `context.seed`."""
+    drive = Features(config.features)
+    cell = AutoregressiveCell(config, context.ny, context.n_past_y > 0, drive=drive)
+    return NetworkModel(cell, cell.parameters(context))
+
+
+def train(
+    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
+) -> NetworkModel:
+    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
+    driven = with_drive(model, trajectories)
+    return train_network(driven, trajectories, context, method, _with_increments)
+
+
+def _with_increments(params: Params, records: Sequence[Record], scaling: Scaling) -> Params:
+    del scaling
+    steps = np.concatenate([np.diff(r.y, axis=0) for r in records])
+    size = np.sqrt((steps**2).mean(axis=0))
+    increment = np.where(size > 0, size, 1.0).astype(np.float32)
+    return {**params, "fixed": {"increment": increment}}

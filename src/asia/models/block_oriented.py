@@ -1,0 +1,176 @@
+"""Linear systems in series with static functions: Hammerstein, Wiener and their combinations.
+
+"hammerstein": function, system; "wiener": system, function; "hammerstein_wiener": function,
+system, function; "wiener_hammerstein": system, function, system. All start as the best linear
+model; the functions are small tanh networks or polynomials added to the identity.
+Sources: Giri and Bai (eds.), Block-oriented Nonlinear System Identification, 2010; Schoukens and
+Tiels, Automatica 85, 2017.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models import linear, neural_ss
+from asia.models._encoder import Encoder, fit_encoder
+from asia.models._linear_fit import Refinement
+from asia.models._lm import LevenbergMarquardt
+from asia.models._records import Record, check, past_length, scaled, windows
+from asia.models._scaling import Scaling
+from asia.models._segments import window_pieces
+from asia.models._series import SeriesStructure, series_starts
+from asia.models._state_fit import StateFit, fit_states, of_records
+from asia.models._structure import Basis, Nonlinearity
+from asia.models.neural_ss import Fitted, NeuralStateSpace
+from asia.problem import Trajectory
+
+__all__ = ["Config", "NeuralStateSpace", "build", "train"]
+
+Blocks = Literal["hammerstein", "wiener", "hammerstein_wiener", "wiener_hammerstein"]
+
+_PLACES: dict[str, Nonlinearity] = {
+    "hammerstein": "input",
+    "wiener": "output",
+    "hammerstein_wiener": "both",
+}
+# Windows of a problem with a horizon that are fitted; each has an initial state of its own.
+_WINDOWS = 40
+
+
+@dataclass(frozen=True)
+class Config:
+    """structure; order: states, of both systems together for "wiener_hammerstein", None takes the
+    order of the best linear model but at least 2; basis, hidden, degree, ridge, linear_ridge,
+    encoder and delay as in `neural_ss.Config`."""
+
+    structure: Blocks = "wiener"
+    order: int | None = None
+    basis: Basis = "tanh"
+    hidden: int = 8
+    degree: int = 3
+    ridge: float = 1e-5
+    linear_ridge: float = 1e-7
+    encoder: int = 30
+    delay: int | None = 0
+
+    def __post_init__(self) -> None:
+        known = (*_PLACES, "wiener_hammerstein")
+        if self.structure not in known:
+            raise UserError(
+                f"block_oriented.Config: structure is '{self.structure}', expected one of "
+                f"{', '.join(known)}"
+            )
+        self.state_space()
+
+    def state_space(self) -> neural_ss.Config:
+        """The same settings for the neural state-space family."""
+        return neural_ss.Config(
+            self.order,
+            _PLACES.get(self.structure, "state"),
+            None,
+            self.basis,
+            self.hidden,
+            self.degree,
+            self.ridge,
+            self.linear_ridge,
+            self.encoder,
+            delay=self.delay,
+        )
+
+
+@dataclass(frozen=True)
+class BlockOriented(NeuralStateSpace):
+    """Simulated as a neural state-space model; `blocks` says how it is trained."""
+
+    blocks: Config = Config()
+
+
+def build(config: Config, context: Context) -> BlockOriented:
+    """An untrained model."""
+    del context
+    return BlockOriented(config.state_space(), None, config)
+
+
+def train(
+    model: BlockOriented,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt,
+) -> BlockOriented:
+    """Linear model, then all parameters to the simulation error; of the fits from
+    `method.starts` starts the one with the least training cost. Where the problem has a horizon,
+    windows of that length from all over the records are fitted. Raises UserError for records too
+    short or mis-shaped."""
+    check(trajectories, context)
+    pieces = window_pieces(trajectories, context, _WINDOWS)
+    if model.blocks.structure != "wiener_hammerstein":
+        plain = neural_ss.build(model.config, context)
+        fitted = neural_ss.train(plain, pieces, context, method).fitted
+    else:
+        fitted = _series(model.blocks, pieces, context, method)
+    return replace(model, fitted=fitted)
+
+
+def _series(
+    config: Config,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt,
+) -> Fitted:
+    scaling = Scaling.of(trajectories)
+    records = scaled(trajectories, scaling)
+    choice = linear.Config(order=config.order, delay=config.delay)
+    found, delay, late = linear.fit_records(records, context, choice, Refinement())
+    if config.order is None and found.system.order < 2:
+        choice = replace(choice, order=2, delay=delay)
+        found, delay, late = linear.fit_records(records, context, choice, Refinement())
+    template = SeriesStructure(
+        found.system.order, context.nu, context.ny, "state", config.basis, config.hidden,
+        config.degree, None,
+    )  # fmt: skip
+    rng = np.random.default_rng(context.seed)
+    starts = series_starts(late, found.system, template, rng, method.starts)
+    ridge = found.error / sum(len(r) for r in late)
+    fits: list[tuple[SeriesStructure, StateFit]] = []
+    for start in starts:
+        x0 = np.zeros((len(late), start.structure.order))
+        weights = dict.fromkeys(start.params, config.linear_ridge) | {
+            "f": config.ridge,
+            "x0": ridge,
+        }
+        one = fit_states(
+            start.structure, [start.params], of_records(late, x0), weights, method, _quiet
+        )[0]
+        fits.append((start.structure, one))
+    structure, best = min(fits, key=lambda f: f[1].cost)
+    for i, loss in enumerate(best.history):
+        context.log(i, float(loss))
+    member = best.params, _encoder(structure, best, late, context, config)
+    return Fitted(structure, (member,), delay, scaling)
+
+
+def _quiet(step: float, loss: float) -> None:
+    del step, loss
+
+
+def _encoder(
+    structure: SeriesStructure,
+    fit: StateFit,
+    records: Sequence[Record],
+    context: Context,
+    config: Config,
+) -> Encoder:
+    skip = past_length(context)
+    long = [i for i, r in enumerate(records) if len(r) > skip]
+    states: list[Any] = [
+        structure.simulate(fit.params, fit.x0[i, None], records[i].u[None])[0][0, skip:]
+        for i in long
+    ]
+    features = [windows(records[i], context) for i in long]
+    return fit_encoder(features, states, config.encoder, context.seed)

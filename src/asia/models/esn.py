@@ -1,0 +1,243 @@
+"""Echo state network: a fixed random reservoir with a linear readout found by ridge regression.
+
+r[k+1] = (1 - a) r[k] + a tanh(W r[k] + V u[k] + b), y[k] linear in r[k+1] and u[k]; the leaks a
+of the units spread over a range of time constants. The state before the first sample is regressed
+on the past window. Where the problem has a horizon, the past window sets the state through a
+random layer instead and is read again by the readout, times the elapsed time too: a simulation of
+few samples is mostly its start. The outputs are not fed back. Nothing is trained by gradient.
+Sources: Jaeger, GMD Report 148, 2001; Lukosevicius, A practical guide to applying echo state
+networks, 2012.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models._encoder import Encoder, fit_encoder
+from asia.models._least_squares import LeastSquares
+from asia.models._records import Record, check, past_length, scaled, window, windows
+from asia.models._scaling import Scaling
+from asia.models._segments import Segments, segments
+from asia.problem import Array, Trajectory
+
+_MOST_SAMPLES = 40_000
+
+
+@dataclass(frozen=True)
+class Config:
+    """units of the reservoir; density: share of its connections that are there; radius: largest
+    modulus of its eigenvalues; input_scale: size of the input weights; bias: of the shifts;
+    shortest, longest: time constants of the units in samples, log-spaced; washout: samples at the
+    start of a record whose reservoir states are not used; members: reservoirs with readouts of
+    their own, whose outputs are averaged."""
+
+    units: int = 100
+    density: float = 0.1
+    radius: float = 0.9
+    input_scale: float = 1.0
+    bias: float = 0.5
+    shortest: float = 1.0
+    longest: float = 50.0
+    washout: int = 50
+    members: int = 8
+
+    def __post_init__(self) -> None:
+        if min(self.units, self.members) < 1 or self.washout < 0 or not 0 < self.density <= 1:
+            raise UserError("esn.Config: units and members >= 1, washout >= 0, density in (0, 1]")
+        if not 0 < self.shortest <= self.longest or min(self.radius, self.input_scale) < 0:
+            raise UserError(
+                "esn.Config: 0 < shortest <= longest is needed, radius and input_scale >= 0"
+            )
+
+
+@dataclass(frozen=True)
+class Reservoir:
+    """recurrent (n, n) and drive (nu, n) weights, bias (n,), leak (n,)."""
+
+    recurrent: Array
+    drive: Array
+    bias: Array
+    leak: Array
+
+    def run(self, state: Array, u: Array) -> Array:
+        """state (B, n), u (B, T, nu) -> states after each input (B, T, n)."""
+        states = np.empty((*u.shape[:2], len(self.leak)))
+        drive = u @ self.drive + self.bias
+        for k in range(u.shape[1]):
+            state = state + self.leak * (np.tanh(state @ self.recurrent + drive[:, k]) - state)
+            states[:, k] = state
+        return states
+
+
+@dataclass(frozen=True)
+class Member:
+    """One reservoir; start: past window -> its state; readout; span: the horizon of a problem that
+    has one, whose readout sees the past window."""
+
+    reservoir: Reservoir
+    start: Encoder
+    readout: Encoder
+    span: int | None
+
+    def __call__(self, past: Array, u: Array) -> Array:
+        """past (B, d), u (B, H, nu) -> (B, H, ny), all z-scored."""
+        features = _features(self.reservoir.run(self.start(past), u), u, past, self.span)
+        batch, length = u.shape[:2]
+        return self.readout(features.reshape(batch * length, -1)).reshape(batch, length, -1)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What training found."""
+
+    members: tuple[Member, ...]
+    scaling: Scaling
+
+
+@dataclass(frozen=True)
+class EchoState:
+    """Echo state network; `fitted` is None before training."""
+
+    config: Config
+    fitted: Fitted | None = None
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
+        (B, H, ny). Raises UserError before training."""
+        if self.fitted is None:
+            raise UserError("echo state network: not trained yet; call train before simulate")
+        f = self.fitted
+        past = window(f.scaling.inputs(past_u), f.scaling.outputs(past_y))
+        inputs = f.scaling.inputs(u)
+        return f.scaling.physical(np.mean([m(past, inputs) for m in f.members], axis=0))
+
+
+def build(config: Config, context: Context) -> EchoState:
+    """An untrained model."""
+    del context
+    return EchoState(config)
+
+
+def train(
+    model: EchoState,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LeastSquares,
+) -> EchoState:
+    """Draws the reservoir from `context.seed` and fits the readout. `method.ridge` None chooses
+    the ridge by the error on blocks left out. Raises UserError for records too short or
+    mis-shaped."""
+    check(trajectories, context)
+    scaling = Scaling.of(trajectories)
+    records = scaled(trajectories, scaling)
+    rng = np.random.default_rng(context.seed)
+    members: list[Member] = []
+    for i in range(model.config.members):
+        member, error = _member(model.config, records, context, method, rng)
+        context.log(i, error)
+        members.append(member)
+    return replace(model, fitted=Fitted(tuple(members), scaling))
+
+
+def _member(
+    config: Config,
+    records: Sequence[Record],
+    context: Context,
+    method: LeastSquares,
+    rng: np.random.Generator,
+) -> tuple[Member, float]:
+    """A member and the root mean squared error of its readout on the training data."""
+    reservoir = draw(config, context.nu, rng)
+    if context.horizon is None:
+        start, features, targets = _long(config, reservoir, records, context)
+    else:
+        start, features, targets = _short(config, reservoir, records, context, rng)
+    readout = _readout(features, targets, method)
+    x, y = np.concatenate(features), np.concatenate(targets)
+    error = float(np.sqrt(((readout(x) - y) ** 2).mean()))
+    return Member(reservoir, start, readout, context.horizon), error
+
+
+def draw(config: Config, nu: int, rng: np.random.Generator) -> Reservoir:
+    """A random reservoir."""
+    n = config.units
+    recurrent = rng.uniform(-1.0, 1.0, (n, n)) * (rng.random((n, n)) < config.density)
+    largest = float(np.abs(np.linalg.eigvals(recurrent)).max())
+    recurrent *= config.radius / largest if largest > 0 else 0.0
+    drive = config.input_scale * rng.uniform(-1.0, 1.0, (nu, n))
+    bias = config.bias * rng.uniform(-1.0, 1.0, n)
+    constants = np.exp(rng.uniform(np.log(config.shortest), np.log(config.longest), n))
+    return Reservoir(recurrent, drive, bias, 1.0 - np.exp(-1.0 / constants))
+
+
+def _features(states: Array, u: Array, past: Array, span: int | None) -> Array:
+    """What the readout sees, (B, T, d)."""
+    if span is None:
+        return np.concatenate([states, u], axis=2)
+    length = u.shape[1]
+    held = np.repeat(past[:, None], length, axis=1)
+    elapsed = np.arange(1, length + 1)[:, None] / span
+    return np.concatenate([states, u, held, held * elapsed], axis=2)
+
+
+def _long(
+    config: Config, reservoir: Reservoir, records: Sequence[Record], context: Context
+) -> tuple[Encoder, list[Array], list[Array]]:
+    """Whole records from an empty reservoir; no less than a quarter of each is used."""
+    past = past_length(context)
+    features: list[Array] = []
+    targets: list[Array] = []
+    before: list[Array] = []
+    seen: list[Array] = []
+    for r in records:
+        states = reservoir.run(np.zeros((1, len(reservoir.leak))), r.u[None])[0]
+        first = max(min(config.washout, 3 * len(r) // 4), past, 1)
+        if first >= len(r):
+            continue
+        stride = max(1, len(r) * len(records) // _MOST_SAMPLES)
+        rows = np.arange(first, len(r), stride)
+        features.append(_features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0])
+        targets.append(r.y[rows])
+        before.append(states[rows - 1])
+        seen.append(windows(r, context)[rows - past])
+    return fit_encoder(seen, before), features, targets
+
+
+def _short(
+    config: Config,
+    reservoir: Reservoir,
+    records: Sequence[Record],
+    context: Context,
+    rng: np.random.Generator,
+) -> tuple[Encoder, list[Array], list[Array]]:
+    data: Segments | None = segments(records, context, _MOST_SAMPLES)
+    assert data is not None  # check() has seen a record longer than the past window
+    past = window(data.past_u, data.past_y)
+    start = _random_layer(past.shape[1], config, rng)
+    features = _features(reservoir.run(start(past), data.u), data.u, past, context.horizon)
+    counts = data.weight > 0
+    return start, [features[counts]], [data.y[counts]]
+
+
+def _random_layer(size: int, config: Config, rng: np.random.Generator) -> Encoder:
+    n = config.units
+    inner = rng.standard_normal((size, n)) / np.sqrt(max(size, 1))
+    return Encoder(
+        np.zeros((size, n)), np.zeros(n), inner, config.bias * rng.uniform(-1, 1, n), np.eye(n)
+    )
+
+
+def _readout(features: list[Array], targets: list[Array], method: LeastSquares) -> Encoder:
+    if method.ridge is None:
+        return fit_encoder(features, targets)
+    x, y = np.concatenate(features), np.concatenate(targets)
+    center, mean = x.mean(axis=0), y.mean(axis=0)
+    gram = (x - center).T @ (x - center) + method.ridge * len(x) * np.eye(x.shape[1])
+    weights = np.linalg.lstsq(gram, (x - center).T @ (y - mean), rcond=None)[0]
+    nothing = np.zeros((x.shape[1], 0)), np.zeros(0), np.zeros((0, y.shape[1]))
+    return Encoder(weights, mean - center @ weights, *nothing)

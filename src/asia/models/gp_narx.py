@@ -1,0 +1,250 @@
+"""Gaussian-process NARX model for short records.
+
+y[k] = m(z) + g(z), z = lagged outputs and inputs: m the best ARX model (or the last output held)
+and g a Gaussian process for each output with a squared exponential kernel, one length scale for
+each regressor. Free-run simulation uses the predictive mean, held within a multiple of the training
+range. Beyond `points` samples only so many, spread evenly, are kept: the cost of a fit grows with
+their cube, that of a simulated sample with their number.
+Sources: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2 and 5;
+Kocijan, Modelling and Control of Dynamic Systems Using Gaussian Process Models, 2016.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky
+from scipy.optimize import minimize
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models._free_model import (
+    FreeRunModel,
+    LagChoice,
+    choose_lags,
+    linear_run,
+    selection,
+    usable,
+)
+from asia.models._lags import FreeRun, Lags, Limits, fit_history, regressors
+from asia.models._least_squares import MarginalLikelihood
+from asia.models._records import Record, check, past_length, scaled
+from asia.models._scaling import Scaling
+from asia.models._segments import left_out_error, segments, simulation_error
+from asia.problem import Array, Trajectory
+
+_JITTER = 1e-8
+_MEAN_RIDGE = 1e-6
+_CHOICE_POINTS = 200
+_CHOICE_ITERATIONS = 15
+_SHORTEST, _LONGEST = 0.1, 300.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """na, nb, delay: as in `arx.Config`, where None chooses one number for all lags left open;
+    mean: what the process is added to, the best ARX model or the last output held; points:
+    training samples kept; margin: outputs in free run leave the training range by at most so many
+    times its width."""
+
+    na: int | None = None
+    nb: int | None = None
+    delay: int | None = 0
+    mean: Literal["linear", "hold"] = "linear"
+    points: int = 800
+    max_order: int = 4
+    margin: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.mean not in ("linear", "hold"):
+            raise UserError(f"gp_narx.Config: mean is '{self.mean}', expected linear or hold")
+        given = [n for n in (self.na, self.nb, self.max_order, self.points) if n is not None]
+        if min(given) < 1 or (self.delay or 0) < 0 or self.margin < 0:
+            raise UserError(
+                "gp_narx.Config: na, nb, max_order and points must be at least 1, delay and "
+                "margin at least 0"
+            )
+
+
+@dataclass(frozen=True)
+class Process:
+    """One output: scaled (N, d), training regressors over the length scales; lengths (d,);
+    weights (N,), with the kernel's variance in them."""
+
+    scaled: Array
+    lengths: Array
+    weights: Array
+
+    def __call__(self, z: Array) -> Array:
+        """Predictive mean, (B, d) -> (B,)."""
+        return np.exp(-0.5 * _distances(z / self.lengths, self.scaled)) @ self.weights
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """mean (1 + d, ny): coefficients of [1, z]; one process an output."""
+
+    mean: Array
+    processes: tuple[Process, ...]
+
+    def __call__(self, z: Array) -> Array:
+        """(B, d) -> (B, ny)."""
+        line = self.mean[0] + z @ self.mean[1:]
+        return line + np.stack([p(z) for p in self.processes], axis=1)
+
+
+def build(config: Config, context: Context) -> FreeRunModel[Config]:
+    """An untrained model."""
+    del context
+    return FreeRunModel(config)
+
+
+def train(
+    model: FreeRunModel[Config],
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: MarginalLikelihood,
+) -> FreeRunModel[Config]:
+    """Lags, then the hyper-parameters of each output by the evidence. Raises UserError for records
+    too short or mis-shaped."""
+    c = model.config
+    check(trajectories, context)
+    scaling = Scaling.of(trajectories)
+    records = scaled(trajectories, scaling)
+    lags = _choose(records, context, c, method)
+    usable(records, lags)
+    run = _fit(records, lags, context, c, method, context.log)
+    data = segments(records, context, 5000)
+    if data is not None:
+        context.log(context.ny, float(np.sqrt(simulation_error(run, data))))
+    return replace(model, run=run, scaling=scaling)
+
+
+def _choose(
+    records: Sequence[Record], context: Context, config: Config, method: MarginalLikelihood
+) -> Lags:
+    """One number for all lags left open, by the simulation error on what was left out."""
+    c = config
+    delay = c.delay
+    if delay is None:
+        delay = choose_lags(records, context, LagChoice(1, 1, None, 1)).delay
+    if c.na is not None and c.nb is not None:
+        return Lags(c.na, c.nb, delay)
+    part = selection(records, context, c.max_order)
+    highest = max(1, min(c.max_order, min(len(r) for r in part) // 12))
+    lags = [Lags(c.na or n, c.nb or n, delay) for n in range(1, highest + 1)]
+    usable(part, lags[-1])
+    few = min(c.points, method.points, _CHOICE_POINTS)
+    quick = replace(c, points=few)
+    brief = MarginalLikelihood(min(method.iterations, _CHOICE_ITERATIONS), few)
+    errors = left_out_error(
+        part,
+        context,
+        lambda kept: [_fit(kept, item, context, quick, brief, _quiet) for item in lags],
+        2 * past_length(context) + 4 * lags[-1].memory,
+    )
+    return lags[int(np.argmax(errors <= errors.min() + 2 * np.log(1.02)))]
+
+
+def _quiet(step: float, loss: float) -> None:
+    del step, loss
+
+
+def _fit(
+    records: Sequence[Record],
+    lags: Lags,
+    context: Context,
+    config: Config,
+    method: MarginalLikelihood,
+    log: Callable[[float, float], None],
+) -> FreeRun:
+    pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]
+    z, y = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+    mean = _mean(config, records, lags, context)
+    left = y - mean[0] - z @ mean[1:]
+    rows = _spread(len(z), config.points)
+    few = _spread(len(z), min(config.points, method.points))
+    processes: list[Process] = []
+    for i in range(y.shape[1]):
+        size = float(left[:, i].std()) or 1.0
+        theta, evidence = _hyper(z[few], left[few, i] / size, method)
+        log(i, evidence)
+        processes.append(_process(z[rows], left[rows, i], theta))
+    history = fit_history(records, lags, context)
+    limits = Limits.of(records, config.margin)
+    return FreeRun(Predictor(mean, tuple(processes)), history, limits)
+
+
+def _mean(config: Config, records: Sequence[Record], lags: Lags, context: Context) -> Array:
+    ny = context.ny
+    if config.mean == "hold":
+        hold = np.zeros((1 + lags.outputs * ny + lags.inputs * context.nu, ny))
+        hold[1 : 1 + ny] = np.eye(ny)
+        return hold
+    # Of degree one, the products are the constant and each regressor, in order.
+    return linear_run(records, lags, context, _MEAN_RIDGE, config.margin).one_step.theta
+
+
+def _spread(length: int, count: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, length - 1, min(count, length)).round().astype(np.intp))
+
+
+def _distances(a: Array, b: Array) -> Array:
+    """Squared distances (len(a), len(b))."""
+    squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
+    return np.maximum(squares, 0.0)
+
+
+def _hyper(x: Array, y: Array, method: MarginalLikelihood) -> tuple[Array, float]:
+    """Logarithms of the length scales, the signal's and the noise's standard deviation (d + 2,),
+    and the negative log evidence a sample; y (N,) has unit size."""
+    d = x.shape[1]
+    start = np.concatenate([np.full(d, np.log(2.0 * np.sqrt(d))), [0.0, np.log(0.5)]])
+    bounds = [(np.log(_SHORTEST), np.log(_LONGEST))] * d
+    bounds += [(np.log(1e-2), np.log(1e2)), (np.log(1e-3), np.log(2.0))]
+    result = minimize(
+        negative_log_evidence,
+        start,
+        args=(x, y),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": method.iterations},
+    )
+    return np.asarray(result.x), float(result.fun)
+
+
+def negative_log_evidence(theta: Array, x: Array, y: Array) -> tuple[float, Array]:
+    """A sample's share of the negative log marginal likelihood and its gradient (d + 2,); theta
+    as `_hyper` returns it."""
+    n, d = x.shape
+    scaled = x / np.exp(theta[:d])
+    signal, noise = np.exp(2 * theta[d]), np.exp(2 * theta[d + 1])
+    kernel = signal * np.exp(-0.5 * _distances(scaled, scaled))
+    factor = cholesky(kernel + (noise + _JITTER * signal) * np.eye(n), lower=True)
+    inverse = cho_solve((factor, True), np.eye(n))
+    alpha = inverse @ y
+    value = 0.5 * float(y @ alpha) + float(np.log(np.diag(factor)).sum())
+    inner = np.outer(alpha, alpha) - inverse
+    weighted = inner * kernel
+    rows = weighted.sum(axis=1)
+    # sum_ij W_ij (x_i - x_j)^2 for symmetric W, for all regressors at once.
+    by_length = (rows @ scaled**2) - np.einsum("ij,ij->j", scaled, weighted @ scaled)
+    by_signal = float(rows.sum()) + _JITTER * signal * float(np.trace(inner))
+    by_noise = noise * float(np.trace(inner))
+    gradient = -np.concatenate([by_length, [by_signal, by_noise]])
+    return value / n, gradient / n
+
+
+def _process(x: Array, y: Array, theta: Array) -> Process:
+    d = x.shape[1]
+    lengths = np.exp(theta[:d])
+    signal, noise = np.exp(2 * theta[d]), np.exp(2 * theta[d + 1])
+    scaled = x / lengths
+    kernel = signal * np.exp(-0.5 * _distances(scaled, scaled))
+    factor = cholesky(kernel + (noise + _JITTER * signal) * np.eye(len(x)), lower=True)
+    return Process(scaled, lengths, signal * cho_solve((factor, True), y))

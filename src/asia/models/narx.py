@@ -1,0 +1,226 @@
+"""Polynomial NARX model, its terms found by forward orthogonal least squares.
+
+y[k] is a sum of products of y[k-1] .. y[k-na] and u[k-delay] .. u[k-delay-nb+1] up to a degree.
+Terms enter in the order of their error reduction ratio; how many is decided by the simulation
+error on stretches left out of the fit, because terms that predict one step ahead may not simulate.
+Levenberg-Marquardt then takes the coefficients to the least simulation error. In free run outputs
+are held within a multiple of the training range.
+Sources: Chen, Billings and Luo, Int. J. Control 50(5), 1989; Piroddi and Spinelli, Int. J. Control
+76(17), 2003 (choice of terms by simulation error).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models._free_model import RIDGES, FreeRunModel, LagChoice, choose_lags, selection, usable
+from asia.models._lags import Lags, Limits, fit_history
+from asia.models._least_squares import LeastSquares
+from asia.models._lm import LevenbergMarquardt
+from asia.models._polynomial import (
+    Polynomial,
+    PolynomialRun,
+    Terms,
+    all_terms,
+    equations,
+    refine,
+    refinement_samples,
+    solve,
+)
+from asia.models._records import Record, check, past_length, scaled
+from asia.models._scaling import Scaling
+from asia.models._segments import left_out_error, segments, simulation_error
+from asia.problem import Array, Trajectory
+
+# The Gram matrix of so many products is still cheap; beyond it the degree is lowered.
+_MOST_PRODUCTS = 1000
+_START_RIDGE = 1e-7
+
+
+@dataclass(frozen=True)
+class Config:
+    """na, nb, delay: as in `arx.Config`, where None chooses one number for all lags left open;
+    degree: of the products; terms: of each output, None chooses up to max_terms; margin: outputs
+    in free run leave the training range by at most so many times its width; coefficient_ridge:
+    with Levenberg-Marquardt, weight of the squared distance of the coefficients from least
+    squares."""
+
+    na: int | None = None
+    nb: int | None = None
+    delay: int | None = 0
+    degree: int = 2
+    terms: int | None = None
+    max_terms: int = 30
+    max_order: int = 4
+    margin: float = 0.1
+    coefficient_ridge: float = 1e-5
+
+    def __post_init__(self) -> None:
+        given = [self.na, self.nb, self.degree, self.terms, self.max_terms, self.max_order]
+        if min(n for n in given if n is not None) < 1 or (self.delay or 0) < 0:
+            raise UserError(
+                "narx.Config: na, nb, degree, terms, max_terms and max_order must be at least 1, "
+                "delay at least 0"
+            )
+        if self.margin < 0 or self.coefficient_ridge < 0:
+            raise UserError("narx.Config: margin and coefficient_ridge must be at least 0")
+
+
+def build(config: Config, context: Context) -> FreeRunModel[Config]:
+    """An untrained model."""
+    del context
+    return FreeRunModel(config)
+
+
+def train(
+    model: FreeRunModel[Config],
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LeastSquares | LevenbergMarquardt,
+) -> FreeRunModel[Config]:
+    """Lags, terms and coefficients by least squares; with Levenberg-Marquardt the coefficients
+    are refined. Raises UserError for records too short or mis-shaped."""
+    c = model.config
+    check(trajectories, context)
+    scaling = Scaling.of(trajectories)
+    records = scaled(trajectories, scaling)
+    choice = _choose(records, context, c, method)
+    usable(records, choice.lags)
+    run = _runs(records, context, choice.lags, c, [choice.terms], [choice.ridge])[0]
+    data = segments(records, context, refinement_samples(run))
+    if data is not None and isinstance(method, LevenbergMarquardt):
+        run, history = refine(run, data, method, c.coefficient_ridge)
+        for i, loss in enumerate(history):
+            context.log(i, loss)
+    elif data is not None:
+        context.log(0, float(np.sqrt(simulation_error(run, data))))
+    return replace(model, run=run, scaling=scaling)
+
+
+class _Choice(NamedTuple):
+    """What is settled before the fit, and the log error on what was left out."""
+
+    lags: Lags
+    terms: int
+    ridge: float
+    error: float
+
+
+def _choose(
+    records: Sequence[Record],
+    context: Context,
+    config: Config,
+    method: LeastSquares | LevenbergMarquardt,
+) -> _Choice:
+    """Lags, number of terms and ridge with the least simulation error on what was left out."""
+    c = config
+    delay = c.delay
+    if delay is None:
+        delay = choose_lags(records, context, LagChoice(1, 1, None, 1)).delay
+    ridges: Sequence[float] = (_START_RIDGE,)
+    if isinstance(method, LeastSquares):
+        ridges = RIDGES[::2] if method.ridge is None else (method.ridge,)
+    if c.na is not None and c.nb is not None and c.terms is not None and len(ridges) == 1:
+        return _Choice(Lags(c.na, c.nb, delay), c.terms, ridges[0], 0.0)
+    part = selection(records, context, c.max_order)
+    highest = max(1, min(c.max_order, min(len(r) for r in part) // 12))
+    orders = (1,) if c.na is not None and c.nb is not None else range(1, highest + 1)
+    found = [
+        _choose_terms(part, context, Lags(c.na or n, c.nb or n, delay), c, ridges) for n in orders
+    ]
+    least = min(choice.error for choice in found)
+    return next(choice for choice in found if choice.error <= least + 2 * np.log(1.02))
+
+
+def _choose_terms(
+    records: Sequence[Record],
+    context: Context,
+    lags: Lags,
+    config: Config,
+    ridges: Sequence[float],
+) -> _Choice:
+    """Number of terms and ridge: the fewest terms within 2 % of the least error."""
+    usable(records, lags)
+    counts = _counts(config)
+    shortest = 2 * past_length(context) + 4 * lags.memory
+    errors = left_out_error(
+        records, context, lambda kept: _runs(kept, context, lags, config, counts, ridges), shortest
+    )
+    table = errors.reshape(len(counts), len(ridges))
+    row = int(np.argmax(table.min(axis=1) <= table.min() + 2 * np.log(1.02)))
+    column = int(np.argmin(table[row]))
+    return _Choice(lags, counts[row], ridges[column], float(table.min()))
+
+
+def _counts(config: Config) -> list[int]:
+    """Numbers of terms to compare, denser where they are few."""
+    if config.terms is not None:
+        return [config.terms]
+    return sorted({round(n) for n in np.geomspace(1, config.max_terms, 14)})
+
+
+def _dictionary(lags: Lags, context: Context, degree: int) -> Terms:
+    size = lags.outputs * context.ny + lags.inputs * context.nu
+    while degree > 1 and comb(size + degree, degree) > _MOST_PRODUCTS:
+        degree -= 1
+    return all_terms(size, degree)
+
+
+def _runs(
+    records: Sequence[Record],
+    context: Context,
+    lags: Lags,
+    config: Config,
+    counts: Sequence[int],
+    ridges: Sequence[float],
+) -> list[PolynomialRun]:
+    """Models with so many terms, for each ridge."""
+    terms = _dictionary(lags, context, config.degree)
+    x, y = equations(records, lags, terms)
+    gram, cross = x.T @ x, x.T @ y
+    chosen = [error_reduction_order(gram, cross[:, i], max(counts)) for i in range(cross.shape[1])]
+    history, limits = fit_history(records, lags, context), Limits.of(records, config.margin)
+    found: list[PolynomialRun] = []
+    for count in counts:
+        for ridge in ridges:
+            theta = np.zeros(cross.shape)
+            for i, order in enumerate(chosen):
+                kept = order[:count]
+                part = gram[np.ix_(kept, kept)]
+                theta[kept, i : i + 1] = solve(part, cross[kept, i : i + 1], ridge)
+            used = np.zeros(theta.shape, bool)
+            for i, order in enumerate(chosen):
+                used[order[:count], i] = True
+            rows = used.any(axis=1)
+            model = Polynomial(terms[rows], theta[rows], used[rows])
+            found.append(PolynomialRun(model, history, limits))
+    return found
+
+
+def error_reduction_order(gram: Array, cross: Array, most: int) -> list[int]:
+    """Columns in the order in which each reduces the squared residual the most, given those
+    before it: gram (M, M) = X'X, cross (M,) = X'y. Columns that the chosen ones already span are
+    passed over."""
+    rest, gain = gram.copy(), cross.copy()
+    size = np.diag(gram).copy()
+    chosen: list[int] = []
+    for _ in range(min(most, len(gram))):
+        left = np.diag(rest)
+        free = left > 1e-9 * size
+        free[chosen] = False
+        if not free.any():
+            break
+        reduction = np.where(free, gain**2 / np.where(free, left, 1.0), -1.0)
+        j = int(np.argmax(reduction))
+        chosen.append(j)
+        pivot = rest[:, j] / rest[j, j]
+        gain = gain - pivot * gain[j]
+        rest = rest - np.outer(pivot, rest[j])
+    return chosen

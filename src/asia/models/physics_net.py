@@ -1,0 +1,314 @@
+"""Physics with learned terms, for problems whose states are all measured.
+
+    model = physics_net.build(physics_net.Config(linear=True), context)
+    model = physics_net.train(model, trajectories, context, LevenbergMarquardt(iterations=15))
+
+The equations of [physics] start from the last measured outputs. Equations without free parameters
+are known kinematics and only get a gain; the others get sparse linear terms, a disturbance state,
+and a feed-forward or recurrent network for what is left. The equations and their linear terms are
+fitted first, by Levenberg-Marquardt on windows; a network, or Adam, then starts from there. Where
+the protocol lets the validation score be seen, a factor of each equation is chosen by it.
+Sources: Piga and Forgione (physics-residual LSTM, kinematic gains); Wipf and Nagarajan, NeurIPS
+2007 (reweighted ridge).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models import recurrent
+from asia.models._greybox_config import Range
+from asia.models._measured import MeasuredCell, Network, limits
+from asia.models._measured_fit import Settings, balanced, choose_windows, fit_equations
+from asia.models._network import NetworkModel, Params, as_built, dense, train_network, zeros
+from asia.models._ode import Equations, equations
+from asia.models._records import check, past_length, scaled, windows
+from asia.models._scaling import Scaling
+from asia.models.methods import LevenbergMarquardt, NetworkMethod
+from asia.problem import Array, Trajectory
+from asia.problem._expressions import Name
+
+__all__ = ["Config", "build", "train"]
+
+_LONGEST = 100
+_LAG_SAMPLES = 2.0
+_RATE_SAMPLES = 5
+
+
+@dataclass(frozen=True)
+class Config:
+    """What is added to the equations.
+
+    linear: linear terms in the states and parameter-free definitions that the equations read, and
+    an offset, in every equation with free parameters; sparsity: how much a term must bring to
+    stay, 0 keeps all; ridge: weight of squared terms before that. lag: a first-order lag of the
+    inputs, with a learned time constant. gain: a learned factor on known kinematics. disturbance: a
+    bounded slow disturbance that opposes the acceleration. network: "mlp", "rnn", "gru" or "lstm"
+    of `hidden` units and `layers` layers; size: its largest effect, as a share of the rates
+    measured. robust: where the loss on windows turns from square to linear, in standard deviations
+    of the output; None is least squares. equations: iterations on the equations before Adam.
+    windows: how many training windows at most.
+    """
+
+    linear: bool = False
+    sparsity: float = 3e-4
+    ridge: float = 1e-3
+    lag: bool = True
+    gain: bool = True
+    disturbance: bool = False
+    network: Network | None = None
+    hidden: int = 32
+    layers: int = 1
+    size: float = 1.0
+    robust: float | None = 0.3
+    equations: int = 15
+    windows: int = 240
+
+    def __post_init__(self) -> None:
+        if self.network not in (None, "mlp", "rnn", "gru", "lstm"):
+            raise UserError(
+                f"physics_net.Config: network is {self.network!r}, expected None, mlp, rnn, gru "
+                "or lstm"
+            )
+        if min(self.hidden, self.layers, self.windows) < 1 or self.equations < 0:
+            raise UserError(
+                "physics_net.Config: hidden, layers and windows must be at least 1, equations at "
+                "least 0"
+            )
+        if min(self.sparsity, self.ridge) < 0 or self.size <= 0:
+            raise UserError(
+                "physics_net.Config: sparsity and ridge must be 0 or more, size positive"
+            )
+        if self.robust is not None and self.robust <= 0:
+            raise UserError("physics_net.Config: robust must be positive or None")
+
+
+@dataclass(frozen=True)
+class PhysicsNet:
+    """The model; `network` holds the fitted cell, its parameters and scaling."""
+
+    config: Config
+    network: NetworkModel
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
+        (B, H, ny) float64. Raises UserError before training."""
+        return self.network.simulate(past_u, past_y, u)
+
+
+def build(config: Config, context: Context) -> PhysicsNet:
+    """The untrained model. Raises UserError when the problem has no [physics] or the past window
+    does not show every state."""
+    if context.physics is None:
+        raise UserError(
+            "physics_net: the problem has no [physics]; give states and dynamics, or use a "
+            "black-box family"
+        )
+    system = equations(
+        context.physics, [s.name for s in context.inputs], [s.name for s in context.outputs]
+    )
+    ranges = tuple(Range(r.min, r.max) for r in context.physics.parameters.values())
+    cell = _cell(config, context, system, ranges)
+    return PhysicsNet(config, NetworkModel(cell, _parameters(cell, config, context)))
+
+
+def train(
+    model: PhysicsNet,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt | NetworkMethod,
+) -> PhysicsNet:
+    """The equations fitted to windows; with a network method, everything trained from there.
+
+    Raises UserError for records too short or mis-shaped, and for a network without a network
+    method.
+    """
+    check(trajectories, context)
+    cell, config = model.network.cell, model.config
+    assert isinstance(cell, MeasuredCell)
+    if isinstance(method, LevenbergMarquardt) and config.network is not None:
+        raise UserError(
+            "physics_net: LevenbergMarquardt fits the equations alone; train the network by Adam "
+            "or leave network at None"
+        )
+    scaling = Scaling.of(trajectories)
+    start: Params = {**model.network.params, "fixed": _fixed(cell, trajectories, scaling, context)}
+    network = replace(model.network, params=start, scaling=scaling)
+    asked = method
+    own = LevenbergMarquardt(iterations=config.equations)
+    first = method if isinstance(method, LevenbergMarquardt) else own
+    if first.iterations > 0:
+        stops = getattr(asked, "stop", None) == "validation"
+        network = _fit_equations(network, config, trajectories, context, first, stops)
+    if not isinstance(asked, LevenbergMarquardt):
+        network = train_network(network, trajectories, context, asked, as_built)
+    return replace(model, network=network)
+
+
+def _fit_equations(
+    network: NetworkModel,
+    config: Config,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt,
+    stops: bool,
+) -> NetworkModel:
+    cell, scaling = network.cell, network.scaling
+    assert isinstance(cell, MeasuredCell)
+    assert scaling is not None
+    plain = replace(cell, network=None, inner=None)
+    skip = past_length(context)
+    records = [(windows(r, context), r.u[skip:], r.y[skip:]) for r in scaled(trajectories, scaling)]
+    horizon = context.horizon or min(_LONGEST, min(len(y) for _, _, y in records))
+    judge = None
+    if stops and context.validation_score is not None:
+        judge = partial(_score, context.validation_score, network)
+    params = fit_equations(
+        plain,
+        network.params,
+        choose_windows(records, horizon, config.windows),
+        Settings(config.robust, config.ridge, config.sparsity),
+        method,
+        context.log,
+        judge,
+    )
+    params = _single(params)
+    if judge is not None:
+        params = balanced(params, judge)
+    return replace(network, params=params)
+
+
+def _score(oracle: Any, network: NetworkModel, params: Params) -> float:
+    return oracle(replace(network, params=_single({**network.params, **params})))
+
+
+def _single(params: Params) -> dict[str, Any]:
+    """float32, as all that networks are made of."""
+    import jax
+
+    return jax.tree.map(lambda a: np.asarray(a, np.float32), dict(params))
+
+
+def _cell(
+    config: Config, context: Context, system: Equations, ranges: tuple[Range, ...]
+) -> MeasuredCell:
+    shown = {e.root.name: k for k, e in enumerate(system.observation) if isinstance(e.root, Name)}
+    missing = [s for s in system.states if s not in shown]
+    if missing or context.n_past_y < 1 or len(shown) != len(system.outputs):
+        raise UserError(
+            f"physics_net: the past window must show every state as it is, and does not show "
+            f"{', '.join(missing) or 'any'}; use greybox"
+        )
+    closures = [system.closure(e) for e in system.dynamics]
+    free = set(system.parameters)
+    dynamic = tuple(i for i, names in enumerate(closures) if names & free)
+    used = frozenset[str]().union(*closures)
+    definitions = [n for n, e in system.definitions if not system.closure(e) & free]
+    inner = None
+    if config.network is not None and config.network != "mlp":
+        inner = recurrent.Config(cell=config.network, hidden=config.hidden, layers=config.layers)
+    return MeasuredCell(
+        equations=system,
+        ranges=ranges,
+        order=tuple(shown[s] for s in system.states),
+        dynamic=dynamic,
+        kinematic=tuple(i for i in range(len(closures)) if i not in dynamic) if config.gain else (),
+        read=tuple(s for s in system.states if s in used) + tuple(definitions),
+        sampling_time=context.sampling_time,
+        past_inputs=context.n_past_u > 0,
+        lag=config.lag,
+        linear=config.linear,
+        disturbance=config.disturbance,
+        network=config.network,
+        inner=inner,
+        size=config.size,
+    )
+
+
+def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[str, Any]:
+    """Untrained: the middle of the ranges, nothing learned."""
+    rng = np.random.default_rng(context.seed)
+    nd, nr = cell.nd, len(cell.read)
+    params: dict[str, Any] = {
+        "physical": zeros(len(cell.ranges)),
+        "gain": zeros(len(cell.kinematic)),
+        "balance": zeros(nd),
+    }
+    if config.lag:
+        params["log_lag"] = np.float32(np.log(_LAG_SAMPLES * context.sampling_time))
+    if config.linear:
+        params |= {"linear": zeros(nr, nd), "offset": zeros(nd)}
+    if config.disturbance:
+        params |= {
+            "d_start": np.full(nd, 0.7, np.float32),
+            "d_bound": np.full(nd, np.log(0.5), np.float32),
+            "d_gain": np.full(nd, 0.5 / _window_seconds(context), np.float32),
+            "d_decay": np.full(nd, 0.5 / _window_seconds(context), np.float32),
+        }
+    if config.network == "mlp":
+        params["net"] = {
+            "w1": dense(rng, cell.net_inputs, config.hidden),
+            "b1": zeros(config.hidden),
+            "w2": dense(rng, config.hidden, config.hidden),
+            "b2": zeros(config.hidden),
+        }
+    elif cell.inner is not None:
+        like = replace(context, inputs=context.inputs[:1] * cell.net_inputs, n_past_u=0, n_past_y=1)
+        params["net"] = {"layers": recurrent.RecurrentCell(cell.inner).parameters(like)["layers"]}
+    if config.network is not None:
+        params |= {"out_w": zeros(config.hidden, nd), "out_b": zeros(nd)}
+    return params
+
+
+def _window_seconds(context: Context) -> float:
+    return (context.horizon or _LONGEST) * context.sampling_time
+
+
+def _fixed(
+    cell: MeasuredCell, trajectories: Sequence[Trajectory], scaling: Scaling, context: Context
+) -> dict[str, Any]:
+    """Sizes of all signals."""
+    order = list(cell.order)
+    low, high = limits(scaling.y_mean[order], scaling.y_std[order])
+    span = _RATE_SAMPLES
+    moved = np.concatenate([t.y[span:] - t.y[:-span] for t in trajectories])
+    rate = moved[:, order].std(axis=0) / (span * context.sampling_time)
+    rate = np.where(rate > 0, rate, 1.0)[list(cell.dynamic)]
+    mean, std = _signal_sizes(cell, trajectories)
+    values = {
+        "y_mean": scaling.y_mean,
+        "y_std": scaling.y_std,
+        "u_mean": scaling.u_mean,
+        "u_std": scaling.u_std,
+        "x_low": low,
+        "x_high": high,
+        "rate": rate,
+        "s_mean": mean,
+        "s_std": std,
+    }
+    return {k: np.asarray(v, np.float32) for k, v in values.items()}
+
+
+def _signal_sizes(cell: MeasuredCell, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
+    import jax
+    import jax.numpy as jnp
+
+    every = max(1, sum(len(t) for t in trajectories) // 2000)
+    y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.order)]
+    u = np.concatenate([t.u[::every] for t in trajectories])
+    with jax.enable_x64(True):
+        p = cell.physical(jnp.zeros(len(cell.ranges)))
+        values = np.asarray(
+            jax.vmap(lambda a, b: cell.equations.named(cell.read, p, a, b))(
+                jnp.asarray(y), jnp.asarray(u)
+            )
+        )
+    std = values.std(axis=0)
+    return values.mean(axis=0), np.where(std > 0, std, 1.0)

@@ -1,0 +1,178 @@
+"""Neural state-space model with an encoder (SUBNET).
+
+x[k+1] = A x + B u + f(x, u),  y = C x + D u + offset + h(x, u), where f and h are small networks
+and the state at the first sample is a linear map plus a network of the past window: trained on
+truncated simulations, each from its own past window (`methods.Adam(truncation=...)`). The linear
+part and the linear encoder may start from the best linear model of that order. Sources: Beintema,
+Schoukens and Toth, Deep subspace encoders for nonlinear system identification, Automatica 156,
+2023; Schoukens, Improved initialization of state-space artificial neural networks, ECC 2021.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models import linear
+from asia.models._features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._layers import log_spaced, mlp, mlp_params
+from asia.models._linear_fit import Refinement, encoder_of
+from asia.models._linear_system import LinearSystem
+from asia.models._linear_windows import Lags, one_step
+from asia.models._network import (
+    NetworkModel,
+    Params,
+    dense,
+    train_network,
+    window_size,
+    zeros,
+)
+from asia.models._records import Record
+from asia.models._scaling import Scaling
+from asia.models._windows import cut_windows
+from asia.models.methods import NetworkMethod
+from asia.problem import Array, Trajectory
+
+# Far outside what training visits; keeps a model that is unstable there from overflowing.
+_LARGEST_STATE = 30.0
+_MOST_WINDOWS = 1000
+_ONE_STEP_RIDGE = 1e-4
+
+
+@dataclass(frozen=True)
+class Config:
+    """states; width, layers: units and inner layers of f, h and the encoder's network; features:
+    functions of the inputs that f and h see, see `asia.models._features`.
+
+    start: `linear` starts training at the best linear model with as many states or, where the
+    problem has a horizon, at one whose state holds the last outputs, if there are enough states
+    for one sample of them; `random` starts from time constants between 1 and 100 samples.
+    """
+
+    states: int = 4
+    width: int = 32
+    layers: int = 1
+    start: Literal["linear", "random"] = "linear"
+    features: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if min(self.states, self.width, self.layers) < 1:
+            raise UserError("subnet.Config: states, width and layers must be at least 1")
+        if self.start not in ("linear", "random"):
+            raise UserError(f"subnet.Config: start is '{self.start}', expected linear or random")
+        check_features(self.features, "subnet.Config")
+
+
+@dataclass(frozen=True)
+class SubnetCell(Driven):
+    """Structure of the model: see `asia.models._network.Cell`."""
+
+    config: Config
+
+    def parameters(self, context: Context) -> Params:
+        """Untrained parameters drawn from `context.seed`, without the linear model."""
+        rng, c = np.random.default_rng(context.seed), self.config
+        d, n, nu, ny = window_size(context), c.states, context.nu, context.ny
+        inner = (c.width,) * c.layers
+        driven = n + drive_size(c.features, nu)
+        decay = np.exp(-np.exp(-log_spaced(1.0, 100.0, n)))
+        return {
+            "a": np.diag(decay).astype(np.float32),
+            "b": (np.sqrt(1 - decay**2) * dense(rng, nu, n)).astype(np.float32),
+            "c": dense(rng, n, ny),
+            "d": zeros(nu, ny),
+            "offset": zeros(ny),
+            "encode_w": dense(rng, d, n),
+            "encode_b": zeros(n),
+            "encode": mlp_params(rng, (d, *inner, n), last_gain=0.0),
+            "f": mlp_params(rng, (driven, *inner, n), last_gain=0.0),
+            "h": mlp_params(rng, (driven, *inner, ny), last_gain=0.0),
+        }
+
+    def initial(self, params: Any, window: jax.Array) -> jax.Array:
+        """State at the first sample."""
+        linear_part = window @ params["encode_w"] + params["encode_b"]
+        return linear_part + mlp(params["encode"], window)
+
+    def step(self, params: Any, state: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The output of a sample is read from the state at that sample."""
+        bent = mlp(params["f"], jnp.concatenate([state, self.drive(u)], axis=-1))
+        after = state @ params["a"] + u @ params["b"] + bent
+        return jnp.clip(after, -_LARGEST_STATE, _LARGEST_STATE), state
+
+    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+        """C x + D u + offset + h(x, u)."""
+        bent = mlp(params["h"], jnp.concatenate([features, self.drive(u)], axis=-1))
+        return features @ params["c"] + u @ params["d"] + params["offset"] + bent
+
+
+def build(config: Config, context: Context) -> NetworkModel:
+    """An untrained model initialised from `context.seed`."""
+    cell = SubnetCell(config, drive=Features(config.features))
+    return NetworkModel(cell, cell.parameters(context))
+
+
+def train(
+    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
+) -> NetworkModel:
+    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
+    cell = model.cell
+    from_linear = isinstance(cell, SubnetCell) and cell.config.start == "linear"
+
+    def prepare(params: Params, records: Sequence[Record], scaling: Scaling) -> Params:
+        del scaling
+        return _from_linear_model(params, records, context) if from_linear else params
+
+    return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
+
+
+def _from_linear_model(params: Params, records: Sequence[Record], context: Context) -> Params:
+    states = len(params["a"])
+    lags = Lags(context.n_past_u, context.n_past_y, 0, context.n_past_y, context.nu, context.ny)
+    if context.horizon is None or lags.y == 0:
+        found, _, used = linear.fit_records(
+            records, context, linear.Config(order=states), Refinement()
+        )
+        encoder, s = encoder_of(used, found, context), found.system
+        return _embedded(params, s, encoder.weights, encoder.bias)
+    if states < context.ny:
+        return params
+    # A state that holds the last outputs is known from the past window, and cheap to fit.
+    lags = replace(lags, y=min(lags.y, states // context.ny))
+    windows = cut_windows(records, context, _MOST_WINDOWS)
+    s, encoder = one_step(windows, lags, _ONE_STEP_RIDGE).system()
+    n = lags.order
+    params = _embedded(params, _without_constant(s), encoder.weights[:, :n], encoder.bias[:n])
+    last = dict(params["f"][-1])
+    last["b"] = np.pad(s.a[:n, n], (0, states - n)).astype(np.float32)
+    return {**params, "f": [*params["f"][:-1], last]}
+
+
+def _without_constant(s: LinearSystem) -> LinearSystem:
+    """The constant 1 that is the last state, moved from C to the offset."""
+    n = s.order - 1
+    return LinearSystem(s.a[:n, :n], s.b[:n], s.c[:, :n], s.d, s.offset + s.c[:, n])
+
+
+def _embedded(params: Params, s: LinearSystem, weights: Array, bias: Array) -> dict[str, Any]:
+    """The parameters with the system as the first states; the output does not read the others."""
+    n = s.order
+    result = {**params, "d": np.asarray(s.d.T, np.float32), "offset": s.offset.astype(np.float32)}
+    result["c"] = np.zeros_like(params["c"])
+    for name, value, place in (
+        ("a", s.a.T, np.s_[:n, :n]),
+        ("b", s.b.T, np.s_[:, :n]),
+        ("c", s.c.T, np.s_[:n]),
+        ("encode_w", weights, np.s_[:, :n]),
+        ("encode_b", bias, np.s_[:n]),
+    ):
+        result[name] = result[name].copy()
+        result[name][place] = value
+    return result

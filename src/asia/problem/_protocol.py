@@ -1,0 +1,151 @@
+"""What the parts of a protocol must have to do with each other, and the protocol as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+from asia.errors import UserError
+from asia.problem._nearest import suggestion
+from asia.problem._schema import ProtocolTable
+from asia.problem._types import Group, ProtocolRule, TestRule
+
+GroupsTable = Mapping[str, Sequence[str]]
+
+
+def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[str]) -> None:
+    """Raises UserError at the first setting that another one rules out or needs."""
+    if table.kind == "windows" and table.horizon is None:
+        raise UserError(
+            'protocol.kind = "windows" needs protocol.horizon, the samples simulated in each '
+            "window: add one, such as horizon = 50"
+        )
+    if table.kind == "simulation" and table.horizon is not None:
+        raise UserError(
+            'protocol.horizon belongs to kind = "windows": set that, or leave the horizon out to '
+            "simulate whole blocks"
+        )
+    if table.folds.kind == "leave_one_group_out":
+        if table.folds.count is not None:
+            raise UserError(
+                "protocol.folds.count belongs to contiguous folds: leave it out, [data.groups] "
+                "says how many there are"
+            )
+        if len(groups) < 2:
+            raise UserError(
+                f"leave_one_group_out needs two groups of records or more, [data.groups] has "
+                f'{len(groups)}: add lines such as slow = ["slow_run*"]'
+            )
+    elif groups:
+        raise UserError(
+            "[data.groups] belongs to leave_one_group_out folds: set protocol.folds = { kind = "
+            '"leave_one_group_out" }, or leave the groups out'
+        )
+    _check_test(table, table.test.rule(), outputs)
+
+
+def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) -> None:
+    if table.kind == "windows" and test.skip:
+        raise UserError(
+            "protocol.test.skip leaves out the start of a long simulation, every sample of a "
+            'window counts: leave it out with kind = "windows"'
+        )
+    if "mee" not in test.metrics:
+        if test.groups or test.horizons:
+            raise UserError(
+                "protocol.test has groups or horizons, which belong to the Mean Euclidean Error: "
+                'add "mee" to protocol.test.metrics, or leave them out'
+            )
+        return
+    if table.horizon is None:
+        raise UserError(
+            'protocol.test.metrics names "mee", the error at each step of a window: it needs '
+            'protocol.kind = "windows"; leave it out for long simulations'
+        )
+    if set(test.metrics) == {"mee"}:
+        raise UserError(
+            'protocol.test.metrics names "mee" alone, a table: add "rmse" or "mae", one number to '
+            "stand for it"
+        )
+    if not test.groups:
+        raise UserError(
+            'protocol.test.metrics names "mee": say which outputs belong together, such as '
+            '[protocol.test.groups] position = ["x", "y"]'
+        )
+    for group in test.groups:
+        for name in group.outputs:
+            if name not in outputs:
+                raise UserError(
+                    f"[protocol.test.groups] {group.name}: there is no output '{name}'"
+                    f"{suggestion(name, outputs)}"
+                )
+    for step in test.horizons:
+        if step > table.horizon:
+            raise UserError(
+                f"protocol.test.horizons names {step}, but a window has {table.horizon} samples: "
+                "name steps within protocol.horizon"
+            )
+
+
+def with_groups(rule: ProtocolRule, groups: GroupsTable, names: Sequence[str]) -> ProtocolRule:
+    """The rule with its groups of records. A pattern is a record's name, or else a wildcard
+    (`*`, `?`, `[...]`). Raises UserError unless each record is in exactly one group."""
+    if rule.folds.kind != "leave_one_group_out":
+        return rule
+    found = tuple(
+        Group(name, tuple(n for n in names if any(_matches(n, p, names) for p in patterns)))
+        for name, patterns in groups.items()
+    )
+    for (name, patterns), group in zip(groups.items(), found, strict=True):
+        for pattern in patterns:
+            if not any(_matches(n, pattern, names) for n in names):
+                raise UserError(
+                    f"[data.groups] {name}: no training record is called '{pattern}'"
+                    f"{suggestion(pattern, names)} (they are {_few(names)})"
+                )
+        if not group.records:
+            raise UserError(f"[data.groups] {name} is empty: name its records, or leave it out")
+    for record in names:
+        owners = [group.name for group in found if record in group.records]
+        if len(owners) != 1:
+            where = f"in groups {' and '.join(owners)}" if owners else "in no group"
+            raise UserError(
+                f"[data.groups]: training record '{record}' is {where}, expected exactly one: "
+                "mend the names or wildcards"
+            )
+    return replace(rule, folds=replace(rule.folds, count=len(found), groups=found))
+
+
+def _matches(name: str, pattern: str, names: Sequence[str]) -> bool:
+    return name == pattern if pattern in names else fnmatchcase(name, pattern)
+
+
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+
+
+def groups_table(rule: ProtocolRule) -> dict[str, list[str]] | None:
+    """[data.groups] of a rule; None without groups."""
+    return {g.name: list(g.records) for g in rule.folds.groups} or None
+
+
+def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
+    """[protocol] of a rule, from which `ProtocolTable` reads the same rule, its groups apart."""
+    grouped = rule.folds.kind == "leave_one_group_out"
+    test = rule.test
+    return {
+        **asdict(rule),
+        "folds": {"kind": rule.folds.kind, "count": None if grouped else rule.folds.count},
+        "test": {
+            "metrics": test.metrics,
+            "skip": test.skip,
+            "groups": {
+                g.name: {"roll_pitch_yaw": g.outputs} if g.distance == "geodesic" else g.outputs
+                for g in test.groups
+            }
+            or None,
+            "horizons": test.horizons or None,
+        },
+    }

@@ -1,0 +1,43 @@
+"""What an agent is told of a problem."""
+
+from dataclasses import replace
+
+from asia.agents import Effort
+from asia.agents._traits import traits
+from asia.problem import FoldRule, Group, Physics, ProtocolRule
+from asia.problem.load import load_problem
+from asia.search import problem_facts
+from tests.unit.agents.searches import simulation, windows
+
+
+def test_facts_carry_protocol_groups_and_budget() -> None:
+    problem = load_problem("two_tanks_sim")
+    facts = problem_facts(problem)
+    assert (facts.past_inputs, facts.past_outputs, facts.past) == (5, 5, 5)
+    assert (facts.horizon, facts.metric, facts.early_stopping) == (None, "rmse", "inner")
+    assert (facts.groups, facts.folds, facts.fit_samples) == ((), 2, facts.samples // 2)
+    assert facts.budget == Effort(problem.budget.experiments, problem.budget.fit_seconds)
+    groups = (Group("one", ("a", "b")), Group("two", ("c",)), Group("three", ("d",)))
+    rule = ProtocolRule(
+        "windows",
+        FoldRule("leave_one_group_out", 3, groups),
+        past_inputs=0,
+        past_outputs=1,
+        metric="mae",
+        early_stopping="validation",
+        horizon=50,
+    )
+    flown = problem_facts(replace(problem, protocol=rule))
+    assert flown.groups == (("a", "b"), ("c",), ("d",))
+    assert (flown.horizon, flown.metric, flown.early_stopping) == (50, "mae", "validation")
+    assert (flown.past_inputs, flown.past_outputs, flown.folds) == (0, 1, 3)
+
+
+def test_traits_name_the_kind_of_problem() -> None:
+    assert traits(simulation(physics=True)) == {"physics", "parameters", "short"}
+    assert traits(windows()) == {"windows", "measured", "long"}
+    body = Physics(states=("x", "v"), dynamics={"x": "v", "v": "-x + u"}, observation={"y": "x"})
+    one = replace(simulation(physics=False), physics=body)
+    assert traits(one) == {"physics", "short"}
+    both = replace(one, outputs=(one.outputs[0], replace(one.outputs[0], name="v")))
+    assert traits(both) == {"physics", "measured", "several", "short"}

@@ -1,0 +1,92 @@
+"""Every row writes configurations that its family and its methods accept."""
+
+import importlib
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from asia.agents import ExpertAgent, Facts
+from asia.agents._family import Family
+from asia.agents._library import FAMILIES, families
+from asia.agents._paper import paper_families
+from asia.agents._random import _drawn
+from asia.agents._recipe import Recipe, read_recipe
+from asia.agents._training import METHODS, under_protocol
+from asia.models import methods
+from tests.unit.agents.searches import body, recipe_of, search, simulation, windows
+
+PROBLEMS = {
+    "physics": simulation(physics=True),
+    "long": simulation(physics=False, samples=100_000),
+    "windows": windows(),
+    "body": body(),
+    "validation": replace(windows(), early_stopping="validation"),
+}
+
+
+def accept(recipe: Recipe) -> None:
+    """Raises what the family or the method raises for a setting it does not take."""
+    module = importlib.import_module(f"asia.models.{recipe.family}")
+    module.Config(**dict(recipe.config))
+    getattr(methods, recipe.method)(**dict(recipe.options))
+    assert read_recipe(recipe.source("Anything.")) == recipe
+
+
+@pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
+@pytest.mark.parametrize("row", FAMILIES, ids=lambda row: row.name)
+def test_what_a_row_gives_is_accepted(row: Family, known: Facts) -> None:
+    if not row.suits(known):
+        return
+    trial, full = row.trial(known), row.full(known)
+    assert trial.family == full.family == row.name
+    for recipe in (trial, full, *(METHODS[name](known, trial) for name in row.methods)):
+        accept(under_protocol(recipe, known))
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        accept(under_protocol(_drawn(rng, row, known), known))
+
+
+@pytest.mark.parametrize("row", FAMILIES, ids=lambda row: row.name)
+def test_a_row_varies_settings_that_exist(row: Family) -> None:
+    known = PROBLEMS["body" if row.name == "physics_net" else "physics"]
+    space = row.space(known)
+    module = importlib.import_module(f"asia.models.{row.name}")
+    method = getattr(methods, row.trial(known).method)
+    assert {p.name for p in space.config} <= {f.name for f in fields(module.Config)}
+    assert {p.name for p in space.options} <= {f.name for f in fields(method)}
+    if "features" in {f.name for f in fields(module.Config)}:
+        assert space.find("features") is not None
+
+
+@pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
+def test_what_the_expert_proposes_is_accepted(known: Facts) -> None:
+    for done in search(ExpertAgent, known, 60):
+        accept(recipe_of(done))
+
+
+@pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
+def test_a_long_fit_is_no_shorter_than_a_trial(known: Facts) -> None:
+    longer = 0
+    for row in families(known):
+        trial, full = row.trial(known), row.full(known)
+        assert full.config == trial.config
+        assert full.number("steps", 0) >= trial.number("steps", 0)
+        longer += full.number("steps", 0) > 2 * trial.number("steps", 0)
+    assert longer >= 5
+
+
+def test_the_papers_space_is_the_papers() -> None:
+    known = PROBLEMS["body"]
+    rng = np.random.default_rng(0)
+    rows = paper_families(known)
+    assert [row.name for row in rows] == ["autoregressive", "physics_net"]
+    assert [row.name for row in paper_families(PROBLEMS["windows"])] == ["autoregressive"]
+    for row in rows:
+        for _ in range(20):
+            recipe = _drawn(rng, row, known)
+            accept(recipe)
+            assert recipe.method == "Adam"
+            assert recipe.get("network" if row.name == "physics_net" else "cell") == "lstm"
+            assert 0 <= recipe.number("dropout", -1) <= 0.3
+            assert recipe.number("steps", 0) == row.full(known).number("steps", 1)

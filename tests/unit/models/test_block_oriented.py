@@ -1,0 +1,81 @@
+"""Hammerstein, Wiener and Wiener-Hammerstein models."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.models import block_oriented, linear
+from asia.models._linear_fit import Refinement
+from asia.models._records import scaled
+from asia.models._scaling import Scaling
+from asia.models._series import SeriesStructure, series_starts
+from asia.models.methods import LevenbergMarquardt
+from asia.problem import Array
+from tests.unit.models.black_box_systems import case, filtered, two_by_two, wiener
+from tests.unit.models.families import against_holding, check_same_bytes, fitted
+
+LAG = np.array([[0.8]]), np.array([[0.4]]), np.array([[1.0]])
+
+
+def wiener_hammerstein(u: Array) -> Array:
+    return filtered(np.tanh(2 * filtered(u)), *LAG)
+
+
+def hammerstein(u: Array) -> Array:
+    return filtered(np.tanh(2 * u))
+
+
+@pytest.mark.parametrize(
+    ("structure", "system", "order"),
+    [
+        ("hammerstein", hammerstein, 2),
+        ("wiener", wiener, 2),
+        ("hammerstein_wiener", wiener, 2),
+        ("wiener_hammerstein", wiener_hammerstein, 3),
+    ],
+)
+def test_own_system_is_simulated_below_the_noise(
+    structure: str, system: object, order: int
+) -> None:
+    data = case(system, lengths=(600,))  # type: ignore[arg-type]
+    config = block_oriented.Config(structure, order=order, hidden=4)  # type: ignore[arg-type]
+    model = fitted(block_oriented, config, data, LevenbergMarquardt(40))
+    line = fitted(linear, linear.Config(order=order), data, None)
+    assert data.ratio(model) < min(0.66, 0.5 * data.ratio(line))
+
+
+def test_poles_are_shared_out_as_they_are_in_the_system() -> None:
+    data = case(wiener_hammerstein, lengths=(600,), noise=0.01)
+    records = scaled(data.training, Scaling.of(data.training))
+    found, _, used = linear.fit_records(records, data.context, linear.Config(order=3), Refinement())
+    template = SeriesStructure(3, 1, 1, "state", "polynomial", 1, 5, None)
+    starts = series_starts(used, found.system, template, np.random.default_rng(0), 3)
+    assert starts[0].structure.first == 2
+    assert [s.error for s in starts] == sorted(s.error for s in starts)
+    x0 = np.zeros((1, 3))
+    y = starts[0].structure.simulate(starts[0].params, x0, used[0].u[None])[1][0]
+    assert ((y - used[0].y)[50:] ** 2).mean() == pytest.approx(starts[0].error, rel=1e-3)
+
+
+def test_two_inputs_and_outputs() -> None:
+    data = case(two_by_two, channels=2, lengths=(200,))
+    config = block_oriented.Config("wiener_hammerstein", order=3, hidden=2)
+    model = fitted(block_oriented, config, data, LevenbergMarquardt(3, starts=2))
+    assert data.ratio(model) < 1.0
+
+
+def test_windows_from_one_measured_state() -> None:
+    config = block_oriented.Config("wiener_hammerstein", order=3, hidden=2)
+    assert against_holding(block_oriented, config, LevenbergMarquardt(2), runs=3) < 0.8
+
+
+def test_reloads_and_repeats_bitwise() -> None:
+    config = block_oriented.Config("wiener_hammerstein", order=2, hidden=2)
+    check_same_bytes(block_oriented, config, case(wiener, lengths=(120,)), LevenbergMarquardt(2))
+
+
+def test_unknown_structure_is_refused() -> None:
+    with pytest.raises(UserError, match="wiener_hammerstein"):
+        block_oriented.Config("hammer")  # type: ignore[arg-type]

@@ -1,0 +1,91 @@
+"""What holds for every neural family of this table: windows, long simulations, restarts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models import autoregressive, cascaded_ltc, cnn, koopman, lru, subnet, transformer
+from asia.models._network import Restartable
+from asia.models.methods import Adam
+from asia.problem import Signal, Trajectory
+
+FAMILIES: list[tuple[ModuleType, dict[str, Any]]] = [
+    (cascaded_ltc, {"slow": 3, "fast": 3, "width": 4}),
+    (autoregressive, {"hidden": 4, "encoder": 4}),
+    (lru, {"layers": 1, "states": 3, "width": 4, "encoder": 4}),
+    (koopman, {"levels": 2, "states": 3, "lift": 2, "width": 4}),
+    (cnn, {"receptive_field": 5, "width": 4, "memory": 3, "encoder": 4}),
+    (transformer, {"layers": 1, "heads": 2, "width": 4, "inner": 4, "span": 8, "encoder": 4}),
+    (subnet, {"states": 3, "width": 4, "start": "random"}),
+]
+every_family = pytest.mark.parametrize(
+    ("family", "small"), FAMILIES, ids=lambda v: v.__name__ if isinstance(v, ModuleType) else ""
+)
+
+
+def vehicle(length: int = 120) -> Trajectory:
+    """Three outputs driven by the squares of two inputs, one of them an integral."""
+    rng = np.random.default_rng(0)
+    u = 100 + 20 * np.repeat(rng.standard_normal((length // 5, 2)), 5, axis=0)
+    force = (u / 100) ** 2 - 1
+    y = np.stack([force[:, 0], force[:, 1], 0.1 * np.cumsum(force[:, 0])], axis=1)
+    return Trajectory(u, y, 0.01)
+
+
+def windows_context(seed: int = 0) -> Context:
+    """Windows of 20 samples, each from one measured output."""
+    inputs, outputs = (Signal("a"), Signal("b")), (Signal("p"), Signal("q"), Signal("r"))
+    return Context(inputs, outputs, 0.01, n_past_u=0, n_past_y=1, horizon=20, seed=seed)
+
+
+@every_family
+def test_windows_of_a_horizon_and_a_long_simulation(
+    family: ModuleType, small: dict[str, Any]
+) -> None:
+    context, record = windows_context(), vehicle()
+    model = family.build(family.Config(**small, features=("square",)), context)
+    with pytest.raises(UserError, match="not trained"):
+        model.simulate(np.zeros((1, 0, 2)), record.y[None, :1], record.u[None, 1:])
+    model = family.train(model, [record], context, Adam(steps=3, truncation=20))
+    # Far longer than the windows it was trained on, with inputs inside their range.
+    u = np.random.default_rng(1).uniform(60, 140, (2, 5000, 2))
+    u[1] = u[0]
+    y = model.simulate(np.zeros((2, 0, 2)), np.stack([record.y[:1], record.y[50:51]]), u)
+    assert y.shape == (2, 5000, 3)
+    assert np.isfinite(y).all()
+    assert np.abs(y[0, :20] - y[1, :20]).max() > 0
+
+
+@every_family
+def test_parameters_come_from_the_seed_alone(family: ModuleType, small: dict[str, Any]) -> None:
+    context = windows_context(seed=4)
+    model = family.build(family.Config(**small), context)
+    assert hash(model.cell) == hash(family.build(family.Config(**small), context).cell)
+    assert isinstance(model.cell, Restartable)
+    again = model.cell.parameters(context)
+    other = model.cell.parameters(replace(context, seed=5))
+    assert _flat(again) == _flat(model.params) != _flat(other)
+
+
+@every_family
+def test_no_size_may_be_zero(family: ModuleType, small: dict[str, Any]) -> None:
+    for name, value in small.items():
+        if isinstance(value, int):
+            with pytest.raises(UserError, match="at least"):
+                family.Config(**{name: 0})
+
+
+def _flat(tree: Any) -> bytes:
+    if isinstance(tree, dict):
+        return b"".join(_flat(tree[key]) for key in sorted(tree))
+    if isinstance(tree, (list, tuple)):
+        return b"".join(_flat(value) for value in tree)
+    assert tree.dtype == np.float32
+    return tree.tobytes()

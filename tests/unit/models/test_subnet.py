@@ -1,0 +1,65 @@
+"""Neural state-space models with an encoder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.models import linear, subnet
+from asia.models.methods import Adam
+from tests.unit.models.black_box_systems import case, two_by_two, wiener
+
+
+def test_training_learns_the_system() -> None:
+    data = case(wiener)
+    model = subnet.build(subnet.Config(states=2, width=16), data.context)
+    method = Adam(steps=200, learning_rate=5e-3, truncation=64)
+    assert data.ratio(subnet.train(model, data.training, data.context, method)) < 2.4
+
+
+def test_it_starts_at_the_best_linear_model() -> None:
+    data = case(wiener)
+    config = linear.Config(order=2)
+    best = linear.train(linear.build(config, data.context), data.training, data.context)
+    model = subnet.build(subnet.Config(states=2), data.context)
+    method = Adam(steps=1, learning_rate=1e-9, truncation=8)
+    trained = subnet.train(model, data.training, data.context, method)
+    np.testing.assert_allclose(data.simulated(trained), data.simulated(best), atol=1e-3)
+
+
+def test_with_a_horizon_it_starts_from_a_state_of_last_outputs() -> None:
+    data = case(two_by_two, channels=2)
+    context = replace(data.context, n_past_u=0, n_past_y=1, horizon=12)
+    config = subnet.Config(states=3, width=4)
+    method = Adam(steps=1, learning_rate=1e-9, truncation=12)
+    model = subnet.train(subnet.build(config, context), data.training, context, method)
+    record = data.training[0]
+    y = model.simulate(np.zeros((1, 0, 2)), record.y[None, :1], record.u[None, 1:13])[0]
+    # One-step least squares, iterated.
+    known = np.column_stack([record.y[:-1], record.u[1:], np.ones(399)])
+    theta = np.linalg.lstsq(known, record.y[1:])[0]
+    state, expected = record.y[0], []
+    for u in record.u[1:13]:
+        state = np.r_[state, u, 1.0] @ theta
+        expected.append(state)
+    np.testing.assert_allclose(y, expected, atol=0.05)
+
+
+def test_an_unstable_state_does_not_overflow() -> None:
+    data = case(wiener)
+    cell = subnet.build(subnet.Config(states=2), data.context).cell
+    params = dict(cell.parameters(data.context))
+    params["a"] = 2 * np.eye(2)
+    state = jnp.ones((1, 2))
+    for _ in range(200):
+        state, read = cell.step(params, state, jnp.ones((1, 1)))
+    assert np.isfinite(cell.output(params, read, jnp.ones((1, 1)))).all()
+
+
+def test_an_unknown_start_is_refused() -> None:
+    with pytest.raises(UserError, match="expected linear or random"):
+        subnet.Config(start="best")  # type: ignore[arg-type]

@@ -1,0 +1,234 @@
+"""Pictures of problems with windows, and of comparisons of searches."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from asia.ledger import open_run
+from asia.problem import FoldRule, Group, OutputGroup, Signal
+from asia.problem import TestRule as SealedRule
+from asia.problem.load import Problem, Seal, load_problem, lock_text
+from asia.report import (
+    BenchPictures,
+    Curve,
+    Level,
+    PublishedMee,
+    Side,
+    SidesPicture,
+    draw_bench,
+    leaderboard,
+)
+from asia.report._arms import draw_arms
+from asia.report._correlation import cross_correlation
+from asia.report._data import draw_data
+from asia.report._growth import Growth, Line, Marks, draw_growth
+from asia.report._standing import draw_standing
+from asia.report._style import drawing
+from asia.report._windows import telling
+from asia.report._write import pictures
+from asia.scoring import mee_table
+
+from .made_up import Shape, make_problem, write_run
+from .test_report_pictures import FIVE, assert_readable
+
+SHAPE = Shape(
+    samples=(101,) * 12,
+    inputs=tuple(Signal(f"motor_{i}", "rad/s") for i in range(4)),
+    outputs=tuple(Signal(f"state_{i}", "m/s") for i in range(12)),
+    sampling_time=0.01,
+    skip=0,
+    name="drone",
+)
+
+
+def windows_problem(groups: bool = True) -> Problem:
+    """Twelve records in three groups, windows of 20 samples."""
+    problem = make_problem(SHAPE)
+    names = [t.name for t in problem.train]
+    held_out = tuple(Group(f"flight{k}", tuple(names[4 * k : 4 * k + 4])) for k in range(3))
+    outputs = [s.name for s in problem.outputs]
+    tested = SealedRule(
+        metrics=("mae",),
+        groups=(
+            OutputGroup("p", tuple(outputs[:3])),
+            OutputGroup("R", tuple(outputs[6:9]), "geodesic"),
+        )
+        if groups
+        else (),
+    )
+    rule = replace(
+        problem.protocol,
+        kind="windows",
+        horizon=20,
+        past_inputs=0,
+        past_outputs=1,
+        metric="mae",
+        folds=FoldRule("leave_one_group_out", 3, held_out),
+        test=tested,
+    )
+    return replace(problem, protocol=rule)
+
+
+@pytest.mark.parametrize("groups", [True, False])
+def test_every_picture_of_windows_can_be_read(tmp_path: Path, groups: bool) -> None:
+    problem = windows_problem(groups)
+    run = open_run(write_run(tmp_path / "run", problem, FIVE[:2], unsealed=2))
+    with drawing():
+        figures = {name: draw() for name, draw in pictures(run, problem)}
+        figures["data"] = draw_data(problem)
+        assert set(figures) == {
+            "progress", "simulation", "horizon", "residuals", "test", "test_horizon", "data",
+        }  # fmt: skip
+        for figure in figures.values():
+            assert_readable(figure)
+            assert len(figure.axes) <= 17
+            assert max(figure.get_size_inches()) < 13
+
+
+def test_the_data_picture_shows_every_group_and_output() -> None:
+    problem = windows_problem()
+    with drawing():
+        figure = draw_data(problem)
+        texts = {t.get_text() for axes in figure.axes for t in axes.texts}
+        labels = {axes.get_ylabel() for axes in figure.axes}
+    assert {"flight0", "flight1", "flight2"} <= texts
+    assert {f"{s.name} [{s.unit}]" for s in problem.outputs} <= labels
+
+
+def test_the_horizon_is_drawn_from_the_recorded_simulations(tmp_path: Path) -> None:
+    problem = windows_problem()
+    run = open_run(write_run(tmp_path / "run", problem, FIVE[:1]))
+    with drawing():
+        figure = dict(pictures(run, problem))["horizon"]()
+        first, second = figure.axes[:2]
+        titles = [axes.get_title(loc="left") for axes in (first, second)]
+        curve = np.array(first.get_lines()[0].get_ydata())
+    assert titles == ["p", "R"]
+    assert first.get_ylabel() == "Distance [m/s]"
+    assert second.get_ylabel().startswith("Angle")
+    from asia.protocol import make_folds
+    from asia.report._artifacts import fold_outputs
+
+    fold = make_folds(problem.train, problem.protocol)[0]
+    best = run.view.best
+    assert best is not None
+    y_hat = fold_outputs(run.store, best, make_folds(problem.train, problem.protocol))[0]
+    names = [s.name for s in problem.outputs]
+    groups = problem.protocol.test.groups
+    table = mee_table([b.y for b in fold.validation], y_hat, names, groups, ())
+    assert curve == pytest.approx(table.groups[0].steps)
+
+
+def test_the_telling_windows() -> None:
+    measured = [np.zeros((4, 2)) for _ in range(5)]
+    simulated = [np.full((4, 2), size) for size in (3.0, 1.0, 5.0, 2.0, 4.0)]
+    assert list(telling(measured, simulated, np.ones(2))) == [
+        ("best", 1), ("median", 0), ("worst", 2),
+    ]  # fmt: skip
+    assert list(telling(measured[:1], simulated[:1], np.ones(2))) == [("best", 0)]
+    scale = np.array([1.0, 100.0])
+    mixed = [np.tile([1.0, 0.0], (4, 1)), np.tile([0.0, 10.0], (4, 1))]
+    assert dict(telling(measured[:2], mixed, scale)) == {"best": 1, "median": 0}
+
+
+def test_windows_of_one_length_correlate_as_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    a = [rng.standard_normal(n) for n in (30, 20, 30)]
+    b = [rng.standard_normal(n) for n in (30, 20, 30)]
+    products, energy = np.zeros(7), [0.0, 0.0]
+    for x, y in zip(a, b, strict=True):
+        x, y = x - x.mean(), y - y.mean()
+        energy = [energy[0] + x @ x, energy[1] + y @ y]
+        for lag in range(-3, 4):
+            pairs = [(t, t - lag) for t in range(len(x)) if 0 <= t - lag < len(x)]
+            products[3 + lag] += sum(x[t] * y[s] for t, s in pairs)
+    expected = products / np.sqrt(energy[0] * energy[1])
+    assert cross_correlation(a, b, 3) == pytest.approx(expected)
+
+
+def make_sides(seeds: int) -> SidesPicture:
+    rng = np.random.default_rng(0)
+
+    def curve(level: float) -> Curve:
+        return Curve((None, *(level * rng.uniform(1, 3, 14)).tolist(), 40.0))
+
+    sides = tuple(
+        Side(label, tuple(curve(level) for _ in range(seeds)))
+        for label, level in (
+            ("expert", 0.1),
+            ("random, library space", 0.2),
+            ("random, paper's space", 0.4),
+        )
+    )
+    levels = (Level("linear model", 0.39), Level("paper: agentic search, best of 15", 0.25))
+    return SidesPicture("arms", "tanks: expert against random search", sides, levels, "rmse")
+
+
+def lines_of(figure: Figure, label: str) -> np.ndarray:
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    (line,) = (h for h, text in zip(handles, labels, strict=True) if text.startswith(label))
+    return np.array(line.get_ydata())
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_searches_against_each_other(seeds: int) -> None:
+    picture = make_sides(seeds)
+    with drawing():
+        figure = draw_arms(picture)
+        assert_readable(figure)
+    drawn = lines_of(figure, "expert")
+    best = np.array([c.best_so_far(16) for c in picture.sides[0].curves])
+    assert drawn[:-1] == pytest.approx(np.median(best[:, 1:], axis=0))
+    assert figure.axes[0].get_ylim()[1] < 40.0
+    assert list(lines_of(figure, "paper")) == [0.25, 0.25]
+
+
+def test_best_so_far() -> None:
+    curve = Curve((None, 0.5, None, 0.7, 0.2))
+    values = curve.best_so_far(6)
+    assert np.isnan(values[0])
+    assert list(values[1:]) == [0.5, 0.5, 0.5, 0.2, 0.2]
+
+
+def test_published_errors_beside_ours() -> None:
+    marks = tuple(Marks(f"paper {i}", ((10, 0.1 * i), (50, 0.9))) for i in range(1, 5))
+    lines = (
+        Line("ensemble", np.linspace(0.01, 0.5, 50)),
+        Line("refit", np.linspace(0.02, 0.6, 50)),
+    )
+    panels = [Growth(name, "Distance [m]", lines, marks) for name in ("p", "v", "R", "omega")]
+    with drawing():
+        figure = draw_growth(panels, 0.01, "Sealed test", "A long note on protocols. " * 12)
+        assert_readable(figure)
+
+
+def test_another_result_is_marked_in_the_leaderboard() -> None:
+    entries = leaderboard("cascaded_tanks")
+    with drawing():
+        mark = ("paper", 0.298)
+        figure = draw_standing(entries, 0.21, Signal("level", "V"), "bench-tanks", mark)
+        assert_readable(figure)
+        legend = figure.axes[1].get_legend()
+    assert legend is not None
+    assert "0.298 V" in legend.get_texts()[0].get_text()
+
+
+def test_draw_bench_reads_runs(tmp_path: Path) -> None:
+    problem = load_problem("two_tanks_sim")
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "problem.lock.toml").write_text(lock_text(problem, Seal(None)))
+    write_run(run, problem, FIVE[:2], unsealed=1)
+    sides = make_sides(1)
+    wanted = BenchPictures(
+        (("progress-inner", run),), (sides,), run, None, (PublishedMee("x", ()),)
+    )
+    written = draw_bench(wanted, tmp_path / "bench")
+    names = itertools.product(("progress-inner", "arms"), ("png", "pdf"))
+    assert [p.name for p in written] == [f"{name}.{suffix}" for name, suffix in names]
