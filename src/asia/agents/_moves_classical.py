@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from asia.agents._evidence import coloured, curved, overfit
+from asia.agents._evidence import coloured, curved, overfit, plateau_share
 from asia.agents._move import Case, Move
 from asia.agents._recipe import Recipe
 
 STATE = ("neural_ss",)
 RIDGED = (*STATE, "block_oriented", "hybrid")
+_STANDS_STILL = 0.02
 
 
 def _order(case: Case) -> int:
@@ -132,12 +133,24 @@ CLASSICAL_MOVES: tuple[Move, ...] = (
         expected="A lower V at the same training error, if the structure is right.",
     ),
     Move(
-        name="terms up to the second degree",
+        name="output kept inside its range",
+        families=("narx", "gp_narx"),
+        weight=lambda c: (
+            (0.7 if plateau_share(c.facts) > _STANDS_STILL else 0.35)
+            * (c.recipe.number("margin", 0.1) > 0)
+        ),
+        change=lambda c: c.recipe.configured(margin=0.0),
+        hypothesis="The output has a limit that it reaches in the records: the model must not pass "
+        "it either.",
+        expected="A lower V where the output stands still.",
+    ),
+    Move(
+        name="terms up to the third degree",
         families=("narx",),
-        weight=lambda c: _over(c, 0.6, 0.4, 0.2) * (c.recipe.number("degree", 3) > 2),
-        change=lambda c: c.recipe.configured(degree=2),
-        hypothesis="Cubic terms run away outside the data.",
-        expected="A higher training error and a lower V.",
+        weight=lambda c: (0.4 if curved(c.trial) else 0.25) * (c.recipe.number("degree", 2) < 3),
+        change=lambda c: c.recipe.configured(degree=3),
+        hypothesis="The nonlinearity is not even.",
+        expected="A lower training error, V follows.",
     ),
     Move(
         name="firmer coefficients",

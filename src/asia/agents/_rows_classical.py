@@ -77,8 +77,8 @@ def _arx_space(_: Facts) -> Space:
 
 
 def _narx(_: Facts) -> Recipe:
-    config = (("degree", 3), ("delay", None), ("coefficient_ridge", 1e-5))
-    return Recipe("narx", config, LM, (("iterations", 30),))
+    config = (("degree", 2), ("delay", 0), ("margin", 0.1), ("coefficient_ridge", 1e-5))
+    return Recipe("narx", config, LM, (("iterations", 40),))
 
 
 def _narx_space(_: Facts) -> Space:
@@ -89,6 +89,7 @@ def _narx_space(_: Facts) -> Space:
             Choice("delay", (0, None)),
             Choice("degree", (2, 3)),
             Choice("terms", (None, 8, 15, 25)),
+            Choice("margin", (0.0, 0.05, 0.1, 0.3)),
             Span("coefficient_ridge", 1e-7, 1e-2),
         ),
         options=(Choice("iterations", (15, 30, 60)),),
@@ -96,7 +97,7 @@ def _narx_space(_: Facts) -> Space:
 
 
 def _gp_narx(_: Facts) -> Recipe:
-    config = (("mean", "linear"), ("points", 800), ("delay", None))
+    config = (("mean", "linear"), ("points", 800), ("delay", 0), ("margin", 0.1))
     return Recipe("gp_narx", config, "MarginalLikelihood", (("iterations", 60),))
 
 

@@ -8,25 +8,25 @@ from dataclasses import dataclass
 from asia.agents._family import Family
 from asia.agents._recipe import Recipe, Settings
 from asia.agents._space import Choice, Parameter, Space
-from asia.agents._training import METHODS, Cost, Stage, adam, network_space
+from asia.agents._training import Cost, Stage, adam, network_space
 from asia.agents._traits import Trait
 from asia.agents._view import Facts
 
-CELLS = tuple(METHODS)
+CELLS = ("LBFGS", "MultipleShooting")
 MAPS = ("LBFGS",)
 
 
 @dataclass(frozen=True)
 class Network:
     """What a row of networks needs beside the words: settings of the first configuration, learning
-    rate, cost of a sample, and what may be varied; features: whether it takes functions of the
-    inputs."""
+    rate, cost of a sample, and what may be varied; teacher: how often it is fed measured outputs at
+    first."""
 
     config: Settings
     rate: float
     cost: Cost
     vary: tuple[Parameter, ...]
-    features: bool = True
+    teacher: float = 0.0
 
 
 def _row(
@@ -35,16 +35,24 @@ def _row(
     use: str,
     base: float,
     points: tuple[tuple[Trait, float], ...],
-    network: Network,
+    network: Network | Callable[[Facts], Network],
     methods: tuple[str, ...],
+    needs: frozenset[Trait] = frozenset(),
 ) -> Family:
+    def suited(facts: Facts) -> Network:
+        return network if isinstance(network, Network) else network(facts)
+
     def recipe(stage: Stage) -> Callable[[Facts], Recipe]:
-        return lambda facts: Recipe(
-            name, network.config, "Adam", adam(facts, network.cost, stage, network.rate)
-        )
+        def found(facts: Facts) -> Recipe:
+            own = suited(facts)
+            recipe = Recipe(name, own.config, "Adam", adam(facts, own.cost, stage, own.rate))
+            return recipe.trained(teacher=own.teacher) if own.teacher else recipe
+
+        return found
 
     def space(facts: Facts) -> Space:
-        return network_space(facts, network.cost, network.vary, features=network.features)
+        own = suited(facts)
+        return network_space(facts, own.cost, own.vary)
 
     return Family(
         name=name,
@@ -52,11 +60,31 @@ def _row(
         use=use,
         base=base,
         points=points,
+        needs=needs,
         trial=recipe("trial"),
         full=recipe("full"),
         space=space,
         methods=methods,
         seeds=True,
+    )
+
+
+def _subnet(facts: Facts) -> Network:
+    """Over windows the state starts from the last outputs and must be large enough to hold them."""
+    least = len(facts.outputs) if facts.horizon is not None else 1
+    sizes = {n for n in (2, 4, 8) if n >= least}
+    if least > 1:
+        sizes |= {least, least + 4}
+    return Network(
+        (("states", max(4, least)), ("width", 32), ("layers", 1)),
+        2e-3,
+        "medium",
+        (
+            Choice("states", tuple(sorted(sizes))),
+            Choice("width", (16, 32, 64)),
+            Choice("layers", (1, 2)),
+            Choice("start", ("linear", "random")),
+        ),
     )
 
 
@@ -72,7 +100,6 @@ NETWORKS: tuple[Family, ...] = (
             1e-3,
             "medium",
             (Choice("hidden", (8, 16, 32, 64)), Choice("tau_max", (10.0, 25.0, 100.0))),
-            features=False,
         ),
         CELLS,
     ),
@@ -82,17 +109,7 @@ NETWORKS: tuple[Family, ...] = (
         "state-space networks with an encoder, trained on truncated simulations: long records",
         4,
         (("long", 3), ("several", 1), ("windows", -1)),
-        Network(
-            (("states", 4), ("width", 32), ("layers", 1)),
-            2e-3,
-            "medium",
-            (
-                Choice("states", (2, 4, 8)),
-                Choice("width", (16, 32, 64)),
-                Choice("layers", (1, 2)),
-                Choice("start", ("linear", "random")),
-            ),
-        ),
+        _subnet,
         CELLS,
     ),
     _row(
@@ -110,7 +127,6 @@ NETWORKS: tuple[Family, ...] = (
                 Choice("hidden", (8, 16, 32, 64)),
                 Choice("layers", (1, 2)),
             ),
-            features=False,
         ),
         CELLS,
     ),
@@ -131,6 +147,26 @@ NETWORKS: tuple[Family, ...] = (
             ),
         ),
         CELLS,
+    ),
+    _row(
+        "kinematic",
+        "kinematic network",
+        "increments of velocities, integrated to positions: outputs that are rates of others",
+        2.5,
+        (("windows", 4), ("measured", 2)),
+        Network(
+            (("cell", "lstm"), ("hidden", 32), ("layers", 1)),
+            2e-3,
+            "medium",
+            (
+                Choice("cell", ("gru", "lstm")),
+                Choice("hidden", (16, 32, 64)),
+                Choice("layers", (1, 2)),
+            ),
+            teacher=0.3,
+        ),
+        CELLS,
+        needs=frozenset({"windows", "several"}),
     ),
     _row(
         "cascaded_ltc",

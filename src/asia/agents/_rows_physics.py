@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from asia.agents._family import Family
 from asia.agents._recipe import Recipe
 from asia.agents._space import Choice, Space, Span
-from asia.agents._training import Stage
 from asia.agents._view import Facts
 
 LM = "LevenbergMarquardt"
@@ -52,10 +49,9 @@ def _hybrid_space(_: Facts) -> Space:
     )
 
 
-def _physics_net(stage: Stage) -> Callable[[Facts], Recipe]:
-    windows = {"trial": 240, "full": 480}[stage]
-    config = (("linear", True), ("sparsity", 3e-4), ("robust", 0.3), ("windows", windows))
-    return lambda _: Recipe("physics_net", config, LM, (("iterations", 15),))
+def _physics_net(_: Facts) -> Recipe:
+    config = (("linear", True), ("sparsity", 3e-4), ("robust", 0.3), ("windows", 240))
+    return Recipe("physics_net", config, LM, (("iterations", 15),))
 
 
 def _physics_net_space(_: Facts) -> Space:
@@ -92,8 +88,8 @@ PHYSICS: tuple[Family, ...] = (
         base=8,
         points=(("windows", 3),),
         needs=frozenset({"physics", "measured"}),
-        trial=_physics_net("trial"),
-        full=_physics_net("full"),
+        trial=_physics_net,
+        full=_physics_net,
         space=_physics_net_space,
         methods=("feed-forward residual", "recurrent residual"),
     ),

@@ -56,11 +56,8 @@ def adam(facts: Facts, cost: Cost, stage: Stage, learning_rate: float) -> Settin
     return (*settings, ("loss", "mae")) if facts.metric == "mae" else settings
 
 
-def network_space(
-    facts: Facts, cost: Cost, config: tuple[Parameter, ...], *, features: bool
-) -> Space:
-    """A network's own parameters, functions of the inputs where it takes them, and Adam's
-    settings."""
+def network_space(facts: Facts, cost: Cost, config: tuple[Parameter, ...]) -> Space:
+    """A network's own parameters, functions of the inputs, and Adam's settings."""
     options: tuple[Parameter, ...] = (
         Span("steps", steps(facts, cost, "trial") // 2, steps(facts, cost, "full"), whole=True),
         Span("learning_rate", 3e-4, 1e-2),
@@ -72,8 +69,7 @@ def network_space(
     )
     if facts.horizon is None:
         options = (*options, Choice("truncation", (64, 128, 256)))
-    squares: tuple[Parameter, ...] = (Choice("features", ((), ("square",))),) if features else ()
-    return Space((*config, *squares), options)
+    return Space((*config, Choice("features", ((), ("square",)))), options)
 
 
 def by_lbfgs(facts: Facts, recipe: Recipe) -> Recipe:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from asia.ledger import Experiment, Run, describe_result, error_value
+from asia.scoring import Score
+
+# With more, each output gets a row of its own.
+MOST_OUTPUTS_BESIDE = 3
 
 
 def wide_console() -> Console:
@@ -44,9 +50,11 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
     assert score is not None
     assert result is not None
     names = run.view.started.outputs
+    wide = len(names) > MOST_OUTPUTS_BESIDE
+    channels = () if wide else (*(f"RMSE {n}" for n in names), *(f"fit % {n}" for n in names))
     table = Table(title="validation and training-side evidence", title_justify="left", box=None)
     table.add_column("fold", justify="right")
-    for head in ("V", *(f"RMSE {n}" for n in names), *(f"fit % {n}" for n in names)):
+    for head in ("V", *channels):
         table.add_column(head, justify="right")
     told = run.view.started.early_stopping == "validation"
     if told:
@@ -58,8 +66,7 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
         table.add_row(
             str(k),
             error_value(fold.value),
-            *(f"{v:.4g}" for v in fold.rmse),
-            *("-" if v is None else f"{v:.1f}" for v in fold.fit_index),
+            *(() if wide else (*map(_error, fold.rmse), *map(_fit, fold.fit_index))),
             *((str(kept.validation_scores),) if told else ()),
             error_value(d.train_error),
             f"{d.bias:.3f}",
@@ -71,3 +78,28 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
         )
     console.print()
     console.print(table)
+    if wide:
+        console.print()
+        console.print(_channel_table(names, score))
+
+
+def _channel_table(names: Sequence[str], score: Score) -> Table:
+    """A row an output, RMSE and fit index on each fold beside each other."""
+    table = Table(title="by output", title_justify="left", box=None)
+    table.add_column("output")
+    for head in ("RMSE", "fit %"):
+        for k in range(1, len(score.folds) + 1):
+            table.add_column(f"{head} {k}", justify="right")
+    for i, name in enumerate(names):
+        errors = (_error(fold.rmse[i]) for fold in score.folds)
+        fits = (_fit(fold.fit_index[i]) for fold in score.folds)
+        table.add_row(name, *errors, *fits)
+    return table
+
+
+def _error(value: float) -> str:
+    return f"{value:.4g}"
+
+
+def _fit(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"

@@ -34,7 +34,7 @@ _LEAST_GAIN = 5e-4
 _LEARNED = ("linear", "offset")
 # Not fitted by Levenberg-Marquardt.
 _HELD = ("fixed", "net", "out_w", "out_b", "balance")
-_FACTOR, _LEAST_FACTOR = 1.5, 1.1
+_FACTOR = 1.5
 
 
 class Windows(NamedTuple):
@@ -193,28 +193,27 @@ def choose_windows(
     )
 
 
-def balanced(params: Params, judge: Judge) -> Params:
+def balanced(params: Params, judge: Judge, most: int) -> Params:
     """The parameters with the factor of each dynamic equation chosen by `judge`, one after the
-    other.
+    other, in about `most` questions.
 
     Records from closed loop make every term of a balance of forces too small by about the same
     factor, since the input opposes what disturbs the state. How much depends on how strongly the
     system was moved, and so differs between records (Ljung, System Identification, 2nd ed.,
     section 13.4, on the bias of direct identification in closed loop).
     """
-    best, score = dict(params), judge(params)
-    factor = _FACTOR
-    while factor > _LEAST_FACTOR:
+    best, score, asked = dict(params), judge(params), 1
+    steps = [np.log(_FACTOR), 0.5 * np.log(_FACTOR), 0.25 * np.log(_FACTOR)]
+    for size in steps:
         for i in range(len(best["balance"])):
-            for step in (np.log(factor), -np.log(factor)):
+            for step in (size, -size):
                 moved = True
-                while moved:
+                while moved and asked < most:
                     balance = best["balance"].copy()
                     balance[i] += step
                     other = {**best, "balance": balance}
-                    value = judge(other)
+                    value, asked = judge(other), asked + 1
                     moved = value < score
                     if moved:
                         best, score = other, value
-        factor = np.sqrt(factor)
     return best

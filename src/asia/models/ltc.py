@@ -18,6 +18,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.errors import UserError
+from asia.models._features import Driven, Features, check_features, drive_size, with_drive
 from asia.models._network import (
     NetworkModel,
     Params,
@@ -39,7 +40,8 @@ class Config:
     for as many as states; tau_min, tau_max: first and last of the log-spaced initial time
     constants, in samples; start: "ridge" solves the output layer by ridge regression, "uniform"
     draws all weights within 1 / sqrt(fan-in), as PyTorch does; bounded: whether f and the
-    initial-state network end in a tanh or in their linear layer."""
+    initial-state network end in a tanh or in their linear layer; features: functions of the inputs
+    that f sees, see `asia.models._features`."""
 
     hidden: int = 64
     width: int | None = None
@@ -47,6 +49,7 @@ class Config:
     tau_max: float = 25.0
     start: Literal["ridge", "uniform"] = "ridge"
     bounded: bool = True
+    features: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.hidden < 1 or (self.width is not None and self.width < 1):
@@ -55,10 +58,11 @@ class Config:
             raise UserError("ltc.Config: expected 0 < tau_min <= tau_max")
         if self.start not in ("ridge", "uniform"):
             raise UserError(f"ltc.Config: start is '{self.start}', expected ridge or uniform")
+        check_features(self.features, "ltc.Config")
 
 
 @dataclass(frozen=True)
-class LTCCell:
+class LTCCell(Driven):
     """Structure of the network: see `asia.models._network.Cell`."""
 
     config: Config
@@ -75,7 +79,7 @@ class LTCCell:
     def step(self, params: Any, state: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Each state decays towards f with its own time constant."""
         decay = jnp.exp(-jnp.exp(-params["log_tau"]))
-        inner = jnp.tanh(state @ params["f_h"] + u @ params["f_u"] + params["f_b1"])
+        inner = jnp.tanh(state @ params["f_h"] + self.drive(u) @ params["f_u"] + params["f_b1"])
         target = self._bent(inner @ params["f_w2"] + params["f_b2"])
         state = decay * state + (1 - decay) * target
         return state, state
@@ -90,7 +94,7 @@ class LTCCell:
 
 def build(config: Config, context: Context) -> NetworkModel:
     """An untrained network initialised from `context.seed`."""
-    cell = LTCCell(config)
+    cell = LTCCell(config, drive=Features(config.features))
     return NetworkModel(cell, cell.parameters(context))
 
 
@@ -99,18 +103,20 @@ def train(
 ) -> NetworkModel:
     """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
     random = isinstance(model.cell, LTCCell) and model.cell.config.start == "uniform"
-    return train_network(model, trajectories, context, method, as_built if random else None)
+    prepare = as_built if random else None
+    return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
 
 
 def _parameters(config: Config, context: Context) -> Params:
     rng = np.random.default_rng(context.seed)
     hidden, width = config.hidden, config.width or config.hidden
     seen, nu = window_size(context), context.nu
+    inputs = drive_size(config.features, nu)
     shapes = {
         "enc_w1": (seen, width),
         "enc_w2": (width, hidden),
         "f_h": (hidden, width),
-        "f_u": (nu, width),
+        "f_u": (inputs, width),
         "f_w2": (width, hidden),
     }
     taus = np.linspace(np.log(config.tau_min), np.log(config.tau_max), hidden)
@@ -121,8 +127,8 @@ def _parameters(config: Config, context: Context) -> Params:
     else:
         # f's first layer reads h and u together.
         fan_in = {name: shape[0] for name, shape in shapes.items()}
-        fan_in |= {"f_h": hidden + nu, "f_u": hidden + nu}
-        fan_in |= {"enc_b1": seen, "enc_b2": width, "f_b1": hidden + nu, "f_b2": width}
+        fan_in |= {"f_h": hidden + inputs, "f_u": hidden + inputs}
+        fan_in |= {"enc_b1": seen, "enc_b2": width, "f_b1": hidden + inputs, "f_b2": width}
         shapes |= {name: (size,) for name, size in _biases(config).items()}
         shapes |= {"out_w": (hidden + nu, context.ny), "out_b": (context.ny,)}
         fan_in |= {"out_w": hidden + nu, "out_b": hidden + nu}

@@ -14,14 +14,13 @@ Sources: Piga and Forgione (physics-residual LSTM, kinematic gains); Wipf and Na
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import VALIDATION_SCORES, Context, Model
 from asia.errors import UserError
 from asia.models import recurrent
 from asia.models._greybox_config import Range
@@ -40,6 +39,8 @@ __all__ = ["Config", "build", "train"]
 _LONGEST = 100
 _LAG_SAMPLES = 2.0
 _RATE_SAMPLES = 5
+# Validation scores asked for while factors are chosen.
+_MOST_BALANCED = 80
 
 
 @dataclass(frozen=True)
@@ -141,15 +142,33 @@ def train(
     scaling = Scaling.of(trajectories)
     start: Params = {**model.network.params, "fixed": _fixed(cell, trajectories, scaling, context)}
     network = replace(model.network, params=start, scaling=scaling)
-    asked = method
+    judge = None
+    if method.stop == "validation" and context.validation_score is not None:
+        judge = _Judge(context.validation_score, network)
     own = LevenbergMarquardt(iterations=config.equations)
     first = method if isinstance(method, LevenbergMarquardt) else own
     if first.iterations > 0:
-        stops = getattr(asked, "stop", None) == "validation"
-        network = _fit_equations(network, config, trajectories, context, first, stops)
-    if not isinstance(asked, LevenbergMarquardt):
-        network = train_network(network, trajectories, context, asked, as_built)
+        network = _fit_equations(network, config, trajectories, context, first, judge)
+    if not isinstance(method, LevenbergMarquardt):
+        if judge is not None:
+            left = max(VALIDATION_SCORES - judge.asked, 1)
+            method = replace(method, every=max(method.every, -(-method.steps // left)))
+        network = train_network(network, trajectories, context, method, as_built)
     return replace(model, network=network)
+
+
+class _Judge:
+    """The validation score of parameters, counted."""
+
+    def __init__(self, oracle: Callable[[Model], float], network: NetworkModel) -> None:
+        self._oracle, self._network = oracle, network
+        self.asked = 0
+
+    def __call__(self, params: Params) -> float:
+        """Raises RuntimeError past the limit of scores."""
+        self.asked += 1
+        own = _single({**self._network.params, **params})
+        return self._oracle(replace(self._network, params=own))
 
 
 def _fit_equations(
@@ -158,7 +177,7 @@ def _fit_equations(
     trajectories: Sequence[Trajectory],
     context: Context,
     method: LevenbergMarquardt,
-    stops: bool,
+    judge: _Judge | None,
 ) -> NetworkModel:
     cell, scaling = network.cell, network.scaling
     assert isinstance(cell, MeasuredCell)
@@ -167,9 +186,6 @@ def _fit_equations(
     skip = past_length(context)
     records = [(windows(r, context), r.u[skip:], r.y[skip:]) for r in scaled(trajectories, scaling)]
     horizon = context.horizon or min(_LONGEST, min(len(y) for _, _, y in records))
-    judge = None
-    if stops and context.validation_score is not None:
-        judge = partial(_score, context.validation_score, network)
     params = fit_equations(
         plain,
         network.params,
@@ -181,12 +197,8 @@ def _fit_equations(
     )
     params = _single(params)
     if judge is not None:
-        params = balanced(params, judge)
+        params = balanced(params, judge, _MOST_BALANCED)
     return replace(network, params=params)
-
-
-def _score(oracle: Any, network: NetworkModel, params: Params) -> float:
-    return oracle(replace(network, params=_single({**network.params, **params})))
 
 
 def _single(params: Params) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.errors import UserError
+from asia.models._features import Driven, Features, check_features, drive_size, with_drive
 from asia.models._network import (
     Float32,
     NetworkModel,
@@ -43,7 +44,8 @@ class Config:
     they are bent too. tied: an LSTM's c starts equal to h. direct: whether the output has a linear
     term of the input. start: "ridge" draws orthogonal recurrent weights and gates that remember 1
     to 100 samples and solves the output layer by ridge regression; "uniform" draws everything
-    within 1 / sqrt(fan-in), as PyTorch does.
+    within 1 / sqrt(fan-in), as PyTorch does. features: functions of the inputs that the layers see,
+    see `asia.models._features`.
     """
 
     cell: Literal["rnn", "gru", "lstm"] = "gru"
@@ -54,6 +56,7 @@ class Config:
     tied: bool = False
     direct: bool = True
     start: Literal["ridge", "uniform"] = "ridge"
+    features: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.cell not in _GATES:
@@ -66,10 +69,11 @@ class Config:
             )
         if self.start not in ("ridge", "uniform"):
             raise UserError(f"recurrent.Config: start is '{self.start}', expected ridge or uniform")
+        check_features(self.features, "recurrent.Config")
 
 
 @dataclass(frozen=True)
-class RecurrentCell:
+class RecurrentCell(Driven):
     """Structure of the network: see `asia.models._network.Cell`."""
 
     config: Config
@@ -95,7 +99,7 @@ class RecurrentCell:
 
     def step(self, params: Any, state: Any, u: jax.Array) -> tuple[Any, jax.Array]:
         """Each layer reads the one below."""
-        signal, result = u, []
+        signal, result = self.drive(u), []
         for layer, (h, c) in zip(params["layers"], state, strict=True):
             h, c = self._layer(layer, h, c, signal)
             result.append((h, c))
@@ -127,7 +131,7 @@ class RecurrentCell:
 
 def build(config: Config, context: Context) -> NetworkModel:
     """An untrained network initialised from `context.seed`."""
-    cell = RecurrentCell(config)
+    cell = RecurrentCell(config, drive=Features(config.features))
     return NetworkModel(cell, cell.parameters(context))
 
 
@@ -136,14 +140,16 @@ def train(
 ) -> NetworkModel:
     """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
     random = isinstance(model.cell, RecurrentCell) and model.cell.config.start == "uniform"
-    return train_network(model, trajectories, context, method, as_built if random else None)
+    prepare = as_built if random else None
+    return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
 
 
 def _parameters(rng: np.random.Generator, config: Config, context: Context) -> Params:
     hidden, gates = config.hidden, _GATES[config.cell]
+    inputs = drive_size(config.features, context.nu)
     layers = [
         {
-            "u": dense(rng, context.nu if i == 0 else hidden, gates * hidden),
+            "u": dense(rng, inputs if i == 0 else hidden, gates * hidden),
             "h": np.concatenate([_orthogonal(rng, hidden) for _ in range(gates)], axis=1),
             "b": _memory(rng, config),
         }
@@ -163,9 +169,10 @@ def _parameters(rng: np.random.Generator, config: Config, context: Context) -> P
 
 def _uniform_parameters(rng: np.random.Generator, config: Config, context: Context) -> Params:
     hidden, wide = config.hidden, _GATES[config.cell] * config.hidden
+    inputs = drive_size(config.features, context.nu)
     layers = [
         {
-            "u": uniform(rng, (context.nu if i == 0 else hidden, wide), hidden),
+            "u": uniform(rng, (inputs if i == 0 else hidden, wide), hidden),
             "h": uniform(rng, (hidden, wide), hidden),
             # PyTorch has a bias for each of the two products.
             "b": uniform(rng, (wide,), hidden) + uniform(rng, (wide,), hidden),

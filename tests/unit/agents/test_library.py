@@ -89,4 +89,4 @@ def test_the_papers_space_is_the_papers() -> None:
             assert recipe.method == "Adam"
             assert recipe.get("network" if row.name == "physics_net" else "cell") == "lstm"
             assert 0 <= recipe.number("dropout", -1) <= 0.3
-            assert recipe.number("steps", 0) == row.full(known).number("steps", 1)
+            assert recipe.number("steps", 0) == row.trial(known).number("steps", 1)

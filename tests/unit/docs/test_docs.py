@@ -54,7 +54,7 @@ def test_the_commands_for_ones_own_records_run_as_written(records: Path) -> None
 
 def test_every_command_in_the_readme_exists(tmp_path: Path) -> None:
     words = {c.split()[1] for b in blocks(README) for c in b if c.startswith("asia ")}
-    assert words == {"run", "show", "unseal", "init", "check", "status", "report"}
+    assert words == {"run", "show", "unseal", "init", "check", "status", "report", "bench"}
     for word in sorted(words):
         assert word in run(f"asia {word} --help", tmp_path)
 
@@ -71,6 +71,12 @@ def test_the_problem_page_names_the_defaults() -> None:
         assert f"| `{key}` | {value} |" in page
     for name in FUNCTIONS:
         assert re.search(rf"\b{name}\b", page), f"{name} is not documented"
+
+
+def test_every_benchmark_is_listed() -> None:
+    page = (ROOT / "benchmarks" / "README.md").read_text()
+    for script in (ROOT / "benchmarks").glob("*.py"):
+        assert f"`{script.name}`" in page, f"{script.name} is not listed"
 
 
 def test_links_between_documents_lead_somewhere() -> None:

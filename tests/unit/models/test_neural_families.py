@@ -11,12 +11,24 @@ import pytest
 
 from asia.candidate import Context
 from asia.errors import UserError
-from asia.models import autoregressive, cascaded_ltc, cnn, koopman, lru, subnet, transformer
+from asia.models import (
+    autoregressive,
+    cascaded_ltc,
+    cnn,
+    koopman,
+    lru,
+    ltc,
+    recurrent,
+    subnet,
+    transformer,
+)
 from asia.models._network import Restartable
 from asia.models.methods import Adam
 from asia.problem import Signal, Trajectory
 
 FAMILIES: list[tuple[ModuleType, dict[str, Any]]] = [
+    (ltc, {"hidden": 3, "width": 4}),
+    (recurrent, {"hidden": 3, "encoder": 4}),
     (cascaded_ltc, {"slow": 3, "fast": 3, "width": 4}),
     (autoregressive, {"hidden": 4, "encoder": 4}),
     (lru, {"layers": 1, "states": 3, "width": 4, "encoder": 4}),

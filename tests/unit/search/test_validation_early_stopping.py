@@ -123,7 +123,7 @@ def test_both_workers_end_with_the_search(
     )
     assert wait_for(lambda: living(fits) and living(scores)), "no model was being scored"
     process.send_signal(how)
-    process.communicate(timeout=15)
+    process.communicate(timeout=60)
     assert process.returncode == (130 if how is signal.SIGINT else -how.value)
     assert wait_for(lambda: not living(fits) and not living(scores)), "a worker lives on"
 

@@ -1,0 +1,138 @@
+"""Which output is the rate of change of which: by the person's equations, or by the records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.models._ode import Equations, equations
+from asia.problem import Array, Trajectory
+from asia.problem._expressions import Name
+
+# A rate integrates to its output but for noise, delay and a gain near one.
+_LEAST_CORRELATION = 0.6
+_LARGEST_GAIN = 1.5
+_LONGEST = 100
+
+
+@dataclass(frozen=True)
+class Rate:
+    """d/dt of output `output` is gain times output `rate`, both numbers of channels."""
+
+    output: int
+    rate: int
+    gain: float
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How well each output's increment (rows) goes with the integral of each (columns)."""
+
+    correlation: Array
+    gain: Array
+
+
+def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Rate, ...]:
+    """At most one rate for each output, in the outputs' order, never in a circle.
+
+    Where [physics] says so: an equation without free parameters, of a state that is an output, has
+    as rate the output it names or, if it holds more than a name, the one of those it reads whose
+    integral over the horizon goes best with the output's increment, at a correlation above 0.6.
+    Where it says nothing of the kind, every other output is tried, with a gain between 2/3 and 3/2.
+    """
+    fit = _fitted(trajectories, context)
+    rates: list[Rate] = []
+    if context.physics is not None:
+        rates = _by_equations(_system(context), fit)
+    if not rates:
+        everything = range(context.ny)
+        rates = [r for j in everything for r in _best(j, everything, fit, _LARGEST_GAIN)]
+    return _without_circles(rates, fit)
+
+
+def read_by_equations(context: Context) -> frozenset[int]:
+    """Outputs that show a state which some equation of [physics] reads; all without [physics]."""
+    if context.physics is None:
+        return frozenset(range(context.ny))
+    system = _system(context)
+    read = frozenset[str]().union(*(system.closure(e) for e in system.dynamics))
+    shown = [e.root.name if isinstance(e.root, Name) else None for e in system.observation]
+    return frozenset(j for j, state in enumerate(shown) if state is None or state in read)
+
+
+def _system(context: Context) -> Equations:
+    assert context.physics is not None
+    names = [s.name for s in context.inputs], [s.name for s in context.outputs]
+    return equations(context.physics, *names)
+
+
+def _by_equations(system: Equations, fit: _Fit) -> list[Rate]:
+    shown = {e.root.name: j for j, e in enumerate(system.observation) if isinstance(e.root, Name)}
+    found: list[Rate] = []
+    for state, equation in zip(system.states, system.dynamics, strict=True):
+        read = system.closure(equation)
+        if state not in shown or read & set(system.parameters):
+            continue
+        others = {name: shown[name] for name in sorted(read - {state}) if name in shown}
+        named = equation.root.name if isinstance(equation.root, Name) else ""
+        if named in others:
+            found.append(Rate(shown[state], others[named], 1.0))
+        else:
+            found.extend(_best(shown[state], list(others.values()), fit))
+    return sorted(found, key=lambda r: r.output)
+
+
+def _best(
+    j: int, candidates: Sequence[int], fit: _Fit, largest: float | None = None
+) -> tuple[Rate, ...]:
+    """The rate of output j with the highest correlation, if there is one; `largest` bounds the
+    gain and its inverse."""
+    able = [
+        i
+        for i in candidates
+        if i != j
+        and fit.correlation[j, i] > _LEAST_CORRELATION
+        and (largest is None or 1 / largest < fit.gain[j, i] < largest)
+    ]
+    if not able:
+        return ()
+    best = max(able, key=lambda i: fit.correlation[j, i])
+    return (Rate(j, best, float(fit.gain[j, best])),)
+
+
+def _without_circles(rates: Sequence[Rate], fit: _Fit) -> tuple[Rate, ...]:
+    """The rates, less the weakest of any that lead from an output back to itself."""
+    kept: dict[int, Rate] = {}
+    for rate in sorted(rates, key=lambda r: -fit.correlation[r.output, r.rate]):
+        end = rate.rate
+        while end in kept:
+            end = kept[end].rate
+        if end != rate.output:
+            kept[rate.output] = rate
+    return tuple(kept[j] for j in sorted(kept))
+
+
+def _fitted(trajectories: Sequence[Trajectory], context: Context) -> _Fit:
+    shortest = min(len(t) for t in trajectories)
+    span = min(context.horizon or _LONGEST, max(1, shortest // 2))
+    motion = _motion(trajectories, span)
+    increments = np.concatenate([moved for moved, _ in motion])
+    integrals = np.concatenate([integral for _, integral in motion])
+    energy = np.maximum((increments**2).sum(axis=0), 1e-300)
+    effect = np.maximum((integrals**2).sum(axis=0), 1e-300)
+    products = increments.T @ integrals
+    return _Fit(products / np.sqrt(energy[:, None] * effect), products / effect)
+
+
+def _motion(trajectories: Sequence[Trajectory], span: int) -> list[tuple[Array, Array]]:
+    """Increments of the outputs over `span` samples, and their integrals (Euler) over the same."""
+    found: list[tuple[Array, Array]] = []
+    for t in trajectories:
+        total = np.cumsum(t.y * t.sampling_time, axis=0)
+        # The rate of a sample moves the output of the next.
+        integral = total[span - 1 : -1] - np.pad(total, ((1, 0), (0, 0)))[: len(t) - span]
+        found.append((t.y[span:] - t.y[:-span], integral))
+    return found

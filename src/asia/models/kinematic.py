@@ -1,0 +1,169 @@
+"""Kinematic recurrent network: it predicts increments of the velocities, and these are integrated.
+
+    y_i[k] = y_i[k-1] + s_i (W h[k] + b)_i          an output that moves by itself
+    y_j[k] = y_j[k-1] + gain_j Ts y_i[k-1]          an output whose rate is y_i
+
+The layers that give h[k] are those of `asia.models.autoregressive`, driven by the inputs and the
+model's own y[k-1]; the gains are learned too. Which output is the rate of which comes from
+[physics] or from the training records, see `asia.models._rates`.
+Sources: Piga and Forgione (KinematicsLSTM, motor speeds squared, scheduled sampling).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from asia.candidate import Context
+from asia.errors import UserError
+from asia.models import autoregressive
+from asia.models._features import Features, check_features, with_drive
+from asia.models._network import NetworkModel, Params, train_network, zeros
+from asia.models._rates import Rate, find_rates, read_by_equations
+from asia.models._records import Record, check
+from asia.models._scaling import Scaling
+from asia.models.autoregressive import AutoregressiveCell, State
+from asia.models.methods import NetworkMethod
+from asia.problem import Trajectory
+
+
+@dataclass(frozen=True)
+class Config(autoregressive.Config):
+    """cell, hidden, layers, encoder, features: as in `asia.models.autoregressive`.
+
+    blind: outputs that the network does not read, such as a position where the forces are the same
+    everywhere; None for those integrated ones that no equation of [physics] reads, without
+    [physics] none.
+    """
+
+    blind: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        # The inner network checks the rest.
+        _ = self.inner
+        check_features(self.features, "kinematic.Config")
+
+
+@dataclass(frozen=True)
+class KinematicCell(AutoregressiveCell):
+    """Structure of the network: see `asia.models._network.Cell` and `OutputFeedback`; past: output
+    samples in the past window."""
+
+    config: Config
+    past: int = 0
+
+    def parameters(self, context: Context) -> Params:
+        """Untrained parameters drawn from `context.seed`: the output is held."""
+        ny = context.ny
+        return {
+            **super().parameters(context),
+            "gain": zeros(ny),
+            "fixed": {
+                "increment": np.ones(ny, np.float32),
+                "read": np.ones(ny, np.float32),
+                "rate": zeros(ny, ny),
+                "drift": zeros(ny),
+            },
+        }
+
+    def initial(self, params: Any, window: jax.Array) -> State:
+        """Layers' states and the last measured output, its mean where none is given."""
+        _, y = super().initial(params, window)
+        read = jnp.tile(params["fixed"]["read"], self.past)
+        seen = jnp.pad(read, (window.shape[1] - read.size, 0), constant_values=1)
+        return self.inner.initial(params["net"], window * seen), y
+
+    def step(self, params: Any, state: State, u: jax.Array) -> tuple[State, jax.Array]:
+        """What the output is read from is the output."""
+        inner, y = state
+        fixed = params["fixed"]
+        drive = jnp.concatenate([self.drive(u), y * fixed["read"]], axis=-1)
+        inner, h = self.inner.step(params["net"], inner, drive)
+        moved = fixed["increment"] * (h @ params["out_w"] + params["out_b"])
+        integrated = (1 + params["gain"]) * (y @ fixed["rate"] + fixed["drift"])
+        y = y + moved + integrated
+        return (inner, y), y
+
+
+def build(config: Config, context: Context) -> NetworkModel:
+    """An untrained network initialised from `context.seed`. Raises UserError when there is but one
+    output, or none of the name that is to be left unread."""
+    names = [s.name for s in context.outputs]
+    unknown = [name for name in config.blind or () if name not in names]
+    if unknown:
+        raise UserError(
+            f"kinematic.Config: blind names '{unknown[0]}', expected some of {', '.join(names)}"
+        )
+    if context.ny < 2:
+        raise _no_rates()
+    drive = Features(config.features)
+    past = context.n_past_y
+    cell = KinematicCell(config, context.ny, past > 0, past=past, drive=drive)
+    return NetworkModel(cell, cell.parameters(context))
+
+
+def train(
+    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
+) -> NetworkModel:
+    """Fits to the simulation error; raises UserError for records too short or mis-shaped and when
+    no output is the integral of another."""
+    check(trajectories, context)
+    rates = find_rates(trajectories, context)
+    if not rates:
+        raise _no_rates()
+    cell = model.cell
+    blind = cell.config.blind if isinstance(cell, KinematicCell) else None
+    prepare = partial(
+        _with_kinematics,
+        rates=rates,
+        read=_read(blind, rates, context),
+        sampling_time=context.sampling_time,
+    )
+    return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
+
+
+def _read(
+    blind: tuple[str, ...] | None, rates: Sequence[Rate], context: Context
+) -> tuple[bool, ...]:
+    """For each output whether the network reads it."""
+    if blind is not None:
+        return tuple(s.name not in blind for s in context.outputs)
+    integrated = {r.output for r in rates}
+    needed = read_by_equations(context)
+    return tuple(j in needed or j not in integrated for j in range(context.ny))
+
+
+def _with_kinematics(
+    params: Params,
+    records: Sequence[Record],
+    scaling: Scaling,
+    *,
+    rates: Sequence[Rate],
+    read: tuple[bool, ...],
+    sampling_time: float,
+) -> Params:
+    """The parameters with the kinematics in z-scores and the size of the other increments."""
+    steps = np.concatenate([np.diff(r.y, axis=0) for r in records])
+    size = np.sqrt((steps**2).mean(axis=0))
+    increment = np.where(size > 0, size, 1.0)
+    rate, drift = np.zeros((len(size), len(size))), np.zeros(len(size))
+    for r in rates:
+        increment[r.output] = 0.0
+        moved = r.gain * sampling_time / scaling.y_std[r.output]
+        rate[r.rate, r.output] = moved * scaling.y_std[r.rate]
+        drift[r.output] = moved * scaling.y_mean[r.rate]
+    fixed = {"increment": increment, "read": np.array(read), "rate": rate, "drift": drift}
+    return {**params, "fixed": {k: np.asarray(v, np.float32) for k, v in fixed.items()}}
+
+
+def _no_rates() -> UserError:
+    return UserError(
+        "kinematic: no output is the integral of another, in [physics] or in the training records; "
+        "use autoregressive"
+    )

@@ -1,0 +1,73 @@
+"""The page of models lists what there is, and its example is a candidate that fits."""
+
+import pkgutil
+import re
+from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import asia.models
+from asia.candidate import Context, check_source
+from asia.models import methods
+from asia.problem import Signal, Trajectory
+
+PAGE = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
+
+
+def section(title: str) -> str:
+    """Text under a heading, to the next one."""
+    return PAGE.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def first_cells(text: str) -> list[str]:
+    """Code words in the first column of the tables in a text."""
+    rows = [line for line in text.splitlines() if line.startswith("| `")]
+    return [word for row in rows for word in re.findall(r"`(\w+)`", row.split("|")[1])]
+
+
+def example() -> str:
+    return re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)[0]
+
+
+def test_every_family_has_one_row() -> None:
+    names = [m.name for m in pkgutil.iter_modules(asia.models.__path__) if m.name[0] != "_"]
+    families = [n for n in names if hasattr(import_module(f"asia.models.{n}"), "Config")]
+    titles = ("Families with your equations", "Classical families", "Networks")
+    listed = [name for title in titles for name in first_cells(section(title))]
+    assert sorted(listed) == sorted(families)
+
+
+def test_every_training_method_has_one_row() -> None:
+    listed = first_cells(section("Training methods").split("What `Adam` can do")[0])
+    assert sorted(listed) == sorted(methods.__all__)
+
+
+def test_the_settings_of_adam_exist() -> None:
+    listed = first_cells(section("Training methods").split("What `Adam` can do")[1])
+    assert listed
+    assert set(listed) <= {f.name for f in fields(methods.Adam)}
+
+
+def test_families_named_as_a_start_exist() -> None:
+    rows = section("Where to start").splitlines()
+    named = {word for row in rows for word in re.findall(r"`(\w+)`", row)}
+    assert named
+    assert all(hasattr(import_module(f"asia.models.{name}"), "Config") for name in named)
+
+
+def test_the_example_is_a_candidate_and_fits() -> None:
+    check_source(example())
+    quick = example().replace("steps=3000", "steps=3").replace("hidden=16", "hidden=2")
+    assert quick != example()
+    candidate: dict[str, Any] = {}
+    exec(quick, candidate)
+    u = np.random.default_rng(0).normal(size=80)
+    y = np.convolve(u, 0.8 ** np.arange(20))[:80]
+    record = Trajectory(u, y, 0.1, "run")
+    context = Context((Signal("u"),), (Signal("y"),), 0.1, n_past_u=3, n_past_y=3)
+    model = candidate["fit"]([record], context)
+    past_u, past_y = record.u[None, :3], record.y[None, :3]
+    assert model.simulate(past_u, past_y, record.u[None, 3:]).shape == (1, 77, 1)
