@@ -5,7 +5,8 @@ python benchmarks/synthetic.py [--systems linear,duffing] [--agents expert,rando
 
 Every search runs through the library with folds in parallel, one search at a time. Finished parts
 of an interrupted run are not redone when --out is given again. Progress goes to stderr, the table
-as Markdown to stdout.
+as Markdown to stdout; with --figure the curves of best V so far, over the noise floor, median and
+quartiles over the systems.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ LINEAR = "linear model"
 @dataclass(frozen=True)
 class Found:
     """What one search came to. `ratio`: test error against the noise-free truth over the standard
-    deviation of the noise, mean over the channels; None when no candidate had a score."""
+    deviation of the noise, mean over the channels; None when no candidate had a score. `curve`:
+    best V so far after each experiment, infinite before the first score."""
 
     linear: float | None
     floor: float | None
@@ -46,6 +48,7 @@ class Found:
     ratio: float | None
     failures: int
     seconds: float
+    curve: tuple[float, ...] = ()
 
 
 def main() -> None:
@@ -63,6 +66,10 @@ def main() -> None:
                 for agent in options.agents
             }
     print(_table(rows, options.agents))
+    if {"expert", "random"} <= set(options.agents):
+        print(_reached(rows))
+    if options.figure:
+        _draw(rows, options.agents, options.figure)
 
 
 def _options() -> argparse.Namespace:
@@ -72,6 +79,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--experiments", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0, help="of the systems and of the searches")
     parser.add_argument("--out", type=Path, help="keep problems and runs here, and resume")
+    parser.add_argument("--figure", type=Path, help="draw the curves here")
     return parser.parse_args()
 
 
@@ -140,7 +148,49 @@ def _found(view: SearchView, ratio: float | None) -> Found:
         ratio=ratio,
         failures=sum(e.failure is not None for e in view.finished),
         seconds=view.seconds,
+        curve=_curve(view),
     )
+
+
+def _curve(view: SearchView) -> tuple[float, ...]:
+    values = [e.score.value if e.score else float("inf") for e in view.finished]
+    return tuple(float(v) for v in np.minimum.accumulate(values))
+
+
+def _reached(rows: dict[str, dict[str, Found]]) -> str:
+    """How soon the expert is as good as random search at the end of its budget."""
+    needed: list[float] = []
+    for found in rows.values():
+        target = found["random"].curve[-1]
+        within = [k + 1 for k, v in enumerate(found["expert"].curve) if v <= target]
+        needed.append(within[0] if within else float("inf"))
+    budget = max(len(found["random"].curve) for found in rows.values())
+    words = ", ".join(f"{n} {k:g}" for n, k in zip(rows, needed, strict=True))
+    return (
+        f"\nExperiments the expert needed for random's best of {budget}: median "
+        f"{median(needed):g} ({words}; inf: never)"
+    )
+
+
+def _draw(rows: dict[str, dict[str, Found]], agents: Sequence[str], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+    for agent in agents:
+        length = min(len(found[agent].curve) for found in rows.values())
+        floors = [found[agent].floor or 1.0 for found in rows.values()]
+        curves = np.array([found[agent].curve[:length] for found in rows.values()])
+        curves = curves / np.array(floors)[:, None]
+        low, middle, high = np.quantile(curves, [0.25, 0.5, 0.75], axis=0, method="nearest")
+        steps = np.arange(1, length + 1)
+        (line,) = axes.step(steps, middle, where="post", label=agent)
+        axes.fill_between(steps, low, high, step="post", alpha=0.2, color=line.get_color())
+    axes.set(xlabel="experiment", ylabel="best V so far over the noise floor", yscale="log")
+    axes.legend()
+    figure.savefig(path, dpi=150)
 
 
 def _table(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> str:

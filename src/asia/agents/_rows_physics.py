@@ -17,9 +17,13 @@ def state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
     return (*single, states) if len(states) > 1 else single
 
 
-def _greybox(_: Facts) -> Recipe:
+def _greybox(facts: Facts) -> Recipe:
+    """Over windows of measured states the equations need no search for a start."""
     config = (("ridge", 1e-3), ("residual_ridge", 1e-2))
-    return Recipe("greybox", config, LM, (("iterations", 60), ("starts", 8)))
+    effort = (("iterations", 60), ("starts", 8))
+    if facts.horizon is not None:
+        effort = (("iterations", 15), ("starts", 2))
+    return Recipe("greybox", config, LM, effort)
 
 
 def _greybox_space(facts: Facts) -> Space:
