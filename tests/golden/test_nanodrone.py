@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from asia.evaluation._velocity import constant_velocity, find_rates
 from asia.problem._expressions import parse_expression
-from asia.problem.load import Problem, load_problem
+from asia.problem.load import Problem, Seal, load_lock, load_problem, lock_text
 from asia.protocol import Fold, make_folds, whole
 from asia.protocol._sealed import open_test, seal
 from asia.scoring import mee_table, score_fold
@@ -95,3 +96,9 @@ def test_the_naive_row_of_the_test(problem: Problem) -> None:
     assert rows["v"] == pytest.approx((0.313, 1.468, 38.83), rel=2e-3)
     assert rows["R"] == pytest.approx((0.068, 0.302, 8.13), rel=5e-3)
     assert rows["omega"] == pytest.approx((0.338, 0.861, 28.63), rel=2e-3)
+
+
+def test_its_lock_restores_it(problem: Problem, tmp_path: Path) -> None:
+    path = tmp_path / "problem.lock.toml"
+    path.write_text(lock_text(problem, Seal(None)), encoding="utf-8")
+    assert load_lock(path).protocol == problem.protocol

@@ -126,11 +126,12 @@ def toml_text(tables: Mapping[str, Any]) -> str:
 
 def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     present = {k: v for k, v in table.items() if v is not None}
-    lines = [
-        f"{_key(k)} = {toml_value(v)}" for k, v in present.items() if not isinstance(v, Mapping)
-    ]
+    # A table of its own would end up behind the values that follow it: there order would be lost.
+    last = max((i for i, v in enumerate(present.values()) if not isinstance(v, Mapping)), default=0)
+    own = {k: v for i, (k, v) in enumerate(present.items()) if isinstance(v, Mapping) and i > last}
+    lines = [f"{_key(k)} = {toml_value(v)}" for k, v in present.items() if k not in own]
     for key, value in present.items():
-        if isinstance(value, Mapping):
+        if key in own:
             inner = (*path, _key(key))
             lines += ["", f"[{'.'.join(inner)}]", *_lines(value, inner)]
     return lines

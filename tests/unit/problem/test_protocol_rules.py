@@ -58,7 +58,8 @@ def test_a_rotation_is_written_by_its_angles(write: Callable[[str], Path]) -> No
 
 
 def test_the_lock_restores_windows_and_groups(write: Callable[[str], Path], tmp_path: Path) -> None:
-    toml = WINDOWS.replace('level = ["y"]', 'a = ["y"]\nb = { roll_pitch_yaw = ["y", "y", "y"] }')
+    turned = 'b = { roll_pitch_yaw = ["y", "y", "y"] }'
+    toml = WINDOWS.replace('level = ["y"]', f'a = ["y"]\n{turned}\nc = ["y"]')
     problem = load_problem(
         write(toml.replace("past_inputs", 'early_stopping = "validation"\npast_inputs'))
     )
