@@ -135,10 +135,10 @@ def _cases(view: AgentView) -> Iterator[Case]:
 def _share(case: Case) -> float:
     """1 for the leading family, less the further another is behind.
 
-    A grey-box within a factor of four counts as leading: what its equations lack can still be
-    added. A model that knows its own fold better than the leader knows the others' has only to be
-    held back, and keeps most of its weight while it is not too far behind. Either way, each move
-    that did not bring the family to the lead costs patience with it.
+    A grey-box within a factor of four of a leader without equations counts as leading: what its
+    own lack can still be added. A model that knows its own fold better than the leader knows the
+    others' has only to be held back, and keeps most of its weight while it is not too far behind.
+    Either way, each move that did not bring the family to the lead costs patience with it.
     """
     trial, best, train = case.trial, case.view.best, case.trial.train_error
     if case.place == 0 or best is None or best.value is None:
@@ -146,7 +146,9 @@ def _share(case: Case) -> float:
     if trial.value is None or train is None:
         return BEHIND
     ratio = best.value / trial.value
-    if case.recipe.family == "greybox" and ratio > NEAR:
+    leader = family(best.family)
+    black_box = leader is None or "physics" not in leader.needs
+    if case.recipe.family == "greybox" and ratio > NEAR and black_box:
         return 1.0
     own = (t for t in case.view.trials if t.family == case.recipe.family)
     patience = PATIENCE ** sum(t.parent is not None and t.status != "keep" for t in own)
