@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from asia.candidate import Context
 from asia.models._ode import Equations, equations
-from asia.problem import Array, Trajectory
+from asia.problem import Trajectory
 from asia.problem._expressions import Name
+from asia.problem._motion import LARGEST_GAIN, LEAST_CORRELATION, Motion, motion
 
-# A rate integrates to its output but for noise, delay and a gain near one.
-_LEAST_CORRELATION = 0.6
-_LARGEST_GAIN = 1.5
 _LONGEST = 100
 
 
@@ -25,14 +21,6 @@ class Rate:
     output: int
     rate: int
     gain: float
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """How well each output's increment (rows) goes with the integral of each (columns)."""
-
-    correlation: Array
-    gain: Array
 
 
 def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Rate, ...]:
@@ -49,7 +37,7 @@ def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Ra
         rates = _by_equations(_system(context), fit)
     if not rates:
         everything = range(context.ny)
-        rates = [r for j in everything for r in _best(j, everything, fit, _LARGEST_GAIN)]
+        rates = [r for j in everything for r in _best(j, everything, fit, LARGEST_GAIN)]
     return _without_circles(rates, fit)
 
 
@@ -69,7 +57,7 @@ def _system(context: Context) -> Equations:
     return equations(context.physics, *names)
 
 
-def _by_equations(system: Equations, fit: _Fit) -> list[Rate]:
+def _by_equations(system: Equations, fit: Motion) -> list[Rate]:
     shown = {e.root.name: j for j, e in enumerate(system.observation) if isinstance(e.root, Name)}
     found: list[Rate] = []
     for state, equation in zip(system.states, system.dynamics, strict=True):
@@ -86,7 +74,7 @@ def _by_equations(system: Equations, fit: _Fit) -> list[Rate]:
 
 
 def _best(
-    j: int, candidates: Sequence[int], fit: _Fit, largest: float | None = None
+    j: int, candidates: Sequence[int], fit: Motion, largest: float | None = None
 ) -> tuple[Rate, ...]:
     """The rate of output j with the highest correlation, if there is one; `largest` bounds the
     gain and its inverse."""
@@ -94,7 +82,7 @@ def _best(
         i
         for i in candidates
         if i != j
-        and fit.correlation[j, i] > _LEAST_CORRELATION
+        and fit.correlation[j, i] > LEAST_CORRELATION
         and (largest is None or 1 / largest < fit.gain[j, i] < largest)
     ]
     if not able:
@@ -103,7 +91,7 @@ def _best(
     return (Rate(j, best, float(fit.gain[j, best])),)
 
 
-def _without_circles(rates: Sequence[Rate], fit: _Fit) -> tuple[Rate, ...]:
+def _without_circles(rates: Sequence[Rate], fit: Motion) -> tuple[Rate, ...]:
     """The rates, less the weakest of any that lead from an output back to itself."""
     kept: dict[int, Rate] = {}
     for rate in sorted(rates, key=lambda r: -fit.correlation[r.output, r.rate]):
@@ -115,24 +103,7 @@ def _without_circles(rates: Sequence[Rate], fit: _Fit) -> tuple[Rate, ...]:
     return tuple(kept[j] for j in sorted(kept))
 
 
-def _fitted(trajectories: Sequence[Trajectory], context: Context) -> _Fit:
+def _fitted(trajectories: Sequence[Trajectory], context: Context) -> Motion:
     shortest = min(len(t) for t in trajectories)
     span = min(context.horizon or _LONGEST, max(1, shortest // 2))
-    motion = _motion(trajectories, span)
-    increments = np.concatenate([moved for moved, _ in motion])
-    integrals = np.concatenate([integral for _, integral in motion])
-    energy = np.maximum((increments**2).sum(axis=0), 1e-300)
-    effect = np.maximum((integrals**2).sum(axis=0), 1e-300)
-    products = increments.T @ integrals
-    return _Fit(products / np.sqrt(energy[:, None] * effect), products / effect)
-
-
-def _motion(trajectories: Sequence[Trajectory], span: int) -> list[tuple[Array, Array]]:
-    """Increments of the outputs over `span` samples, and their integrals (Euler) over the same."""
-    found: list[tuple[Array, Array]] = []
-    for t in trajectories:
-        total = np.cumsum(t.y * t.sampling_time, axis=0)
-        # The rate of a sample moves the output of the next.
-        integral = total[span - 1 : -1] - np.pad(total, ((1, 0), (0, 0)))[: len(t) - span]
-        found.append((t.y[span:] - t.y[:-span], integral))
-    return found
+    return motion(trajectories, span)
