@@ -13,8 +13,9 @@ _MOST_WINDOWS = 960
 
 def _alone(case: Case) -> Recipe:
     """The equations and their linear terms, by Levenberg-Marquardt."""
-    config = {**dict(case.recipe.config), "network": None, "linear": True}
-    kept = tuple((k, v) for k, v in config.items() if k not in ("hidden", "layers", "size"))
+    config = {**dict(case.recipe.config), "linear": True}
+    network = ("network", "hidden", "layers", "size")
+    kept = tuple((k, v) for k, v in config.items() if k not in network)
     return Recipe("physics_net", kept, "LevenbergMarquardt", (("iterations", 15),))
 
 

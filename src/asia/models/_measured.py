@@ -135,6 +135,13 @@ class MeasuredCell:
         del params, u
         return features
 
+    def feed(self, params: Params, state: State, y: jax.Array, mask: jax.Array) -> State:
+        """The state with its outputs replaced by the measured ones, z-scored, where the mask is
+        1."""
+        fixed = params["fixed"]
+        measured = (y * fixed["y_std"] + fixed["y_mean"])[:, jnp.array(self.order)]
+        return state._replace(x=mask * measured + (1 - mask) * state.x)
+
     def signals(self, params: Params, p: jax.Array, x: jax.Array, m: jax.Array) -> jax.Array:
         """Normalised signals (B, len(read))."""
         values = jax.vmap(lambda a, b: self.equations.named(self.read, p, a, b))(x, m)

@@ -31,7 +31,7 @@ from asia.models._ode import Equations, equations
 from asia.models._records import check, past_length, scaled, windows
 from asia.models._scaling import Scaling
 from asia.models.methods import LevenbergMarquardt, NetworkMethod
-from asia.problem import Array, Trajectory
+from asia.problem import Array, Bounds, Trajectory
 from asia.problem._expressions import Name
 
 __all__ = ["Config", "build", "train"]
@@ -41,6 +41,8 @@ _LAG_SAMPLES = 2.0
 _RATE_SAMPLES = 5
 # Validation scores asked for while factors are chosen.
 _MOST_BALANCED = 80
+# And kept for the network.
+_RESERVED = 40
 
 
 @dataclass(frozen=True)
@@ -144,28 +146,30 @@ def train(
     network = replace(model.network, params=start, scaling=scaling)
     judge = None
     if method.stop == "validation" and context.validation_score is not None:
-        judge = _Judge(context.validation_score, network)
+        reserve = 0 if isinstance(method, LevenbergMarquardt) else _RESERVED
+        judge = _Judge(context.validation_score, network, VALIDATION_SCORES - reserve)
     own = LevenbergMarquardt(iterations=config.equations)
     first = method if isinstance(method, LevenbergMarquardt) else own
     if first.iterations > 0:
         network = _fit_equations(network, config, trajectories, context, first, judge)
     if not isinstance(method, LevenbergMarquardt):
         if judge is not None:
-            left = max(VALIDATION_SCORES - judge.asked, 1)
+            left = VALIDATION_SCORES - judge.asked
             method = replace(method, every=max(method.every, -(-method.steps // left)))
         network = train_network(network, trajectories, context, method, as_built)
     return replace(model, network=network)
 
 
 class _Judge:
-    """The validation score of parameters, counted."""
+    """The validation score of parameters, `most` times; after that nothing is better."""
 
-    def __init__(self, oracle: Callable[[Model], float], network: NetworkModel) -> None:
-        self._oracle, self._network = oracle, network
+    def __init__(self, oracle: Callable[[Model], float], network: NetworkModel, most: int) -> None:
+        self._oracle, self._network, self._most = oracle, network, most
         self.asked = 0
 
     def __call__(self, params: Params) -> float:
-        """Raises RuntimeError past the limit of scores."""
+        if self.asked >= self._most:
+            return float("inf")
         self.asked += 1
         own = _single({**self._network.params, **params})
         return self._oracle(replace(self._network, params=own))
@@ -289,6 +293,10 @@ def _fixed(
     """Sizes of all signals."""
     order = list(cell.order)
     low, high = limits(scaling.y_mean[order], scaling.y_std[order])
+    assert context.physics is not None
+    bounds = [context.physics.bounds.get(name, Bounds()) for name in cell.equations.states]
+    low = np.maximum(low, [-np.inf if b.min is None else b.min for b in bounds])
+    high = np.minimum(high, [np.inf if b.max is None else b.max for b in bounds])
     span = _RATE_SAMPLES
     moved = np.concatenate([t.y[span:] - t.y[:-span] for t in trajectories])
     rate = moved[:, order].std(axis=0) / (span * context.sampling_time)

@@ -12,7 +12,7 @@ from asia.errors import UserError
 from asia.models import physics_net
 from asia.models._measured import MeasuredCell
 from asia.models.methods import Adam, LevenbergMarquardt
-from asia.problem import ParameterRange, Physics, Signal, Trajectory
+from asia.problem import Bounds, ParameterRange, Physics, Signal, Trajectory
 
 HORIZON, TS, PULL, DRAG = 20, 0.05, 3.0, 0.8
 PHYSICS = Physics(
@@ -138,6 +138,23 @@ def test_a_disturbance_is_bounded_and_trained() -> None:
 def test_what_it_cannot_be_used_on(change: dict[str, object], words: str) -> None:
     with pytest.raises(UserError, match=words):
         physics_net.build(physics_net.Config(), replace(CONTEXT, **change))  # pyright: ignore[reportArgumentType]
+
+
+def test_dropout_leaves_the_outputs_alone_and_bounds_hold() -> None:
+    """With no step taken the network says nothing, whatever is dropped."""
+    physics = replace(PHYSICS, bounds={"v": Bounds(max=0.1)})
+    context = replace(CONTEXT, physics=physics)
+    config = physics_net.Config(lag=False, network="gru", hidden=4, equations=0)
+    losses: dict[float, list[float]] = {}
+    for dropout in (0.0, 0.5):
+        seen = losses.setdefault(dropout, [])
+        logged = replace(context, log=lambda step, loss, seen=seen: seen.append(loss))
+        method = Adam(steps=1, learning_rate=1e-9, batch=16, dropout=dropout)
+        model = fitted(config, method, logged)
+    assert losses[0.5] == pytest.approx(losses[0.0], rel=1e-6)
+    u = np.ones((1, HORIZON, 1))
+    simulated = model.simulate(np.zeros((1, 0, 1)), np.zeros((1, 1, 2)), u)
+    assert simulated[0, :, 0].max() == pytest.approx(0.1, rel=1e-5)
 
 
 def test_a_network_needs_a_network_method() -> None:
