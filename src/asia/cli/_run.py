@@ -14,6 +14,7 @@ from asia.cli._options import DEFAULT_RUNS, Json, Runs
 NOTHING_FOUND = 3
 
 if TYPE_CHECKING:
+    from asia.problem.load import Problem
     from asia.sandbox import Isolation
 
 
@@ -65,15 +66,7 @@ def run(
 
     chosen = make_agent(agent, space)
     _check_name(name)
-    loaded = load_problem(problem)
-    loaded = replace(
-        loaded,
-        budget=replace(
-            loaded.budget,
-            experiments=experiments or loaded.budget.experiments,
-            hours=hours if hours is not None else loaded.budget.hours,
-        ),
-    )
+    loaded = _with_budget(load_problem(problem), experiments, hours)
     if early_stopping is not None:
         loaded = with_early_stopping(loaded, early_stopping)
     level = _level(isolation)
@@ -84,6 +77,17 @@ def run(
         display.finish(view, pictures)
     if view.best is None:
         raise typer.Exit(NOTHING_FOUND)
+
+
+def _with_budget(problem: Problem, experiments: int | None, hours: float | None) -> Problem:
+    """What the command line says goes before the problem's own."""
+    own = problem.budget
+    budget = replace(
+        own,
+        experiments=experiments or own.experiments,
+        hours=hours if hours is not None else own.hours,
+    )
+    return replace(problem, budget=budget)
 
 
 def _level(isolation: str | None) -> Isolation | None:
