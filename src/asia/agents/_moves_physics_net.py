@@ -20,8 +20,7 @@ def _alone(case: Case) -> Recipe:
 
 
 def _watched(case: Case) -> bool:
-    """Whether a fit may see its validation score: what a network adds is then only kept where it
-    helps."""
+    """Whether a fit may see its validation score, and stops a network by it."""
     return case.facts.early_stopping == "validation"
 
 
