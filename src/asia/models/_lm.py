@@ -40,6 +40,10 @@ class LevenbergMarquardt:
             raise ValueError("LevenbergMarquardt: iterations must be >= 0 and starts >= 1")
         if self.damping <= 0 or self.tolerance < 0:
             raise ValueError("LevenbergMarquardt: damping must be > 0 and tolerance >= 0")
+        if self.stop not in (None, "validation"):
+            raise ValueError(
+                f"LevenbergMarquardt: stop is {self.stop!r}, expected None or 'validation'"
+            )
 
 
 class LMResult(NamedTuple):

@@ -88,3 +88,8 @@ def test_a_parameter_without_effect_stays_where_it_was() -> None:
 def test_settings_out_of_range_are_refused(arguments: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="LevenbergMarquardt"):
         LevenbergMarquardt(**arguments)
+
+
+def test_an_unknown_way_to_stop_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected None or 'validation'"):
+        LevenbergMarquardt(stop="inner")  # pyright: ignore[reportArgumentType]
