@@ -44,9 +44,7 @@ def run(
     ] = None,
     early_stopping: Annotated[
         str | None,
-        typer.Option(
-            help="Instead of the problem's own: inner, or validation (V is then not leak-free)."
-        ),
+        typer.Option(help="inner, or validation (V is then not leak-free); default the problem's."),
     ] = None,
     isolation: Annotated[
         str | None, typer.Option(help="Ask for a level instead of the strongest: process.")
@@ -62,13 +60,11 @@ def run(
     from asia.cli._display import make_display
     from asia.problem.load import load_problem
     from asia.report import write_report
-    from asia.search import prepare, search, with_early_stopping
+    from asia.search import prepare, search
 
     chosen = make_agent(agent, space)
     _check_name(name)
-    loaded = _with_budget(load_problem(problem), experiments, hours)
-    if early_stopping is not None:
-        loaded = with_early_stopping(loaded, early_stopping)
+    loaded = _with_rules(load_problem(problem), experiments, hours, early_stopping)
     level = _level(isolation)
     ready = prepare(loaded, chosen.name, seed=seed, runs=runs, name=name, isolation=level)
     with closing(make_display(loaded, ready, json=json)) as display:
@@ -79,15 +75,20 @@ def run(
         raise typer.Exit(NOTHING_FOUND)
 
 
-def _with_budget(problem: Problem, experiments: int | None, hours: float | None) -> Problem:
+def _with_rules(
+    problem: Problem, experiments: int | None, hours: float | None, early_stopping: str | None
+) -> Problem:
     """What the command line says goes before the problem's own."""
+    from asia.search import with_early_stopping
+
     own = problem.budget
     budget = replace(
         own,
         experiments=experiments or own.experiments,
         hours=hours if hours is not None else own.hours,
     )
-    return replace(problem, budget=budget)
+    problem = replace(problem, budget=budget)
+    return with_early_stopping(problem, early_stopping) if early_stopping is not None else problem
 
 
 def _level(isolation: str | None) -> Isolation | None:
