@@ -19,7 +19,8 @@ class Family:
     what each trait of the problem adds. needs, unfit: traits without which, or with which, it is
     no use. trial: a first configuration, cheap. full: the same with what a long fit may cost; the
     same function where a fit is cheap anyway. space: what may be varied. methods: training methods
-    beside the trial's own. seeds: whether networks from several seeds can be averaged.
+    beside the trial's own. seeds: whether networks from several seeds can be averaged. settle: last
+    changes of a random draw, None for none.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Family:
     unfit: frozenset[Trait] = frozenset()
     methods: tuple[str, ...] = ()
     seeds: bool = False
+    settle: Callable[[Facts, Recipe], Recipe] | None = None
 
     def suits(self, facts: Facts) -> bool:
         """Whether the family can be used on the problem at all."""

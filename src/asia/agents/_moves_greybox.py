@@ -5,6 +5,7 @@ from __future__ import annotations
 from asia.agents._evidence import biased, coloured, fails_on_top, input_left, overfit, plateau_share
 from asia.agents._move import Case, Move
 from asia.agents._recipe import Recipe
+from asia.agents._rows_physics import output_offsets
 
 GREY = ("greybox",)
 
@@ -43,8 +44,7 @@ def _spill_weight(case: Case) -> float:
 
 
 def _outputs(case: Case) -> tuple[str, ...]:
-    """Outputs that are not states by name, whose offsets would be confused."""
-    return tuple(s.name for s in case.facts.outputs if s.name not in case.states)
+    return output_offsets(case.facts)
 
 
 def _lacks(case: Case, names: tuple[str, ...]) -> bool:

@@ -5,7 +5,15 @@ from __future__ import annotations
 from asia.agents._evidence import input_left, overfit
 from asia.agents._move import Case, Move
 from asia.agents._recipe import Recipe
-from asia.agents._training import METHODS
+from asia.agents._training import (
+    LARGE_BATCH,
+    LEAST_HORIZON,
+    MANY_SAMPLES,
+    METHODS,
+    TRANSIENT,
+    several_horizons,
+)
+from asia.agents._traits import traits
 
 _SIZES = ("hidden", "width", "units", "states", "slow")
 _WIDEST = 128
@@ -43,6 +51,14 @@ def _depth(case: Case) -> str:
     return next((n for n in ("layers", "depth") if case.recipe.number(n, 0) > 0), "")
 
 
+def _windowed(case: Case) -> bool:
+    return (case.facts.horizon or 0) >= LEAST_HORIZON
+
+
+def _chunked(case: Case) -> bool:
+    return _adam(case) and case.recipe.number("truncation", 0) > 0
+
+
 def _times(case: Case, name: str, factor: float, default: float) -> Recipe:
     number = factor * case.recipe.number(name, default)
     return case.recipe.trained(**{name: float(f"{number:.2g}")})
@@ -50,11 +66,6 @@ def _times(case: Case, name: str, factor: float, default: float) -> Recipe:
 
 def _absent(case: Case, name: str) -> bool:
     return not case.recipe.get(name)
-
-
-def _horizons(case: Case) -> tuple[int, ...]:
-    horizon = case.facts.horizon or 0
-    return tuple(sorted({max(1, horizon // 10), max(1, horizon // 3), horizon}))
 
 
 NETWORK_MOVES: tuple[Move, ...] = (
@@ -184,16 +195,16 @@ NETWORK_MOVES: tuple[Move, ...] = (
     Move(
         name="loss at several horizons",
         families=(),
-        weight=lambda c: 0.4 * _adam(c) * _absent(c, "horizons") * ((c.facts.horizon or 0) >= 10),
-        change=lambda c: c.recipe.trained(horizons=_horizons(c)),
+        weight=lambda c: 0.4 * _adam(c) * _absent(c, "horizons") * _windowed(c),
+        change=lambda c: c.recipe.trained(horizons=several_horizons(c.facts)),
         hypothesis="Late samples hold most of the error and early ones most of the information: "
         "weighing several horizons lets the early ones be learned first.",
         expected="Lower error early in the window, and later what follows from it.",
     ),
     Move(
         name="scheduled sampling",
-        families=("autoregressive",),
-        weight=lambda c: 0.5 * _adam(c) * _absent(c, "teacher"),
+        families=("autoregressive", "kinematic"),
+        weight=lambda c: 0.5 * _adam(c) * (c.recipe.number("teacher", 0) < 1),
         change=lambda c: c.recipe.trained(teacher=1.0, teacher_end=0.0),
         hypothesis="A model that feeds on its own output learns faster when it is first fed the "
         "measured one and weaned in steps.",
@@ -208,10 +219,39 @@ NETWORK_MOVES: tuple[Move, ...] = (
         expected="Lower error late in the simulation.",
     ),
     Move(
+        name="state carried between chunks",
+        families=(),
+        weight=lambda c: 0.3 * _chunked(c) * _absent(c, "carry") * ("long" in traits(c.facts)),
+        change=lambda c: c.recipe.trained(carry=True),
+        hypothesis="Chunks that start from their past window never show what the state has "
+        "gathered over a long time: read in order, with the state carried over (truncated "
+        "back-propagation through time), they do.",
+        expected="Lower error late in the simulation.",
+    ),
+    Move(
+        name="transient left out",
+        families=(),
+        weight=lambda c: 0.2 * _chunked(c) * _absent(c, "washout"),
+        change=lambda c: c.recipe.trained(washout=TRANSIENT),
+        hypothesis="The past window says too little of the state: the error of the first samples "
+        "of a chunk is that of its start and spoils the gradient.",
+        expected="A lower error once the start is forgotten.",
+    ),
+    Move(
+        name="Huber loss",
+        families=(),
+        weight=lambda c: 0.2 * _adam(c) * (c.recipe.get("loss", "mse") != "huber"),
+        change=lambda c: c.recipe.trained(loss="huber"),
+        hypothesis="Small errors should count as squares and large ones by their size.",
+        expected="About the same training error; less is given to a few bad samples.",
+    ),
+    Move(
         name="larger batches",
         families=(),
-        weight=lambda c: 0.3 * _adam(c) * _absent(c, "batch") * (c.facts.fit_samples > 20_000),
-        change=lambda c: c.recipe.trained(batch=384),
+        weight=lambda c: (
+            0.3 * _adam(c) * _absent(c, "batch") * (c.facts.fit_samples > MANY_SAMPLES)
+        ),
+        change=lambda c: c.recipe.trained(batch=LARGE_BATCH),
         hypothesis="The gradient of a small batch is noisy at the end of training.",
         expected="Lower training error at the same number of steps.",
     ),

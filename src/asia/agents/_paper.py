@@ -11,9 +11,10 @@ from asia.agents._family import Family
 from asia.agents._library import family
 from asia.agents._recipe import Recipe
 from asia.agents._space import Choice, Space, Span
-from asia.agents._training import adam
+from asia.agents._training import FEWEST_STEPS, adam
 from asia.agents._view import Facts
 
+_UNITS = 32
 _PAPER = ("autoregressive", "physics_net")
 
 
@@ -21,7 +22,10 @@ def paper_families(facts: Facts) -> tuple[Family, ...]:
     """The paper's two model classes, the second where the problem has equations for it; fits are
     long ones, by Adam alone."""
     rows = [row for row in map(family, _PAPER) if row is not None and row.suits(facts)]
-    return tuple(replace(row, trial=partial(_lstm, row), space=_space, methods=()) for row in rows)
+    return tuple(
+        replace(row, trial=partial(_lstm, row), space=_space, methods=(), settle=_affordable)
+        for row in rows
+    )
 
 
 def _lstm(row: Family, facts: Facts) -> Recipe:
@@ -29,6 +33,14 @@ def _lstm(row: Family, facts: Facts) -> Recipe:
         config = (("network", "lstm"), ("hidden", 32), ("layers", 1))
         return Recipe("physics_net", config, "Adam", adam(facts, "heavy", "full", 1e-3))
     return row.full(facts).configured(cell="lstm")
+
+
+def _affordable(_: Facts, recipe: Recipe) -> Recipe:
+    """Fewer steps for networks larger than the one that the number was reckoned for: an update
+    costs about the square of the width, times the layers."""
+    larger = recipe.number("layers", 1) * (recipe.number("hidden", _UNITS) / _UNITS) ** 2
+    steps = recipe.number("steps", FEWEST_STEPS) / max(1.0, larger)
+    return recipe.trained(steps=max(FEWEST_STEPS, round(steps)))
 
 
 def _space(_: Facts) -> Space:

@@ -57,6 +57,10 @@ class RandomAgent:
 
 
 def _drawn(rng: np.random.Generator, row: Family, facts: Facts) -> Recipe:
-    recipe = draw(rng, row.trial(facts), row.space(facts))
+    space = row.space(facts)
+    recipe = draw(rng, row.trial(facts), space)
     other = int(rng.integers(1 + len(row.methods)))
-    return recipe if other == 0 else METHODS[row.methods[other - 1]](facts, recipe)
+    if other > 0:
+        changed = METHODS[row.methods[other - 1]](facts, recipe)
+        recipe = draw(rng, changed, space.opened(recipe, changed))
+    return recipe if row.settle is None else row.settle(facts, recipe)

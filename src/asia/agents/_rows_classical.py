@@ -36,6 +36,7 @@ def _neural_ss_space(_: Facts) -> Space:
             Choice("hidden", (4, 8, 12)),
             Span("ridge", 1e-6, 1e-2),
             Choice("delay", (0, None)),
+            Choice("members", (1, 3)),
         ),
         options=(Choice("iterations", (40, 80)), Choice("starts", (1, 2, 4))),
     )
@@ -109,6 +110,7 @@ def _gp_narx_space(_: Facts) -> Space:
             Choice("delay", (0, None)),
             Choice("mean", ("linear", "hold")),
             Choice("points", (400, 800)),
+            Choice("margin", (0.0, 0.1, 0.3)),
         ),
         options=(Choice("iterations", (30, 60)),),
     )
@@ -122,7 +124,7 @@ def _esn(_: Facts) -> Recipe:
 def _esn_space(_: Facts) -> Space:
     return Space(
         config=(
-            Choice("units", (100, 300, 600)),
+            Choice("units", (100, 300, 600, 1200)),
             Span("radius", 0.5, 1.2),
             Span("input_scale", 0.05, 2.0),
             Span("longest", 10.0, 300.0),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from asia.agents._family import Family
 from asia.agents._recipe import Recipe, Settings
@@ -20,13 +20,13 @@ MAPS = ("LBFGS",)
 class Network:
     """What a row of networks needs beside the words: settings of the first configuration, learning
     rate, cost of a sample, and what may be varied; teacher: how often it is fed measured outputs at
-    first."""
+    first, None where it feeds on no output."""
 
     config: Settings
     rate: float
     cost: Cost
     vary: tuple[Parameter, ...]
-    teacher: float = 0.0
+    teacher: float | None = None
 
 
 def _row(
@@ -52,7 +52,11 @@ def _row(
 
     def space(facts: Facts) -> Space:
         own = suited(facts)
-        return network_space(facts, own.cost, own.vary)
+        found = network_space(facts, own.cost, own.vary)
+        if own.teacher is None:
+            return found
+        teacher = (Choice("teacher", (0.0, 0.3, 1.0)), Choice("teacher_end", (0.0,)))
+        return replace(found, options=(*found.options, *teacher))
 
     return Family(
         name=name,
@@ -145,6 +149,7 @@ NETWORKS: tuple[Family, ...] = (
                 Choice("hidden", (16, 32, 64)),
                 Choice("layers", (1, 2)),
             ),
+            teacher=0.0,
         ),
         CELLS,
     ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from asia.agents._family import Family
 from asia.agents._recipe import Recipe
 from asia.agents._space import Choice, Space, Span
+from asia.agents._training import GENTLE_STEPS, adam_space
 from asia.agents._view import Facts
 
 LM = "LevenbergMarquardt"
@@ -15,6 +16,19 @@ def state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
     states = facts.physics.states if facts.physics else ()
     single = tuple((s,) for s in states)
     return (*single, states) if len(states) > 1 else single
+
+
+def output_offsets(facts: Facts) -> tuple[str, ...]:
+    """Outputs that are not states by name, whose offsets would be confused."""
+    states = facts.physics.states if facts.physics else ()
+    return tuple(s.name for s in facts.outputs if s.name not in states)
+
+
+def _offset_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
+    """None, those of the outputs, those of the states, and both."""
+    outputs = output_offsets(facts)
+    states = facts.physics.states if facts.physics else ()
+    return tuple(dict.fromkeys(((), outputs, states, (*outputs, *states))))
 
 
 def _greybox(facts: Facts) -> Recipe:
@@ -32,7 +46,9 @@ def _greybox_space(facts: Facts) -> Space:
             Choice("saturation", ((), *state_sets(facts))),
             Choice("spill", (False, True), needs="saturation"),
             Choice("linear", (False, True)),
-            Choice("offset", ((), *state_sets(facts)[-1:])),
+            Choice("offset", _offset_sets(facts)),
+            Choice("input_delay", (0.0, 3.0)),
+            Choice("robust", (None, 0.1)),
             Choice("residual", (0, 4)),
             Span("ridge", 1e-5, 1e-1),
             Span("residual_ridge", 1e-4, 1e-1, needs="residual"),
@@ -58,7 +74,7 @@ def _physics_net(_: Facts) -> Recipe:
     return Recipe("physics_net", config, LM, (("iterations", 15),))
 
 
-def _physics_net_space(_: Facts) -> Space:
+def _physics_net_space(facts: Facts) -> Space:
     return Space(
         config=(
             Choice("linear", (False, True)),
@@ -66,10 +82,18 @@ def _physics_net_space(_: Facts) -> Space:
             Choice("gain", (False, True)),
             Choice("disturbance", (False, True)),
             Span("sparsity", 1e-5, 1e-2, needs="linear"),
-            Span("robust", 0.1, 1.0),
+            Span("ridge", 1e-4, 1e-1, needs="linear"),
+            Choice("robust", (None, 0.1, 0.3, 1.0)),
             Choice("windows", (240, 480)),
+            Choice("hidden", (16, 32, 64), needs="network"),
+            Choice("layers", (1, 2), needs="network"),
+            Span("size", 0.03, 1.0, needs="network"),
         ),
-        options=(Choice("iterations", (10, 15, 30)),),
+        options=(
+            Choice("iterations", (10, 15, 30)),
+            Span("steps", GENTLE_STEPS // 2, 2 * GENTLE_STEPS, whole=True, needs="network"),
+            *adam_space(facts, needs="network"),
+        ),
     )
 
 

@@ -69,6 +69,14 @@ class Space:
         """A parameter by name."""
         return next((p for p in (*self.config, *self.options) if p.name == name), None)
 
+    def opened(self, before: Recipe, after: Recipe) -> Space:
+        """What has a meaning in `after` alone."""
+
+        def new(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+            return tuple(p for p in parameters if _applies(p, after) and not _applies(p, before))
+
+        return Space(new(self.config), new(self.options))
+
     def spans(self, recipe: Recipe) -> tuple[Span, ...]:
         """The numbers that the recipe names and that have a meaning in it."""
         return tuple(

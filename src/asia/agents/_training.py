@@ -25,10 +25,17 @@ _EFFORT: dict[Stage, tuple[float, float, int]] = {
     "trial": (0.1, 12.0, 2500),
     "full": (0.4, 60.0, 8000),
 }
-_FEWEST = 200
-_GENTLE_STEPS = 400
+FEWEST_STEPS = 200
+GENTLE_STEPS = 400
 _BATCH = 128
 _CHUNK = 128
+LARGE_BATCH = 384
+# So many samples are too many for batches of 128 to give a quiet gradient.
+MANY_SAMPLES = 20_000
+# Samples at the start of a simulation that a wrong initial state may spoil.
+TRANSIENT = 20
+# Windows at least so long are worth a loss at several horizons.
+LEAST_HORIZON = 10
 # The paper's early stopping: a check every 25 updates, 20 without improvement.
 _EVERY, _PATIENCE = 25, 20
 
@@ -40,7 +47,7 @@ def steps(facts: Facts, cost: Cost, stage: Stage) -> int:
     length = _length(facts)
     samples = min(facts.fit_samples, _BATCH * length)
     found = seconds / (samples * _SAMPLE[cost] + length * _TICK)
-    return int(float(f"{max(_FEWEST, min(most, round(found))):.2g}"))
+    return int(float(f"{max(FEWEST_STEPS, min(most, round(found))):.2g}"))
 
 
 def adam(facts: Facts, cost: Cost, stage: Stage, learning_rate: float) -> Settings:
@@ -58,24 +65,49 @@ def adam(facts: Facts, cost: Cost, stage: Stage, learning_rate: float) -> Settin
 
 def network_space(facts: Facts, cost: Cost, config: tuple[Parameter, ...]) -> Space:
     """A network's own parameters, functions of the inputs, and Adam's settings."""
+    least, most = steps(facts, cost, "trial") // 2, steps(facts, cost, "full")
     options: tuple[Parameter, ...] = (
-        Span("steps", steps(facts, cost, "trial") // 2, steps(facts, cost, "full"), whole=True),
-        Span("learning_rate", 3e-4, 1e-2),
-        Span("weight_decay", 1e-6, 1e-1),
-        Choice("noise", (0.0, 0.05, 0.1)),
-        Choice("dropout", (0.0, 0.1)),
-        Choice("schedule", ("cosine", "plateau")),
-        Choice("average", (0.0, 0.99)),
+        Span("steps", least, most, whole=True),
+        *adam_space(facts),
+        Choice("members", (1, 3)),
     )
-    if facts.horizon is None:
-        options = (*options, Choice("truncation", (64, 128, 256)))
     return Space((*config, Choice("features", ((), ("square",)))), options)
+
+
+def adam_space(facts: Facts, needs: str = "") -> tuple[Parameter, ...]:
+    """Adam's settings but the number of steps."""
+    found: list[Parameter] = [
+        Span("learning_rate", 3e-4, 1e-2, needs=needs),
+        Span("weight_decay", 1e-6, 1e-1, needs=needs),
+        Choice("noise", (0.0, 0.05, 0.1), needs=needs),
+        Choice("dropout", (0.0, 0.1), needs=needs),
+        Choice("schedule", ("cosine", "plateau"), needs=needs),
+        Choice("average", (0.0, 0.99), needs=needs),
+        Choice("loss", ("mae" if facts.metric == "mae" else "mse", "huber"), needs=needs),
+    ]
+    if facts.early_stopping == "inner":
+        found.append(Choice("holdout", (0.0, 0.2), needs=needs))
+    if facts.fit_samples > MANY_SAMPLES:
+        found.append(Choice("batch", (None, LARGE_BATCH), needs=needs))
+    if facts.horizon is None:
+        found.append(Choice("truncation", (64, 128, 256), needs=needs))
+        found.append(Choice("carry", (False, True), needs="truncation"))
+        found.append(Choice("washout", (0, TRANSIENT), needs=needs))
+    elif facts.horizon >= LEAST_HORIZON:
+        found.append(Choice("horizons", (None, several_horizons(facts)), needs=needs))
+    return tuple(found)
+
+
+def several_horizons(facts: Facts) -> tuple[int, ...]:
+    """A tenth, a third and all of the window, in samples."""
+    horizon = facts.horizon or 0
+    return tuple(sorted({max(1, horizon // 10), max(1, horizon // 3), horizon}))
 
 
 def by_lbfgs(facts: Facts, recipe: Recipe) -> Recipe:
     """The same model fitted by L-BFGS on all samples at once."""
     loss = "huber" if facts.metric == "mae" else "mse"
-    updates = max(_FEWEST, round(recipe.number("steps", 2000)) // 10)
+    updates = max(FEWEST_STEPS, round(recipe.number("steps", 2000)) // 10)
     options: Settings = (("steps", updates), ("ridge", 1e-5), ("loss", loss))
     return Recipe(recipe.family, recipe.config, "LBFGS", options)
 
@@ -98,7 +130,7 @@ def with_network(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
     if recipe.method == "Adam":
         return recipe
     options: Settings = (
-        ("steps", min(_GENTLE_STEPS, steps(facts, "heavy", "full"))),
+        ("steps", min(GENTLE_STEPS, steps(facts, "heavy", "full"))),
         ("learning_rate", 1e-3),
         ("weight_decay", 1e-2),
         ("batch", 64),

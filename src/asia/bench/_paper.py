@@ -84,9 +84,9 @@ def _mee(model: str, *numbers: float) -> PaperMee:
 
 _NANODRONE = Paper(
     experiments=30,
-    references=("lstm32",),
+    references=(),
     values=(
-        PaperV("LSTM-32, the search's baseline", 0.707, "lstm32"),
+        PaperV("LSTM-32, the search's baseline", 0.707, "baseline"),
         PaperV("random search, best of 30", 0.31, "random-paper"),
         PaperV("agentic search, best of 30", 0.286, "expert"),
     ),

@@ -13,7 +13,7 @@ from asia.problem import Budget, EarlyStopping
 from asia.problem.load import Problem
 
 QUICK_EXPERIMENTS = 3
-_QUICK_SECONDS = 30.0
+_QUICK_SECONDS = 120.0
 _REFERENCE_SECONDS = 900.0
 # Arms are compared at equal budget: none may stop because it found nothing for a while.
 _PATIENCE = 100_000

@@ -7,7 +7,7 @@ from importlib import resources
 
 from asia.agents import AgentView, Proposal
 
-TITLES = {"rnn4": "RNN-4", "ltc64": "LTC/CfC-64", "lstm32": "LSTM-32"}
+TITLES = {"rnn4": "RNN-4", "ltc64": "LTC/CfC-64"}
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,8 @@ def _error_table(plan: Plan, declared: str | None, test: TestResult | None, metr
 
 def _mee_table(plan: Plan, declared: str | None, test: TestResult | None) -> Table:
     rule = plan.problem.protocol.test
-    names = [f"h{h}" for h in rule.horizons]
+    horizons = rule.horizons or (plan.problem.protocol.horizon,)
+    names = [f"h{h}" for h in horizons]
     header = [f"{group.name} {name}" for group in rule.groups for name in (*names, "sum")]
     rows = [(model, *cells) for model, cells in _ours(test, len(header), _mee_cells)]
     notes = _notes(declared, test)

@@ -27,6 +27,7 @@ def unseal(
     json: Json = False,
 ) -> None:
     """Score the winner on the sealed test. This ends the search and can be done once."""
+    from asia.cli._format import told
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
     from asia.report import write_report
@@ -50,10 +51,14 @@ def unseal(
         print(f"note: this test was opened before, by {names}", file=sys.stderr)
     if not result.first_time:
         print("already unsealed: this is the first and only result", file=sys.stderr)
+    view = open_run(directory).view
     if json:
-        print(jsonlib.dumps(_as_object(result.record), allow_nan=False))
+        answer = {**_as_object(result.record), "early_stopping": view.started.early_stopping}
+        print(jsonlib.dumps(answer, allow_nan=False))
         return
     _print_text(result.record)
+    if view.started.early_stopping == "validation":
+        print(f"chosen {told(view)}; the test itself was never seen")
     for picture in pictures:
         if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
             print(f"picture  {picture}")

@@ -16,6 +16,8 @@ from asia.protocol import Fold
 from asia.sandbox import ScoreRefusedError, Worker
 from asia.scoring import score_fold
 
+MOST_TOLD = 100.0
+
 
 @dataclass
 class Oracle:
@@ -49,8 +51,8 @@ class Oracle:
         self._stack.close()
 
     def __call__(self, model: bytes, deadline: float) -> float:
-        """The normalised metric; inf where the simulation is not finite, as it may well be before
-        a fit has settled. Raises CandidateError for any other failure of the model, and
+        """The normalised metric as `told`; inf where the simulation is not finite, as it may well
+        be before a fit has settled. Raises CandidateError for any other failure of the model, and
         ScoreRefusedError after `most` calls."""
         if self.calls >= self.most:
             raise ScoreRefusedError(
@@ -73,4 +75,11 @@ class Oracle:
         self._worker.load(self.source, model, self.context)
         blocks = self.fold.validation
         y_hat = simulate_held_out(self._worker, blocks, self.rule.horizon)
-        return score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric).value
+        score = score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric)
+        return told(score.value)
+
+
+def told(value: float) -> float:
+    """What a candidate is told of a score: four digits, and inf beyond any of use. A score in full
+    would carry the held-out outputs out, a few digits a question."""
+    return float(f"{value:.3e}") if value < MOST_TOLD else float("inf")

@@ -9,6 +9,8 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from asia.errors import UserError
+
 Residual = Callable[[jax.Array], jax.Array]
 Linearised = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
 Cost = Callable[[jax.Array], jax.Array]
@@ -37,11 +39,11 @@ class LevenbergMarquardt:
 
     def __post_init__(self) -> None:
         if self.iterations < 0 or self.starts < 1:
-            raise ValueError("LevenbergMarquardt: iterations must be >= 0 and starts >= 1")
+            raise UserError("LevenbergMarquardt: iterations must be >= 0 and starts >= 1")
         if self.damping <= 0 or self.tolerance < 0:
-            raise ValueError("LevenbergMarquardt: damping must be > 0 and tolerance >= 0")
+            raise UserError("LevenbergMarquardt: damping must be > 0 and tolerance >= 0")
         if self.stop not in (None, "validation"):
-            raise ValueError(
+            raise UserError(
                 f"LevenbergMarquardt: stop is {self.stop!r}, expected None or 'validation'"
             )
 

@@ -3,7 +3,7 @@
     dx/dt = gain f(x, m) + gain rate (offset + linear' s + d + net),   dm/dt = (u - m) / lag
 
 The learned terms act on the equations with free parameters; gain is 1 + `gain` in the others
-(known kinematics) and exp(`balance`) in these. s are normalised states and definitions that the
+(known kinematics) and 1 in these. s are normalised states and definitions that the
 equations read; d, bounded, is a disturbance that opposes the acceleration at the start and then
 the mean acceleration; net is a network. Everything learned is without effect at zero.
 """
@@ -116,11 +116,10 @@ class MeasuredCell:
 
         known, dynamic = rates(state.x), jnp.array(self.dynamic)
         learned, d, h = self._learned(params, p, state, m, known)
-        balance = jnp.exp(params["balance"])
-        gain = jnp.ones(known.shape[1], known.dtype).at[dynamic].set(balance)
+        gain = jnp.ones(known.shape[1], known.dtype)
         if self.kinematic:
             gain = gain.at[jnp.array(self.kinematic)].set(1.0 + params["gain"])
-        extra = jnp.zeros_like(known).at[:, dynamic].set(balance * learned)
+        extra = jnp.zeros_like(known).at[:, dynamic].set(learned)
         middle = state.x + 0.5 * dt * (gain * known + extra)
         x = state.x + dt * (gain * rates(middle) + extra)
         x = jnp.where(jnp.isfinite(x), x, state.x)

@@ -24,7 +24,7 @@ def marks(method: NetworkMethod, steps: int) -> list[int]:
     where a rule of the method counts checks, or as often as validation scores may be asked for,
     else 25 of the whole."""
     if method.stop is not None or _plateau(method):
-        allowed = max(1, VALIDATION_SCORES // method.members)
+        allowed = max(1, VALIDATION_SCORES // method.members - 1)
         every = max(method.every, -(-method.steps // allowed))
         found = set(range(every, method.steps, every)) | {method.steps}
     else:
@@ -82,6 +82,12 @@ class Monitor:
         if self._plateau is not None:
             return self._plateau.rate
         return 1.0 if isinstance(self.method, LBFGS) else self.method.learning_rate
+
+    def start(self, params: Params) -> None:
+        """Scores what the fit starts from: fitted equations may be better than anything after."""
+        if self.score is not None:
+            value = self.score(params)
+            self._keep(0, params, value if np.isfinite(value) else float("inf"))
 
     def __call__(self, step: int, params: Callable[[], Params], loss: float) -> None:
         """`params` is called for the parameters only when they are needed; loss: mean training

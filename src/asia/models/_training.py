@@ -84,6 +84,7 @@ def train(task: Task, params: Params, method: NetworkMethod) -> Params:
     patience = method.patience if method.stop is not None else None
     if isinstance(task.samples, Batch):
         monitor = Monitor(method, task.log, task.score, patience if task.score else None)
+        monitor.start(params)
         last = _run(task, task.samples, params, method, method.steps, monitor)
         return last if monitor.best is None else monitor.best
     split = task.samples

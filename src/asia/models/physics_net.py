@@ -6,8 +6,8 @@
 The equations of [physics] start from the last measured outputs. Equations without free parameters
 are known kinematics and only get a gain; the others get sparse linear terms, a disturbance state,
 and a feed-forward or recurrent network for what is left. The equations and their linear terms are
-fitted first, by Levenberg-Marquardt on windows; a network, or Adam, then starts from there. Where
-the protocol lets the validation score be seen, a factor of each equation is chosen by it.
+fitted first, by Levenberg-Marquardt on windows of all records, also those that a method holds out;
+a network, or Adam, then starts from there.
 Sources: Piga and Forgione (physics-residual LSTM, kinematic gains); Wipf and Nagarajan, NeurIPS
 2007 (reweighted ridge).
 """
@@ -25,7 +25,7 @@ from asia.errors import UserError
 from asia.models import recurrent
 from asia.models._greybox_config import Range
 from asia.models._measured import MeasuredCell, Network, limits
-from asia.models._measured_fit import Settings, balanced, choose_windows, fit_equations
+from asia.models._measured_fit import Settings, choose_windows, fit_equations
 from asia.models._network import NetworkModel, Params, as_built, dense, train_network, zeros
 from asia.models._ode import Equations, equations
 from asia.models._records import check, past_length, scaled, windows
@@ -39,10 +39,8 @@ __all__ = ["Config", "build", "train"]
 _LONGEST = 100
 _LAG_SAMPLES = 2.0
 _RATE_SAMPLES = 5
-# Validation scores asked for while factors are chosen.
-_MOST_BALANCED = 80
-# And kept for the network.
-_RESERVED = 40
+# Validation scores kept for the network.
+_RESERVED = 100
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ def train(
         network = _fit_equations(network, config, trajectories, context, first, judge)
     if not isinstance(method, LevenbergMarquardt):
         if judge is not None:
-            left = VALIDATION_SCORES - judge.asked
+            left = VALIDATION_SCORES - judge.asked - 1
             method = replace(method, every=max(method.every, -(-method.steps // left)))
         network = train_network(network, trajectories, context, method, as_built)
     return replace(model, network=network)
@@ -199,10 +197,7 @@ def _fit_equations(
         context.log,
         judge,
     )
-    params = _single(params)
-    if judge is not None:
-        params = balanced(params, judge, _MOST_BALANCED)
-    return replace(network, params=params)
+    return replace(network, params=_single(params))
 
 
 def _single(params: Params) -> dict[str, Any]:
@@ -255,7 +250,6 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
     params: dict[str, Any] = {
         "physical": zeros(len(cell.ranges)),
         "gain": zeros(len(cell.kinematic)),
-        "balance": zeros(nd),
     }
     if config.lag:
         params["log_lag"] = np.float32(np.log(_LAG_SAMPLES * context.sampling_time))

@@ -6,15 +6,25 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from asia.agents import ExpertAgent, Facts
+from asia.agents import ExpertAgent, Facts, Trial
 from asia.agents._family import Family
 from asia.agents._library import FAMILIES, families
+from asia.agents._move import Case
+from asia.agents._moves import MOVES
 from asia.agents._paper import paper_families
 from asia.agents._random import _drawn
 from asia.agents._recipe import Recipe, read_recipe
-from asia.agents._training import METHODS, under_protocol
+from asia.agents._training import FEWEST_STEPS, METHODS, under_protocol
 from asia.models import methods
-from tests.unit.agents.searches import body, recipe_of, search, simulation, windows
+from tests.unit.agents.searches import (
+    CLEAN,
+    body,
+    recipe_of,
+    search,
+    simulation,
+    view,
+    windows,
+)
 
 PROBLEMS = {
     "physics": simulation(physics=True),
@@ -52,9 +62,11 @@ def test_a_row_varies_settings_that_exist(row: Family) -> None:
     known = PROBLEMS["body" if row.name == "physics_net" else "physics"]
     space = row.space(known)
     module = importlib.import_module(f"asia.models.{row.name}")
-    method = getattr(methods, row.trial(known).method)
+    of_methods = {f.name for f in fields(getattr(methods, row.trial(known).method))}
+    if "network" in {need.needs for need in space.options}:
+        of_methods |= {f.name for f in fields(methods.Adam)}
     assert {p.name for p in space.config} <= {f.name for f in fields(module.Config)}
-    assert {p.name for p in space.options} <= {f.name for f in fields(method)}
+    assert {p.name for p in space.options} <= of_methods
     if "features" in {f.name for f in fields(module.Config)}:
         assert space.find("features") is not None
 
@@ -63,6 +75,33 @@ def test_a_row_varies_settings_that_exist(row: Family) -> None:
 def test_what_the_expert_proposes_is_accepted(known: Facts) -> None:
     for done in search(ExpertAgent, known, 60):
         accept(recipe_of(done))
+
+
+@pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
+def test_what_a_move_sets_random_draws_too(known: Facts) -> None:
+    """The control has the expert's families, methods and settings, or the comparison means little.
+    A layer may be added where none is named; a network beside equations is drawn as a method."""
+    made = 0
+    for row in families(known):
+        drawn = {p.name for p in (*row.space(known).config, *row.space(known).options)}
+        starts = [row.full(known), *(METHODS[m](known, row.full(known)) for m in row.methods)]
+        for recipe in starts:
+            now = view(known, (), "refine")
+            trial = Trial(
+                1, None, "explore", row.name, "", "", "", recipe.source(""), "keep", 0.3,
+                (0.3, 0.3), None, (CLEAN, CLEAN),
+            )  # fmt: skip
+            case = Case(replace(now, trials=(trial,)), trial, recipe, row, 0, 1)
+            for move in MOVES:
+                if move.applies(case) and move.weight(case) > 0:
+                    changed = move.change(case)
+                    made += 1
+                    if changed.method == recipe.method:
+                        new = {*changed.config, *changed.options} - {
+                            *recipe.config, *recipe.options
+                        }  # fmt: skip
+                        assert {name for name, _ in new} <= drawn | {"layers", "network"}, move.name
+    assert made > 50
 
 
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
@@ -89,4 +128,6 @@ def test_the_papers_space_is_the_papers() -> None:
             assert recipe.method == "Adam"
             assert recipe.get("network" if row.name == "physics_net" else "cell") == "lstm"
             assert 0 <= recipe.number("dropout", -1) <= 0.3
-            assert recipe.number("steps", 0) == row.trial(known).number("steps", 1)
+            larger = recipe.number("layers", 1) * (recipe.number("hidden", 32) / 32) ** 2
+            steps = row.trial(known).number("steps", 1) / max(1, larger)
+            assert recipe.number("steps", 0) == max(FEWEST_STEPS, round(steps))

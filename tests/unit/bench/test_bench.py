@@ -310,6 +310,7 @@ def test_the_papers_configurations_are_candidates(problem: str) -> None:
         assert 'stop="validation"' in source
     assert {v.row for v in figures.values if v.row} <= {
         *figures.references,
+        "baseline",
         "expert",
         "random-paper",
     }

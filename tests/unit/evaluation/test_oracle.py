@@ -11,6 +11,7 @@ from asia.candidate import VALIDATION_SCORES, Context
 from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator
 from asia.evaluation import _evaluator as evaluator_module
+from asia.evaluation._oracle import told
 from asia.executor import LocalExecutor
 from asia.problem import Budget, EarlyStopping, ProtocolRule, Signal, Trajectory
 from asia.protocol import make_folds
@@ -286,3 +287,10 @@ def test_nothing_is_held_out_in_the_refit() -> None:
     only_blind = asking("assert context.validation_score is None")
     assert evaluator().refit(only_blind)
     assert failure(evaluator().evaluate(only_blind)).reason is Reason.CRASH
+
+
+def test_a_candidate_is_told_four_digits_and_nothing_of_huge_scores() -> None:
+    """Outputs as large as 1e6 would write the measured ones, scaled, into a score's last digits."""
+    assert told(0.123449) == told(0.123351) == 0.1234
+    assert told(12.3456) == 12.35
+    assert told(123456.789) == told(float("inf")) == float("inf")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from asia.errors import UserError
 from asia.models._lm import LevenbergMarquardt, levenberg_marquardt
 
 
@@ -86,10 +87,10 @@ def test_a_parameter_without_effect_stays_where_it_was() -> None:
     "arguments", [{"iterations": -1}, {"starts": 0}, {"damping": 0.0}, {"tolerance": -1.0}]
 )
 def test_settings_out_of_range_are_refused(arguments: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="LevenbergMarquardt"):
+    with pytest.raises(UserError, match="LevenbergMarquardt"):
         LevenbergMarquardt(**arguments)
 
 
 def test_an_unknown_way_to_stop_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected None or 'validation'"):
+    with pytest.raises(UserError, match="expected None or 'validation'"):
         LevenbergMarquardt(stop="inner")  # pyright: ignore[reportArgumentType]

@@ -102,24 +102,21 @@ def test_a_network_learns_what_the_equations_lack() -> None:
     assert error(fitted(config, method, **system), test) < 0.7 * error(alone, test)
 
 
-def test_the_validation_score_chooses_the_factor_of_an_equation() -> None:
-    """Trained on a weaker pull than the held-out record has."""
-    held_out = record(9)
+def test_the_validation_score_keeps_the_best_iterate() -> None:
+    """Trained on a weaker pull than the held-out record has: what is fitted best is not best."""
+    held_out, asked = record(9), []
 
     def score(model: object) -> float:
         assert isinstance(model, physics_net.NetworkModel)
-        return error(physics_net.PhysicsNet(physics_net.Config(), model), held_out)
+        asked.append(error(physics_net.PhysicsNet(physics_net.Config(), model), held_out))
+        return asked[-1]
 
     weak = [replace(t, y=0.6 * t.y) for t in (record(1), record(2))]
     context = replace(CONTEXT, validation_score=score)
-    found = {}
-    for stop in (None, "validation"):
-        method = LevenbergMarquardt(iterations=10, stop=stop)
-        model = physics_net.build(physics_net.Config(linear=True, lag=False), context)
-        found[stop] = physics_net.train(model, weak, context, method)
-    assert error(found["validation"], held_out) < 0.6 * error(found[None], held_out)
-    assert found["validation"].network.params["balance"][0] > 0.2
-    assert found[None].network.params["balance"][0] == 0.0
+    model = physics_net.build(physics_net.Config(linear=True, lag=False), context)
+    method = LevenbergMarquardt(iterations=10, stop="validation")
+    found = physics_net.train(model, weak, context, method)
+    assert error(found, held_out) == min(asked) < asked[-1]
 
 
 def test_a_disturbance_is_bounded_and_trained() -> None:

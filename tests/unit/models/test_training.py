@@ -155,6 +155,13 @@ def test_validation_keeps_the_best_parameters_and_stops(method: NetworkMethod) -
     assert len(scores) < method.steps / every
 
 
+def test_validation_keeps_what_the_fit_starts_from_where_that_is_best() -> None:
+    oracle = Oracle(0.2)
+    method = Adam(100, 0.05, stop="validation", every=5, patience=3)
+    found = train_network(model(), records(120), context(validation_score=oracle), method)
+    assert float(found.params["a"][0]) == oracle.asked[0] == pytest.approx(0.2)
+
+
 def test_validation_without_a_score_runs_all_steps_or_takes_the_held_out_part() -> None:
     data, plain = records(120), replace(FAST, steps=30)
     asked = replace(plain, stop="validation", every=10)
@@ -168,7 +175,7 @@ def test_validation_without_a_score_runs_all_steps_or_takes_the_held_out_part() 
 
 def test_validation_scores_are_asked_for_no_more_often_than_allowed() -> None:
     method = Adam(10_000, stop="validation", every=1, members=2)
-    assert len(marks(method, method.steps)) == 100
+    assert len(marks(method, method.steps)) + 1 <= 100
 
 
 def test_plateau_halves_the_rate_when_the_score_stops_improving() -> None:
