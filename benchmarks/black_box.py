@@ -38,9 +38,9 @@ def main() -> None:
             agent = make_agent(options.agent)
             run = f"{name}-black-box-{options.agent}-s{seed}"
             ready = prepare(problem, agent.name, seed=seed, runs=options.runs, name=run)
-            view = search(ready, agent, lambda *_: None, lambda _: None)
+            search(ready, agent, lambda *_: None, lambda _: None)
             minutes = (time.monotonic() - start) / 60
-            best = open_run(options.runs / run).view.best or view.best
+            best = open_run(options.runs / run).view.best
             if best is None or best.score is None:
                 raise SystemExit(f"{run}: no candidate has a score")
             folds = ", ".join(f"{f.value:.3f}" for f in best.score.folds)

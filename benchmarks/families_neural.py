@@ -22,7 +22,18 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context, Model
-from asia.models import autoregressive, cascaded_ltc, cnn, koopman, linear, lru, subnet, transformer
+from asia.models import (
+    autoregressive,
+    cascaded_ltc,
+    cnn,
+    koopman,
+    linear,
+    lru,
+    ltc,
+    recurrent,
+    subnet,
+    transformer,
+)
 from asia.models.methods import Adam
 from asia.problem import Signal, Trajectory
 from asia.problem.load import load_problem
@@ -44,6 +55,12 @@ class Row:
 
 
 ROWS = {
+    "ltc": Row(
+        ltc, {"hidden": 32}, Adam(1000, 3e-3, truncation=128), {}, Adam(1000, 1e-3, truncation=256)
+    ),
+    "recurrent": Row(
+        recurrent, {}, Adam(1000, 3e-3, truncation=128), {}, Adam(1000, 3e-3, truncation=256)
+    ),
     "cascaded_ltc": Row(
         cascaded_ltc, {}, Adam(1000, 3e-3, truncation=128), {}, Adam(1000, 3e-3, truncation=256)
     ),

@@ -2,6 +2,8 @@
 
 model = greybox.build(greybox.Config(saturation=("x1",), spill=True), context)
 model = greybox.train(model, trajectories, context, LevenbergMarquardt(iterations=60, starts=8))
+
+Source: Bohlin, Practical Grey-box Process Identification, Springer 2006.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@
 The grey-box is fitted first. The network is a function of states and inputs, added to the
 dynamics; its output layer starts at zero and every step is refused that would raise the cost, so
 that on its training records a hybrid never has a higher regularised cost than its grey-box.
+Source: Psichogios and Ungar, AIChE Journal 38(10), 1992.
 """
 
 from __future__ import annotations
