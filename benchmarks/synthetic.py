@@ -75,7 +75,8 @@ def main() -> None:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--systems", type=_words(KINDS), default=list(KINDS), metavar="A,B")
-    parser.add_argument("--agents", type=_words(AGENTS), default=["expert", "random"], metavar="A,B")
+    agents = ["expert", "random"]
+    parser.add_argument("--agents", type=_words(AGENTS), default=agents, metavar="A,B")
     parser.add_argument("--experiments", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0, help="of the systems and of the searches")
     parser.add_argument("--out", type=Path, help="keep problems and runs here, and resume")
