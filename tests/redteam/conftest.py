@@ -2,6 +2,7 @@ import os
 import secrets
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,18 +10,13 @@ import pytest
 
 from asia.candidate import Context
 from asia.problem import Signal, Trajectory
-from asia.sandbox import Isolation, Limits, open_worker, probe
+from asia.sandbox import Isolation, Layer, Limits, open_worker, why_not
 
-LEVELS = [
-    pytest.param(
-        level,
-        marks=pytest.mark.skipif(
-            level is Isolation.NAMESPACE and probe().level is not Isolation.NAMESPACE,
-            reason="; ".join(probe().notes),
-        ),
-    )
-    for level in (Isolation.NAMESPACE, Isolation.PROCESS)
-]
+REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}
+LEVELS = {
+    level: pytest.param(level, marks=pytest.mark.skipif(reason is not None, reason=str(reason)))
+    for level, reason in REASONS.items()
+}
 MARK_PROCESS = """
 import ctypes
 ctypes.CDLL(None).prctl(15, b"{mark}", 0, 0, 0)
@@ -51,9 +47,10 @@ class Arena:
         memory_mb: int = 2048,
         model_mb: int = 64,
         dump: bool = False,
+        without: tuple[Layer, ...] = (),
     ) -> np.ndarray:
         limits = Limits(fit_seconds, simulate_seconds, memory_mb, model_mb)
-        with open_worker(self.level, limits) as worker:
+        with open_worker(self.level, limits, without=without) as worker:
             marked = MARK_PROCESS.format(mark=self.mark) + source
             self.reply = worker.fit(marked, self.records, self.context)
             if dump:
@@ -76,12 +73,24 @@ class Arena:
                 found.append(text)
         return found
 
+    @property
+    def walled(self) -> bool:
+        """Whether the level means to stop intent, not only accidents."""
+        return self.level is not Isolation.PROCESS
 
-@pytest.fixture(params=LEVELS)
-def arena(request: pytest.FixtureRequest) -> Iterator[Arena]:
-    arena = Arena(request.param)
+
+@contextmanager
+def arena_at(level: Isolation) -> Iterator[Arena]:
+    """An arena that must be found empty when it closes."""
+    arena = Arena(level)
     yield arena
     end = time.monotonic() + 5  # outside the namespace its dead may be listed for a moment
     while arena.survivors() and time.monotonic() < end:
         time.sleep(0.01)
     assert arena.survivors() == []
+
+
+@pytest.fixture(params=LEVELS.values(), ids=str)
+def arena(request: pytest.FixtureRequest) -> Iterator[Arena]:
+    with arena_at(request.param) as arena:
+        yield arena

@@ -1,13 +1,9 @@
 """Candidates that cheat or break out. Each fails with its own reason, or gains nothing by it."""
 
-import os
-import socket
-
 import numpy as np
 import pytest
 
 from asia.errors import CandidateError, Reason
-from asia.sandbox import Isolation
 
 HONEST = """
 import ctypes, os, pickle, signal, socket, struct, sys, time
@@ -33,12 +29,22 @@ def candidate(
 
 
 DAEMON = """
-if os.fork() == 0:
+try:
+    child = os.fork()
+except PermissionError:  # where the sandbox forbids it
+    child = None
+if child == 0:
     os.setsid()
     if os.fork() == 0:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         time.sleep(600)
     os._exit(0)
+"""
+FORK = """
+try:
+    os.fork()
+except PermissionError:
+    pass
 """
 DEAF = """
 for number in range(1, 65):
@@ -92,7 +98,7 @@ GAINS_NOTHING = {
     ),
     "daemon_in_fit": candidate(fit=DAEMON),
     "daemon_in_simulate": candidate(before=DAEMON),
-    "fork_that_returns": candidate(fit="os.fork()"),
+    "fork_that_returns": candidate(fit=FORK),
     "catches_a_broken_pipe": candidate(
         fit="try:\n    while True:\n        os.write(1, bytes(1 << 16))\nexcept BrokenPipeError:\n"
         "    pass"
@@ -207,100 +213,24 @@ def test_errors_of_simulate_carry_no_data_out(arena):
 
 
 def test_stopping_the_parent_process_does_not_save_a_daemon(arena):
-    fit = DAEMON + "os.kill(os.getppid(), signal.SIGSTOP)"
+    stop = "try:\n    os.kill(os.getppid(), signal.SIGSTOP)\nexcept PermissionError:\n    pass"
+    fit = DAEMON + stop
     np.testing.assert_array_equal(arena.run(candidate(fit=fit)), 0.5 * arena.u)
 
 
 def test_nothing_of_one_worker_is_seen_by_the_next(arena):
     fit = (
-        "places = [os.environ['HOME']] + ['/tmp', '/dev/shm'] * FREELY\n"
-        "for place in places:\n"
+        "for place in PLACES:\n"
         "    path = os.path.join(place, 'memory-of-MARK')\n"
         "    assert not os.path.exists(path), path\n"
-        "    open(path, 'w').close()"
+        "    try:\n"
+        "        open(path, 'w').close()\n"
+        "    except OSError:\n"
+        "        assert WALLED"
     ).replace("MARK", arena.mark)
-    fit = fit.replace("FREELY", str(int(arena.level is not Isolation.PROCESS)))
+    fit = fit.replace("WALLED", str(arena.walled))
+    everywhere = "[os.environ['HOME'], '/tmp', '/dev/shm', '/var/tmp']"
+    places = everywhere if arena.walled else "[os.environ['HOME']]"
     for _ in range(2):
-        np.testing.assert_array_equal(arena.run(candidate(fit=fit)), 0.5 * arena.u)
-
-
-class TestWalls:
-    """What only namespaces keep a candidate from; never run at a weaker level."""
-
-    @pytest.fixture(autouse=True)
-    def _namespace_only(self, arena):
-        if arena.level is not Isolation.NAMESPACE:
-            pytest.skip("the process level keeps accidents away, not intent")
-
-    def test_reading_the_test_file(self, arena, tmp_path):
-        path = tmp_path / "test.csv"
-        path.write_text("u,y\n0,1\n")
-        with pytest.raises(CandidateError) as caught:
-            arena.run(candidate(fit=f"open({str(path)!r}).read()"))
-        assert caught.value.reason is Reason.CRASH
-        assert "FileNotFoundError" in caught.value.detail
-
-    @pytest.mark.parametrize("above", ["/proc/1/root", "/proc/self/root/..", "/tmp/../.."])
-    def test_reading_the_test_file_by_a_detour(self, arena, tmp_path, above):
-        path = tmp_path / "test.csv"
-        path.write_text("u,y\n0,1\n")
-        with pytest.raises(CandidateError) as caught:
-            arena.run(candidate(fit=f"open({above + str(path)!r}).read()"))
-        assert caught.value.reason is Reason.CRASH
-        assert "No such file" in caught.value.detail or "denied" in caught.value.detail
-
-    def test_finding_secrets_of_the_parent(self, arena, monkeypatch):
-        monkeypatch.setenv("ASIA_TEST_SECRET", "hunter2")
-        search = (
-            "import glob\n"
-            "for path in glob.glob('/proc/*/environ') + glob.glob('/proc/*/cmdline'):\n"
-            "    try:\n"
-            "        assert b'hunter2' not in open(path, 'rb').read(), path\n"
-            "    except OSError:\n"
-            "        pass\n"
-            f"assert not os.path.exists('/proc/{os.getpid()}/status') or {os.getpid()} < 5"
-        )
-        np.testing.assert_array_equal(arena.run(candidate(fit=search)), 0.5 * arena.u)
-
-    def test_reaching_the_network(self, arena):
-        with socket.create_server(("127.0.0.1", 0)) as server:
-            port = server.getsockname()[1]
-            with pytest.raises(CandidateError) as caught:
-                arena.run(candidate(fit=f"socket.create_connection(('127.0.0.1', {port}), 5)"))
-        assert "ConnectionRefusedError" in caught.value.detail or "OSError" in caught.value.detail
-
-    @pytest.mark.parametrize(
-        "target", ["np.__file__", "__import__('asia').__file__", "'/proc/sys/kernel/core_pattern'"]
-    )
-    def test_writing_code_or_settings(self, arena, target):
-        with pytest.raises(CandidateError) as caught:
-            arena.run(candidate(fit=f"open({target}, 'r+')"))
-        denied = ("Read-only file system", "Permission denied")
-        assert any(words in caught.value.detail for words in denied)
-
-    def test_filling_the_memory_file_system(self, arena):
-        fill = (
-            "for n in range(100):\n"
-            "    with open(f'/tmp/fill{n}', 'wb') as file:\n"
-            "        file.write(bytes(16 << 20))"
-        )
-        with pytest.raises(CandidateError) as caught:
-            arena.run(candidate(fit=fill))
-        assert "No space left" in caught.value.detail
-
-    def test_killing_everything_in_sight(self, arena):
-        np.testing.assert_array_equal(
-            arena.run(candidate(fit=DAEMON + "os.kill(-1, signal.SIGKILL)")), 0.5 * arena.u
-        )
-
-    def test_namespace_inside_the_namespace(self, arena):
-        with pytest.raises(CandidateError) as caught:
-            arena.run(
-                candidate(fit="if ctypes.CDLL(None).unshare(0x10000000):\n    raise OSError('no')")
-            )
-        assert "OSError: no" in caught.value.detail
-
-    def test_only_the_two_pipes_are_open(self, arena):
-        count = "print(len([fd for fd in range(3, 256) if os.path.exists(f'/proc/self/fd/{fd}')]))"
-        arena.run(candidate(fit=count))
-        assert arena.reply.output == "2\n"
+        source = candidate(fit=fit.replace("PLACES", places))
+        np.testing.assert_array_equal(arena.run(source), 0.5 * arena.u)

@@ -6,7 +6,7 @@ from asia.errors import CandidateError, Reason
 from asia.sandbox import Limits, ScoreRefusedError, open_worker
 
 from .conftest import MARK_PROCESS
-from .test_redteam_attacks import STEAL_PIPE, candidate
+from .test_redteam_attacks import FORK, STEAL_PIPE, candidate
 
 FORGED = "session._reply(8, pickle.dumps(Model()))"
 TWICE = (
@@ -104,7 +104,7 @@ def test_nothing_in_a_model_runs_in_the_parent(arena, tmp_path):
 
 
 def test_a_fork_that_asks_too_ends_the_fit_or_is_one_more_call(arena):
-    fit = "os.fork()\nfor _ in range(3):\n    context.validation_score(Model())"
+    fit = FORK + "for _ in range(3):\n    context.validation_score(Model())"
     error, sizes = scored(arena, candidate(fit=fit), fit_seconds=2.0)
     assert len(sizes) <= 5
     assert error is None or error.reason in (

@@ -47,7 +47,8 @@ def run(
         typer.Option(help="inner, or validation (V is then not leak-free); default the problem's."),
     ] = None,
     isolation: Annotated[
-        str | None, typer.Option(help="Ask for a level instead of the strongest: process.")
+        str | None,
+        typer.Option(help="Ask for a level instead of the strongest: landlock or process."),
     ] = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,

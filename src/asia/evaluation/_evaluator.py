@@ -90,7 +90,7 @@ class Evaluator:
         self._records = tuple(records)
         self._context = context
         self._rule = rule
-        self._isolation = isolation
+        self.isolation = isolation
         self._executor = executor
         self._open: set[Worker] = set()
         self._interrupted = False
@@ -164,7 +164,7 @@ class Evaluator:
 
     @contextmanager
     def _worker(self) -> Generator[Worker]:
-        with open_worker(self._isolation, self._limits) as worker:
+        with open_worker(self.isolation, self._limits) as worker:
             self._open.add(worker)
             try:
                 if self._interrupted:

@@ -79,7 +79,8 @@ class FoldRecord:
 class Evaluated:
     """What came of a candidate. `duplicate_of` names the experiment whose outcome was reused;
     `deadline` marks an outcome that depends on how fast the machine was; `validation_scores` counts
-    those given in all folds, failed ones too."""
+    those given in all folds, failed ones too; `isolation` is the level that kept the candidate in,
+    None in records from before it was written here."""
 
     experiment: int
     status: Status
@@ -90,6 +91,7 @@ class Evaluated:
     duplicate_of: int | None = None
     deadline: bool = False
     validation_scores: int = 0
+    isolation: str | None = None
     event: Literal["evaluated"] = "evaluated"
 
 

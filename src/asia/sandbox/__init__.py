@@ -1,17 +1,36 @@
 """Run untrusted candidates in worker processes. What comes back is bytes and is never parsed."""
 
-from asia.sandbox._open import open_worker, probe
-from asia.sandbox._types import FitReply, Isolation, Limits, Probe, ScoreModel, ScoreRefusedError
+from asia.sandbox._open import absent_layers, open_worker, probe, why_not
+from asia.sandbox._survey import Lack, LevelState, Machine, machine, survey
+from asia.sandbox._types import (
+    LAYERS,
+    FitReply,
+    Isolation,
+    Layer,
+    Limits,
+    Probe,
+    ScoreModel,
+    ScoreRefusedError,
+)
 from asia.sandbox._worker import Worker
 
 __all__ = [
+    "LAYERS",
     "FitReply",
     "Isolation",
+    "Lack",
+    "Layer",
+    "LevelState",
     "Limits",
+    "Machine",
     "Probe",
     "ScoreModel",
     "ScoreRefusedError",
     "Worker",
+    "absent_layers",
+    "machine",
     "open_worker",
     "probe",
+    "survey",
+    "why_not",
 ]

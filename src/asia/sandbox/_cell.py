@@ -29,8 +29,8 @@ class Cell:
     """A running worker: its pipes, the process to wait for and the way to end it.
 
     kill ends the candidate with everything it started; force is for when that did not end
-    `process` in time; tidy frees what the level holds beside it. beyond_reach: no candidate can
-    signal `process`.
+    `process` in time; tidy frees what the level holds beside it. beyond_reach: `process` is a guard
+    of the worker that no candidate can signal.
     """
 
     process: subprocess.Popen[bytes]
@@ -46,8 +46,11 @@ class Cell:
 
     def exit_code(self) -> int | None:
         """Exit code (128 + signal) of a worker that has just gone by itself, None if unknown;
-        negative: `process` was killed, not what runs below it."""
-        return self.process.returncode if self._ended(_EXIT_SECONDS) else None
+        negative: its guard was killed from outside."""
+        if not self._ended(_EXIT_SECONDS):
+            return None
+        code = self.process.returncode
+        return code if code >= 0 or self.beyond_reach else 128 - code
 
     def end(self) -> None:
         """End everything and wait. Raises SandboxError if the kernel does not let it die."""

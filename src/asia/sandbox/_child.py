@@ -1,7 +1,8 @@
 """The worker's own side of the sandbox, and the only file that runs candidate code.
 
 Run as a script in a fresh process; nothing in the parent imports it.
-Arguments: request fd, reply fd, memory limit in MB, then folders to add to the import path.
+Arguments: request fd, reply fd, memory limit in MB, the layers it puts on itself (commas between),
+the number of folders to add to the import path, these, then the places it may read.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ from typing import TYPE_CHECKING, Any, NoReturn
 if TYPE_CHECKING:
     from asia.candidate import Context, Model
     from asia.problem import Array, Trajectory
-    from asia.sandbox import _wire
+    from asia.sandbox import _lockdown, _wire
 else:
     # As a neighbour: the package around it imports what only the parent needs.
     sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+    import _lockdown
     import _wire
 
     del sys.path[0]
@@ -37,10 +39,7 @@ _MESSAGE_CHARACTERS = 1000
 
 
 def _restrict(memory_mb: int) -> None:
-    """Every limit that the process puts on itself, before anything heavy starts a thread.
-
-    Kernel filters belong here too, after the limits: they bind one thread only.
-    """
+    """Limits on resources, before the system call filter takes away the means to set them."""
     limits = {
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: _LARGEST_FILE,
@@ -48,6 +47,7 @@ def _restrict(memory_mb: int) -> None:
     }
     if sys.platform == "linux":
         limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
+        limits[resource.RLIMIT_MEMLOCK] = 0
         limits[resource.RLIMIT_MSGQUEUE] = 0
     for what, wanted in limits.items():
         hard = resource.getrlimit(what)[1]
@@ -294,8 +294,12 @@ def _context(
 
 def main(arguments: list[str]) -> NoReturn:
     requests, replies, memory_mb = (int(word) for word in arguments[:3])
-    _restrict(memory_mb)
-    sys.path.extend(folder for folder in arguments[3:] if folder not in sys.path)
+    layers, folders = arguments[3].split(","), int(arguments[4])
+    if _lockdown.RLIMITS in layers:
+        _restrict(memory_mb)
+    # Before numpy, whose threads Landlock would not bind.
+    _lockdown.confine(layers, arguments[5 + folders :])
+    sys.path.extend(folder for folder in arguments[5 : 5 + folders] if folder not in sys.path)
     for fd in (requests, replies):
         os.set_inheritable(fd, False)
     importlib.import_module("asia.candidate")  # now, off the clock of the first request

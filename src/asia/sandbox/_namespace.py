@@ -1,7 +1,8 @@
 """Isolation by Linux namespaces, through bubblewrap.
 
 The worker sees the interpreter, the environment and this package, all read-only, and two small
-scratch file systems in memory. No network, no other processes, no capability.
+file systems in memory, which Landlock keeps it from using. No network, no other processes, no
+capability.
 """
 
 from __future__ import annotations
@@ -15,17 +16,19 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Collection
 
 from asia.errors import SandboxError
 from asia.sandbox._cell import Cell, PipePairs, kill_quietly, parent_ends, start
 from asia.sandbox._surroundings import (
+    SYSTEM_FILES,
     child_command,
     code_folders,
     environment,
     interpreter,
     interpreter_links,
 )
-from asia.sandbox._types import Limits
+from asia.sandbox._types import Layer, Limits
 
 _HOME = "/tmp/scratch"
 _TMP_BYTES = 64 * 1024 * 1024
@@ -46,7 +49,7 @@ def why_not() -> str | None:
         found = re.search(r"(\d+)\.(\d+)", version.stdout)
         if found is None or (int(found[1]), int(found[2])) < _OLDEST:
             return f"bubblewrap 0.8 or newer is needed, found '{version.stdout.strip()}'"
-        trial = _run([bwrap, *_walls(), "--", interpreter(), "-I", "-S", "-c", "pass"])
+        trial = _run([bwrap, *walls(), "--", interpreter(), "-I", "-S", "-c", "pass"])
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"bubblewrap did not start: {error}"
     if trial.returncode != 0:
@@ -55,15 +58,15 @@ def why_not() -> str | None:
     return None
 
 
-def open_cell(limits: Limits) -> Cell:
-    """Start a worker in its own namespaces. Raises SandboxError."""
+def open_cell(limits: Limits, layers: Collection[Layer]) -> Cell:
+    """Start a worker in its own namespaces, with these layers besides. Raises SandboxError."""
     bwrap = shutil.which("bwrap")
     if bwrap is None:
         raise SandboxError("bubblewrap is not installed")
     pipes = PipePairs(os.pipe(), os.pipe())
     info, info_write = os.pipe()
-    worker = child_command(*pipes.child_ends, limits)
-    command = [bwrap, *_walls(), "--info-fd", str(info_write), "--", *worker]
+    worker = child_command(*pipes.child_ends, limits, layers)
+    command = [bwrap, *walls(), "--info-fd", str(info_write), "--", *worker]
     try:
         # env={}: bwrap stays process 1 inside, where its environment can be read.
         process = start(command, pipes, env={}, cwd="/", also_pass=(info_write,))
@@ -101,7 +104,7 @@ def open_cell(limits: Limits) -> Cell:
     )
 
 
-def _walls() -> list[str]:
+def walls() -> list[str]:
     """bwrap options, up to the command."""
     options = [f"--unshare-{what}" for what in ("user", "ipc", "pid", "net", "uts", "cgroup-try")]
     options += ["--disable-userns", "--die-with-parent", "--new-session"]
@@ -112,7 +115,7 @@ def _walls() -> list[str]:
         elif os.path.isdir(name):
             options += ["--ro-bind", name, name]
     options += ["--dir", "/etc"]
-    for name in ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives"):
+    for name in SYSTEM_FILES:
         options += ["--ro-bind-try", name, name]
     # A root of the host owns /proc/sys inside too: without the remount it could write there.
     options += ["--proc", "/proc", "--remount-ro", "/proc", "--dev", "/dev"]

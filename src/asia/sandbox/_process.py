@@ -9,21 +9,23 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Collection, Sequence
 
 from asia.sandbox._cell import Cell, PipePairs, kill_quietly, parent_ends, start
 from asia.sandbox._keeper import descendants
 from asia.sandbox._surroundings import child_command, environment, interpreter, package_folder
-from asia.sandbox._types import Limits
+from asia.sandbox._types import Layer, Limits
 
 
-def open_cell(limits: Limits) -> Cell:
-    """Start a worker as a plain process. Raises SandboxError."""
+def open_cell(limits: Limits, layers: Collection[Layer], inside: Sequence[str] = ()) -> Cell:
+    """Start a worker as a plain process; `inside` is put before its command line. Raises
+    SandboxError."""
     home = tempfile.mkdtemp(prefix="asia-worker-")
     pipes = PipePairs(os.pipe(), os.pipe())
     requests, replies = pipes.child_ends
     keeper = str(package_folder() / "sandbox" / "_keeper.py")
     command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
-    command += child_command(requests, replies, limits)
+    command += [*inside, *child_command(requests, replies, limits, layers)]
     try:
         process = start(command, pipes, env=environment(home), cwd=home)
     except BaseException:

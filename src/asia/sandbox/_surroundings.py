@@ -5,11 +5,23 @@ from __future__ import annotations
 import os
 import site
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
 import asia
 from asia.errors import SandboxError
-from asia.sandbox._types import Limits
+from asia.sandbox._types import Layer, Limits
+
+SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
+_SYSTEM_CODE = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64")
+_FACTS = (
+    "/proc/cpuinfo",
+    "/proc/meminfo",
+    "/proc/stat",
+    "/proc/sys/vm/overcommit_memory",
+    "/sys/devices/system/cpu",
+    "/sys/devices/system/node",
+)
 
 
 def environment(home: str) -> dict[str, str]:
@@ -47,15 +59,27 @@ def package_folder() -> Path:
     return Path(asia.__file__).absolute().parent
 
 
-def child_command(requests: int, replies: int, limits: Limits) -> list[str]:
-    """Command line of a worker.
+def child_command(
+    requests: int, replies: int, limits: Limits, layers: Collection[Layer]
+) -> list[str]:
+    """Command line of a worker; `layers` are those it puts on itself.
 
     -P and -s rather than -I: the environment is ours, and -I would drop PYTHONHASHSEED with it.
     """
     script = package_folder() / "sandbox" / "_child.py"
     folders = [str(package_folder().parent), *_user_site()]
     numbers = [str(requests), str(replies), str(limits.memory_mb)]
-    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *numbers, *folders]
+    lists = [",".join(layers), str(len(folders)), *folders, *readable()]
+    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *numbers, *lists]
+
+
+def readable() -> list[str]:
+    """All places that a worker under Landlock may read: code, and what libraries ask the system.
+
+    Landlock binds an entry of /proc/self to the process that opens it, the worker.
+    """
+    code = [place for _, place in code_folders()]
+    return [*_SYSTEM_CODE, *SYSTEM_FILES, *code, "/proc/self", *_FACTS]
 
 
 def code_folders() -> list[tuple[str, str]]:

@@ -14,15 +14,36 @@ class Isolation(StrEnum):
 
     NAMESPACE = "namespace"
     LANDLOCK = "landlock"
+    SANDBOX_EXEC = "sandbox-exec"
     PROCESS = "process"
+
+
+class Layer(StrEnum):
+    """What a level is made of."""
+
+    NAMESPACES = "namespaces"
+    LANDLOCK = "landlock"
+    SECCOMP = "seccomp"
+    PROFILE = "profile"
+    RLIMITS = "rlimits"
+
+
+LAYERS = {
+    Isolation.NAMESPACE: (Layer.NAMESPACES, Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS),
+    Isolation.LANDLOCK: (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS),
+    Isolation.SANDBOX_EXEC: (Layer.PROFILE, Layer.RLIMITS),
+    Isolation.PROCESS: (Layer.RLIMITS,),
+}
 
 
 @dataclass(frozen=True)
 class Probe:
-    """The strongest level that works here, and in plain words why not a stronger one."""
+    """The strongest level that works here, the layers really in force, and in plain words why not
+    a stronger level, or all layers of this one."""
 
     level: Isolation
     notes: tuple[str, ...] = ()
+    layers: tuple[Layer, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -136,6 +136,7 @@ class Loop:
             seconds=time.monotonic() - start,
             deadline=_touched_deadline(evaluation),
             validation_scores=evaluation.validation_scores,
+            isolation=self.evaluator.isolation.value,
         )
 
     def _judge(self, source: str) -> Evaluation:
@@ -191,5 +192,12 @@ def _answer_again(experiment: Experiment, twin: Experiment) -> Evaluated:
     assert r is not None
     status = "discard" if r.status == "keep" else r.status
     return Evaluated(
-        experiment.number, status, r.outcome, r.folds, r.output, 0.0, duplicate_of=twin.number
+        experiment.number,
+        status,
+        r.outcome,
+        r.folds,
+        r.output,
+        0.0,
+        duplicate_of=twin.number,
+        isolation=r.isolation,
     )

@@ -13,7 +13,7 @@ from typing import get_args
 
 from asia.agents import Agent
 from asia.candidate import Context, check_source
-from asia.errors import CandidateError, UserError
+from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
 from asia.executor import Executor, LocalExecutor
 from asia.ledger import Chain, Extended, SearchView, Started, Store, check_lock, replay
@@ -179,13 +179,10 @@ def _check_budget(budget: Budget) -> None:
 
 
 def _probe(wanted: Isolation | None) -> Probe:
-    found = probe()
-    if wanted is None or wanted == found.level:
-        return found
-    if wanted is Isolation.PROCESS:
-        return Probe(wanted, ("asked for by the user",))
-    reason = "; ".join(found.notes) or "not part of this release"
-    raise UserError(f"isolation '{wanted.value}' cannot run here: {reason}")
+    try:
+        return probe(wanted)
+    except SandboxError as error:
+        raise UserError(f"{error}; leave --isolation out for the strongest that works") from None
 
 
 def _environment() -> dict[str, str]:

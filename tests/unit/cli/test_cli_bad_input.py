@@ -117,7 +117,7 @@ def test_bad_problem(problem: Path, tmp_path: Path, asia: Asia, case: str, comma
     ("words", "expected"),
     [
         (("run", "toy", "--agent", "clever"), "no agent 'clever'; there is: expert, random"),
-        (("run", "toy", "--isolation", "moat"), "namespace, landlock, process"),
+        (("run", "toy", "--isolation", "moat"), "namespace, landlock, sandbox-exec, process"),
         (("run", "toy", "--name", "../toy"), "--name '../toy': expected letters"),
         (("run", "toy", "--name", "7"), "--name '7': expected letters"),
         (("run", "two_tank_sim"), "did you mean 'two_tanks_sim'?"),

@@ -73,7 +73,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
     assert answer["experiments"] == answer["budget"] == 1
     assert set(answer["best"]) == {"experiment", "V"}
     assert 0 < answer["best"]["V"] < 1
-    assert answer["isolation"] in ("namespace", "process")
+    assert answer["isolation"] in ("namespace", "landlock", "process")
 
 
 def test_status_text_of_the_newest(searched: Searched, asia: Asia) -> None:

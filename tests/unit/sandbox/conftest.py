@@ -6,17 +6,12 @@ import pytest
 
 from asia.candidate import Context
 from asia.problem import Signal, Trajectory
-from asia.sandbox import Isolation, Limits, Worker, open_worker, probe
+from asia.sandbox import Isolation, Limits, Worker, open_worker, why_not
 
+REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}
 LEVELS = [
-    pytest.param(
-        level,
-        marks=pytest.mark.skipif(
-            level is Isolation.NAMESPACE and probe().level is not Isolation.NAMESPACE,
-            reason="; ".join(probe().notes),
-        ),
-    )
-    for level in (Isolation.NAMESPACE, Isolation.PROCESS)
+    pytest.param(level, marks=pytest.mark.skipif(reason is not None, reason=str(reason)))
+    for level, reason in REASONS.items()
 ]
 
 

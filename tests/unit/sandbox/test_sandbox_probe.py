@@ -3,8 +3,13 @@ import os
 import pytest
 
 from asia.errors import SandboxError
-from asia.sandbox import Isolation, Limits, open_worker, probe
+from asia.sandbox import LAYERS, Isolation, Layer, Limits, _confined, open_worker, probe, why_not
 from asia.sandbox._channel import printable
+from asia.sandbox._seatbelt import profile
+
+NEXT_BEST = next(
+    level for level in Isolation if level is not Isolation.NAMESPACE and why_not(level) is None
+)
 
 
 def fake_bwrap(tmp_path, monkeypatch, script: str) -> None:
@@ -14,14 +19,47 @@ def fake_bwrap(tmp_path, monkeypatch, script: str) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
 
 
-def test_without_bubblewrap_the_level_is_process_and_says_why(tmp_path, monkeypatch):
+def no_landlock(monkeypatch, *layers: Layer) -> None:
+    reasons = dict.fromkeys(layers, "this kernel has none of it")
+    monkeypatch.setattr(_confined, "missing", lambda: reasons)
+
+
+def test_without_bubblewrap_the_next_level_is_taken_and_says_why(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     found = probe()
-    assert found.level is Isolation.PROCESS
-    assert any("bubblewrap is not installed" in note for note in found.notes)
-    assert any("landlock" in note for note in found.notes)
+    assert found.level is NEXT_BEST
+    assert "bubblewrap is not installed" in found.notes[0]
+    assert found.layers == LAYERS[NEXT_BEST]
     with pytest.raises(SandboxError):
         open_worker(Isolation.NAMESPACE, Limits(1.0, 1.0, 1024))
+
+
+def test_without_anything_the_level_is_process_and_says_why(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    no_landlock(monkeypatch, Layer.LANDLOCK)
+    found = probe()
+    assert found.level is Isolation.PROCESS
+    assert found.layers == (Layer.RLIMITS,)
+    assert [note.partition(":")[0] for note in found.notes] == ["namespace", "landlock"]
+    with pytest.raises(SandboxError, match="none of it"):
+        open_worker(Isolation.LANDLOCK, Limits(1.0, 1.0, 1024))
+    with pytest.raises(SandboxError, match="none of it"):
+        probe(Isolation.LANDLOCK)
+
+
+@pytest.mark.skipif(why_not(Isolation.NAMESPACE) is not None, reason="no namespaces")
+def test_a_kernel_without_landlock_keeps_namespaces_and_says_what_is_missing(monkeypatch):
+    no_landlock(monkeypatch, Layer.LANDLOCK)
+    found = probe()
+    assert found.level is Isolation.NAMESPACE
+    assert found.notes == ("namespace without landlock: this kernel has none of it",)
+    assert found.layers == (Layer.NAMESPACES, Layer.SECCOMP, Layer.RLIMITS)
+
+
+def test_a_weaker_level_is_there_for_the_asking():
+    found = probe(Isolation.PROCESS)
+    assert found.level is Isolation.PROCESS
+    assert found.notes == ("asked for by the user",)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +76,7 @@ def test_without_bubblewrap_the_level_is_process_and_says_why(tmp_path, monkeypa
 def test_a_bubblewrap_that_cannot_work_is_named(tmp_path, monkeypatch, script, words):
     fake_bwrap(tmp_path, monkeypatch, script)
     found = probe()
-    assert found.level is Isolation.PROCESS
+    assert found.level is NEXT_BEST
     assert any(words in note for note in found.notes)
 
 
@@ -48,6 +86,29 @@ def test_a_bubblewrap_that_fails_at_once_is_a_sandbox_error(tmp_path, monkeypatc
     with pytest.raises(SandboxError, match="bwrap: broken"):
         open_worker(Isolation.NAMESPACE, Limits(1.0, 1.0, 1024))
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+@pytest.mark.skipif(why_not(Isolation.LANDLOCK) is not None, reason="no Landlock")
+def test_a_worker_that_cannot_lock_itself_in_does_not_start(monkeypatch):
+    """The last folder of the list becomes a layer's name: nothing runs behind half a wall."""
+    monkeypatch.setattr(_confined, "child_command", lambda *a: ["/bin/sh", "-c", "echo no; exit 1"])
+    with (
+        open_worker(Isolation.LANDLOCK, Limits(1.0, 1.0, 1024)) as worker,
+        pytest.raises(SandboxError, match="did not start: no"),
+    ):
+        worker.load("", b"", None)
+
+
+def test_the_profile_of_macos_denies_by_default_and_quotes_paths(monkeypatch):
+    monkeypatch.setattr("asia.sandbox._seatbelt.code_folders", lambda: [('/a "b"', "/c\\d")])
+    lines = profile().splitlines()
+    assert lines[:2] == ["(version 1)", "(deny default)"]
+    assert {"(deny network*)", "(deny process-fork)"} <= set(lines)
+    assert '(subpath "/a \\"b\\"")' in profile()
+    assert '(subpath "/c\\\\d")' in profile()
+    assert profile().count("(") == profile().count(")")
+    writes = [line for line in lines if "write" in line]
+    assert writes == ['(allow file-write-data (literal "/dev/null") (literal "/dev/zero"))']
 
 
 def test_untrusted_bytes_become_plain_text():

@@ -1,0 +1,88 @@
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from asia.cli import app
+from asia.sandbox import Isolation, Layer, _confined, _survey, machine, probe, survey
+
+
+def doctor(*words: str) -> str:
+    done = CliRunner().invoke(app, ["doctor", *words])
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def test_json_says_the_level_that_a_search_takes():
+    found = json.loads(doctor("--json"))
+    assert found["level"] == probe().level
+    assert found["levels"][0]["level"] == "namespace"
+    assert found["levels"][-1]["level"] == "process"
+    for state in found["levels"]:
+        assert state["works"] or state["lacks"]
+        assert state["works"] == bool(state["layers"])
+        for lack in state["lacks"]:
+            assert lack["reason"]
+            assert lack["remedy"]
+    assert found["machine"]["cores"] >= 1
+
+
+def test_text_marks_one_level(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    text = doctor()
+    assert text.count("<- what a search uses here") == 1
+    assert "apt install bubblewrap" in text
+    assert "bubblewrap none" in text
+
+
+@pytest.mark.parametrize(
+    ("reason", "words"),
+    [
+        ("this kernel has no Landlock (it came with Linux 5.13)", "5.13 or newer"),
+        ("Landlock is switched off at boot", "lsm="),
+        ("Landlock was refused: Operation not permitted", "seccomp profile"),
+    ],
+)
+def test_each_lack_of_landlock_has_its_remedy(monkeypatch, reason, words):
+    monkeypatch.setattr(_survey._landlock, "why_not", lambda: reason)
+    monkeypatch.setattr(_confined, "missing", lambda: {Layer.LANDLOCK: reason})
+    states = {state.level: state for state in survey()}
+    landlock = states[Isolation.LANDLOCK]
+    assert not landlock.works
+    assert landlock.lacks[0].reason == reason
+    assert words in landlock.lacks[0].remedy
+    namespace = states[Isolation.NAMESPACE]
+    if namespace.works:
+        assert Layer.LANDLOCK not in namespace.layers
+        assert namespace.lacks[0].what == "landlock"
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "words"),
+    [
+        ("_APPARMOR", "1\n", "AppArmor"),
+        ("_CLONE", "0\n", "unprivileged_userns_clone=1"),
+        ("_MOST", "0\n", "max_user_namespaces"),
+    ],
+)
+def test_each_switch_that_stops_namespaces_has_its_remedy(
+    monkeypatch, tmp_path: Path, setting, value, words
+):
+    for name in ("_APPARMOR", "_CLONE", "_MOST"):
+        monkeypatch.setattr(_survey, name, tmp_path / "absent")
+    program = tmp_path / "bwrap"
+    program.write_text("#!/bin/sh\necho bubblewrap 0.9.0; [ $1 = --version ]\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (tmp_path / "value").write_text(value)
+    monkeypatch.setattr(_survey, setting, tmp_path / "value")
+    (state,) = (state for state in survey() if state.level is Isolation.NAMESPACE)
+    assert not state.works
+    assert words in state.lacks[0].remedy
+
+
+def test_facts_of_this_machine(monkeypatch, tmp_path):
+    monkeypatch.setattr(_survey, "_CONTAINERS", (tmp_path,))
+    assert machine().container
+    assert machine().python.startswith("3.")
