@@ -8,8 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from asia.agents._driving import AgentStoppedError, Attached, InterruptedWaitError, Journal
 from asia.agents._expert import ExpertAgent
 from asia.agents._random import SPACES, RandomAgent, SpaceName
+from asia.agents._submitted import SubmittedAgent
 from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
 from asia.errors import UserError
 
@@ -17,13 +19,18 @@ __all__ = [
     "AGENTS",
     "SPACES",
     "Agent",
+    "AgentStoppedError",
     "AgentView",
+    "Attached",
     "Effort",
     "ExpertAgent",
     "Facts",
+    "InterruptedWaitError",
+    "Journal",
     "Proposal",
     "RandomAgent",
     "SpaceName",
+    "SubmittedAgent",
     "Trial",
     "make_agent",
 ]

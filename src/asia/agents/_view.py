@@ -95,7 +95,7 @@ class Trial:
 @dataclass(frozen=True)
 class AgentView:
     """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
-    normalised source was tried."""
+    normalised source was tried; `notes` are what a person said meanwhile, oldest first."""
 
     facts: Facts
     seed: int
@@ -103,6 +103,7 @@ class AgentView:
     trials: tuple[Trial, ...]
     remaining: int
     is_known: Callable[[str], bool] = field(repr=False)
+    notes: tuple[str, ...] = ()
 
     @property
     def experiments(self) -> int:
@@ -124,7 +125,7 @@ class AgentView:
 @dataclass(frozen=True)
 class Proposal:
     """A candidate with its reasons. `expected` says, before the fact, what should happen;
-    `parent` is the experiment it was made from."""
+    `parent` is the experiment it was made from; `ticket` names a submission."""
 
     source: str
     family: str
@@ -132,10 +133,12 @@ class Proposal:
     hypothesis: str
     expected: str
     parent: int | None = None
+    ticket: str = ""
 
 
 class Agent(Protocol):
-    """Proposes candidates. Must be a function of the view alone, so that a search resumes."""
+    """Proposes candidates. Must be a function of the view, and of the journal where it keeps one, so
+    that a search resumes."""
 
     @property
     def name(self) -> str:

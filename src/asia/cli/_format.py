@@ -91,6 +91,12 @@ def stop_words(reason: str, view: SearchView) -> str:
         "saturated": "saturated: the last experiments found nothing better",
         "exhausted": "the agent has nothing left to try",
         "hours": "the wall-clock budget is spent",
+        "user": "on request; the same command goes on",
+        "stuck": "the agent was stuck; the same command goes on",
+        "tokens": "the token budget is spent; the same command with more tokens goes on",
+        "cost": "the money budget is spent; the same command with more goes on",
+        "time": "the agent's time is spent; the same command with more goes on",
+        "agent": "the agent ended; the same command starts it again",
     }[reason]
 
 

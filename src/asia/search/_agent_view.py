@@ -47,6 +47,7 @@ def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
         trials=tuple(_trial(e, store) for e in view.finished),
         remaining=view.budget - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
+        notes=tuple(note.text for note in view.notes),
     )
 
 

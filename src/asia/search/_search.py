@@ -16,7 +16,17 @@ from asia.candidate import Context, check_source
 from asia.errors import CandidateError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
 from asia.executor import Executor, LocalExecutor
-from asia.ledger import Chain, Extended, SearchView, Started, Store, check_lock, replay
+from asia.ledger import (
+    RESUMABLE,
+    Chain,
+    Extended,
+    Resumed,
+    SearchView,
+    Started,
+    Store,
+    check_lock,
+    replay,
+)
 from asia.problem import Budget, EarlyStopping
 from asia.problem.load import Problem, Seal, lock_differences, lock_text, protocol_digest
 from asia.protocol import make_folds
@@ -119,6 +129,9 @@ def search(
         wanted = prepared.started
         if (wanted.experiments, wanted.hours) != (view.budget, view.hours):
             loop.record(Extended(wanted.experiments, wanted.hours))
+        stopped = loop.view.stopped
+        if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
+            loop.record(Resumed())
         return loop.run()
 
 

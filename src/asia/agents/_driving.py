@@ -1,0 +1,60 @@
+"""What an agent that waits, asks a language model or runs as a command needs of the search."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from asia.ledger import Event, Exchanged, StopReason
+
+
+class InterruptedWaitError(Exception):
+    """Raised by an agent that waits, when the search has something else to do first; it is asked
+    again."""
+
+
+class AgentStoppedError(Exception):
+    """Raised by an agent that ends the search, with the reason that the ledger will give."""
+
+    def __init__(self, reason: StopReason, detail: str = "") -> None:
+        super().__init__(detail or reason)
+        self.reason: StopReason = reason
+        self.detail = detail
+
+
+class Journal(Protocol):
+    """What an attached agent may write down, from any thread, and read again after a restart."""
+
+    @property
+    def exchanges(self) -> tuple[Exchanged, ...]:
+        """All requests made so far, those of earlier sittings too."""
+        ...
+
+    @property
+    def experiments(self) -> int:
+        """Candidates proposed so far."""
+        ...
+
+    def record(self, event: Event) -> None:
+        """Append an event to the ledger; on return it is on the disk."""
+        ...
+
+    def put(self, data: bytes) -> str:
+        """Keep bytes; their name."""
+        ...
+
+    def get(self, name: str) -> bytes:
+        """Bytes kept earlier."""
+        ...
+
+    def interrupted(self) -> bool:
+        """Whether a person has a note, a pause or a stop for the search."""
+        ...
+
+
+@runtime_checkable
+class Attached(Protocol):
+    """An agent that keeps a journal."""
+
+    def attach(self, journal: Journal) -> None:
+        """Called once, before the first proposal."""
+        ...
