@@ -24,6 +24,7 @@ SURE = 0.9
 BEHIND = 0.5
 UNTRIED = 0.3
 NEAR = 0.25
+NEAR_EQUATIONS = 0.6
 PROMISING = 0.75
 PATIENCE = 0.85
 
@@ -137,8 +138,9 @@ def _share(case: Case) -> float:
 
     A grey-box within a factor of four of a leader without equations counts as leading: what its
     own lack can still be added. A model that knows its own fold better than the leader knows the
-    others' has only to be held back, and keeps most of its weight while it is not too far behind.
-    Either way, each move that did not bring the family to the lead costs patience with it.
+    others' has only to be held back, and keeps most of its weight while it is not too far behind;
+    a leader with equations is seldom caught up with by that. Either way, each move that did not
+    bring the family to the lead costs patience with it.
     """
     trial, best, train = case.trial, case.view.best, case.trial.train_error
     if case.place == 0 or best is None or best.value is None:
@@ -153,7 +155,8 @@ def _share(case: Case) -> float:
     own = (t for t in case.view.trials if t.family == case.recipe.family)
     patience = PATIENCE ** sum(t.parent is not None and t.status != "keep" for t in own)
     share = BEHIND * ratio**2
-    held_back = ratio > NEAR and train < best.value and overfit(trial) > 2.0
+    near = NEAR if black_box else NEAR_EQUATIONS
+    held_back = ratio > near and train < best.value and overfit(trial) > 2.0
     return patience * (max(share, PROMISING) if held_back else share)
 
 
