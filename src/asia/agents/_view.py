@@ -137,8 +137,8 @@ class Proposal:
 
 
 class Agent(Protocol):
-    """Proposes candidates. Must be a function of the view, and of the journal where it keeps one, so
-    that a search resumes."""
+    """Proposes candidates. Must be a function of the view, and of its journal where it keeps one,
+    so that a search resumes."""
 
     @property
     def name(self) -> str:

@@ -15,9 +15,7 @@ Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
 ]
-RESUMABLE: frozenset[StopReason] = frozenset(
-    {"user", "stuck", "tokens", "cost", "time", "agent"}
-)
+RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
 
 

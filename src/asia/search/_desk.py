@@ -47,7 +47,7 @@ class Result:
 
     experiment: int
     status: str
-    V: float | None
+    value: float | None
     folds: tuple[float, ...]
     reason: str | None
     advice: str | None
@@ -69,7 +69,7 @@ class Standing:
     budget: int
     v_name: str
     best: int | None
-    best_V: float | None
+    best_value: float | None
     rungs: dict[str, float | None]
     notes: tuple[str, ...]
 
@@ -161,7 +161,9 @@ class RunDesk:
         """See `Desk.withdraw`."""
         if not self._queue.remove(ticket):
             job = self.job(ticket)
-            raise UserError(f"submission {ticket} is {job.state}: only a queued one can be taken back")
+            raise UserError(
+                f"submission {ticket} is {job.state}: only a queued one can be taken back"
+            )
         return Job(ticket, "unknown")
 
     def results(self) -> tuple[Result, ...]:
@@ -221,7 +223,7 @@ def result_of(experiment: Experiment) -> Result:
     return Result(
         experiment=experiment.number,
         status=r.status,
-        V=score.value if score else None,
+        value=score.value if score else None,
         folds=tuple(f.value for f in score.folds) if score else (),
         reason=failure.reason.value if failure else None,
         advice=failure.advice if failure else None,
@@ -245,7 +247,7 @@ def standing_of(run: Run) -> Standing:
         budget=view.budget,
         v_name=view.v_name,
         best=best.number if best else None,
-        best_V=best.score.value if best and best.score else None,
+        best_value=best.score.value if best and best.score else None,
         rungs={r.name: getattr(r.outcome, "value", None) for r in view.rungs},
         notes=tuple(note.text for note in view.notes),
     )
