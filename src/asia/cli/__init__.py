@@ -10,7 +10,21 @@ import sys
 
 import typer
 
-from asia.cli import _bench, _check, _diff, _init, _report, _run, _show, _status, _unseal, _verify
+from asia.cli import (
+    _bench,
+    _check,
+    _diff,
+    _init,
+    _report,
+    _run,
+    _show,
+    _status,
+    _steer,
+    _try,
+    _unseal,
+    _verify,
+    _workspace,
+)
 from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
@@ -28,7 +42,7 @@ app = typer.Typer(
 )
 for _module in (_init, _check, _run, _status, _show, _unseal, _report):
     _module.register(app)
-for _module in (_diff, _verify, _bench):
+for _module in (_diff, _verify, _bench, _workspace, _try, _steer):
     _module.register(app)
 
 

@@ -63,9 +63,9 @@ def run(
     from asia.search import prepare, search
 
     chosen = make_agent(agent, space)
-    _check_name(name)
+    check_name(name)
     loaded = _with_rules(load_problem(problem), experiments, hours, early_stopping)
-    level = _level(isolation)
+    level = check_level(isolation)
     ready = prepare(loaded, chosen.name, seed=seed, runs=runs, name=name, isolation=level)
     with closing(make_display(loaded, ready, json=json)) as display:
         view = search(ready, chosen, display.on_event, display.on_start)
@@ -91,7 +91,8 @@ def _with_rules(
     return with_early_stopping(problem, early_stopping) if early_stopping is not None else problem
 
 
-def _level(isolation: str | None) -> Isolation | None:
+def check_level(isolation: str | None) -> Isolation | None:
+    """The level of this name. Raises UserError for an unknown one."""
     from asia.errors import UserError
     from asia.sandbox import Isolation
 
@@ -101,7 +102,7 @@ def _level(isolation: str | None) -> Isolation | None:
     return Isolation(isolation) if isolation else None
 
 
-def _check_name(name: str | None) -> None:
+def check_name(name: str | None) -> None:
     """A number would be taken for an experiment, a path would leave the directory of the runs."""
     from asia.errors import UserError
 

@@ -125,6 +125,8 @@ class RunDesk:
                 f"the candidate was not handed in, and no experiment spent: {error.reason.advice}"
                 + (f" ({one_line(error.detail)})" if error.detail else "")
             ) from None
+        if self._keep_alive is not None and not (self._directory / "ledger.jsonl").is_file():
+            self._keep_alive(self._directory)
         view = open_run(self._directory).view
         known = digest(proposal.source)
         for ticket in self._queue.tickets():
