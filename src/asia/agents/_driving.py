@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+from asia.errors import UserError
 from asia.ledger import Event, Exchanged, StopReason
 
 
@@ -19,6 +20,10 @@ class AgentStoppedError(Exception):
         super().__init__(detail or reason)
         self.reason: StopReason = reason
         self.detail = detail
+
+
+class DivergedError(UserError):
+    """Raised in a replay by an agent that asks for what the record does not hold."""
 
 
 class Journal(Protocol):
@@ -48,6 +53,29 @@ class Journal(Protocol):
 
     def interrupted(self) -> bool:
         """Whether a person has a note, a pause or a stop for the search."""
+        ...
+
+
+@runtime_checkable
+class Configured(Protocol):
+    """An agent whose settings shape what it proposes."""
+
+    def recorded(self) -> dict[str, str]:
+        """The settings for the ledger, without secrets."""
+        ...
+
+
+def settings_of(agent: object) -> dict[str, str]:
+    """What the ledger should hold of an agent's settings; empty for one that has none."""
+    return agent.recorded() if isinstance(agent, Configured) else {}
+
+
+@runtime_checkable
+class Closing(Protocol):
+    """An agent that has something to end when the search has stopped."""
+
+    def stopped(self, reason: StopReason) -> None:
+        """Called once, before the winner is fitted on all data."""
         ...
 
 

@@ -1,6 +1,7 @@
 """Append-only, hash-chained record of a search; all else is a view of it."""
 
 from asia.ledger._chain import Chain, Line, in_use, read_lines
+from asia.ledger._control import Control, control, control_words
 from asia.ledger._events import (
     RESUMABLE,
     Evaluated,
@@ -41,6 +42,7 @@ from asia.scoring import Diagnostics
 __all__ = [
     "RESUMABLE",
     "Chain",
+    "Control",
     "Diagnostics",
     "Evaluated",
     "Event",
@@ -71,6 +73,8 @@ __all__ = [
     "Usage",
     "Verified",
     "check_lock",
+    "control",
+    "control_words",
     "describe_result",
     "error_value",
     "find_run",

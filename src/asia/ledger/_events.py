@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
@@ -23,7 +23,8 @@ RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost",
 class Started:
     """First event: what is searched, by whom, under which rules. `test_digest` commits the sealed
     test before experiment 1; it is None when the problem has no test. With `early_stopping`
-    `validation` candidates saw their score on the held-out parts: V is not leak-free."""
+    `validation` candidates saw their score on the held-out parts: V is not leak-free.
+    `agent_settings` are those of the agent that shape the search."""
 
     run: str
     problem: str
@@ -39,6 +40,7 @@ class Started:
     isolation_notes: tuple[str, ...]
     environment: dict[str, str]
     early_stopping: EarlyStopping = "inner"
+    agent_settings: dict[str, str] = field(default_factory=dict[str, str])
     event: Literal["started"] = "started"
 
 

@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from asia.agents import AgentStoppedError, Journal, Preset, Stream, SubmittedAgent, filled
@@ -25,7 +25,7 @@ from asia.ledger import (
     Streamed,
     Usage,
 )
-from asia.sandbox import INSIDE, SOCKET_FOLDER, Isolation, Jail, jail_environment
+from asia.sandbox import INSIDE, SOCKET_FOLDER, Jail, jail_environment
 from asia.search._desk import RunDesk, one_line
 from asia.search._loop import OnEvent
 from asia.search._queue import Queue
@@ -377,13 +377,3 @@ def check_rules(preset: Preset, rules: CommandRules) -> None:
         raise UserError(
             "--max-tokens: nothing is known of this agent's stream; cap it with --agent-minutes"
         )
-
-
-def jail_level(wanted: bool, found: Isolation) -> Isolation:
-    """What will hold the agent: a namespace where one can be made and is wanted."""
-    return Isolation.NAMESPACE if wanted and found is Isolation.NAMESPACE else Isolation.PROCESS
-
-
-def with_jail(rules: CommandRules, level: Isolation) -> CommandRules:
-    """The rules at this level."""
-    return replace(rules, jail=level is Isolation.NAMESPACE)

@@ -6,27 +6,24 @@ process of its own, started when it is not there. Whoever asks may die at any ti
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
 from asia.agents import Proposal
 from asia.candidate import check_source
 from asia.errors import CandidateError, UserError
-from asia.ledger import Experiment, Run, SearchView, open_run
+from asia.ledger import Experiment, Run, Stopped, open_run
 from asia.search._agent_view import digest
+from asia.search._detached import Order, has_begun, runs
 from asia.search._queue import TEXT, TITLE, Queue
 
 State = Literal["queued", "running", "done", "unknown"]
 
 DETAIL = 300
 _POLL = 0.1
-_START_SECONDS = 60.0
 
 
 @dataclass(frozen=True)
@@ -111,12 +108,30 @@ class RunDesk:
     """The desk of a run directory. keep_alive: called where the search is needed and not there."""
 
     def __init__(self, directory: Path, keep_alive: Callable[[Path], None] | None = None) -> None:
-        self._directory = directory
-        self._queue = Queue(directory)
+        self._directory = directory.resolve()
+        self._queue = Queue(self._directory)
         self._keep_alive = keep_alive
+        self._seen: tuple[tuple[int, ...], Run] | None = None
+
+    def run(self) -> Run:
+        """The run as it stands, read anew where its ledger has changed. A search that never began
+        is started first. Raises UserError as `open_run` does."""
+        ledger = self._directory / "ledger.jsonl"
+        if self._keep_alive is not None and not has_begun(self._directory):
+            self._keep_alive(self._directory)
+        if not ledger.is_file():
+            return open_run(self._directory)
+        stat = ledger.stat()
+        stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+        seen = self._seen
+        if seen is None or seen[0] != stamp:
+            seen = (stamp, open_run(self._directory))
+            self._seen = seen
+        return seen[1]
 
     def submit(self, proposal: Proposal) -> Job:
-        """See `Desk.submit`; the same source, comments apart, is one submission."""
+        """See `Desk.submit`; the same source, comments apart, is one submission, unless its result
+        depended on how fast the machine was."""
         proposal = tidy(proposal)
         try:
             check_source(proposal.source)
@@ -125,61 +140,117 @@ class RunDesk:
                 f"the candidate was not handed in, and no experiment spent: {error.reason.advice}"
                 + (f" ({one_line(error.detail)})" if error.detail else "")
             ) from None
-        if self._keep_alive is not None and not (self._directory / "ledger.jsonl").is_file():
-            self._keep_alive(self._directory)
-        view = open_run(self._directory).view
-        known = digest(proposal.source)
+        self.run()
+        with self._queue.alone():
+            known = self._known(digest(proposal.source))
+            if known is None:
+                ticket = self._put(proposal)
+            elif known.state == "done":
+                return known
+            else:
+                ticket = known.ticket
+        try:
+            self.wake()
+        except UserError as error:
+            raise UserError(f"submission {ticket} is kept, but {error}") from None
+        return self.job(ticket)
+
+    def _known(self, wanted: str) -> Job | None:
+        """Where a candidate with this digest stands, if it was handed in before. The queue is
+        looked at first: what leaves it is in the ledger by then."""
         for ticket in self._queue.tickets():
             waiting = self._queue.get(ticket)
-            if waiting is not None and digest(waiting.source) == known:
-                return self._woken(ticket)
-        for experiment in view.experiments:
-            if experiment.proposed.digest == known:
-                state: State = "done" if experiment.result else "running"
-                return Job(experiment.proposed.ticket, state, experiment=experiment.number)
-        _refuse_when_over(view, len(self._queue.tickets()))
-        numbers = {e.number for e in view.experiments}
+            if waiting is not None and digest(waiting.source) == wanted:
+                return Job(ticket, "queued")
+        for experiment in self.run().view.experiments:
+            settled = experiment.result is None or not experiment.result.deadline
+            if settled and experiment.proposed.digest == wanted:
+                return _job_of(experiment)
+        return None
+
+    def _put(self, proposal: Proposal) -> str:
+        waiting = self._queue.tickets()
+        run = self.run()
+        view, budget = run.view, _budget(self._directory, run)
+        over = _over(self._directory, run)
+        if over is not None:
+            raise UserError(over)
+        recorded = {e.proposed.ticket for e in view.experiments}
+        # The baseline is the first experiment, and nobody hands it in.
+        spent = max(1, len(view.experiments)) + sum(t not in recorded for t in waiting)
+        if spent >= budget:
+            raise UserError(
+                f"the budget of {budget} experiments is spent; a person can raise it with "
+                "asia workspace or asia mcp and a larger --experiments"
+            )
+        numbers = {1, *(e.number for e in view.experiments)}
         if proposal.parent is not None and proposal.parent not in numbers:
             raise UserError(f"parent {proposal.parent}: expected an experiment of this search")
-        return self._woken(self._queue.put(proposal))
+        return self._queue.put(proposal)
 
-    def _woken(self, ticket: str) -> Job:
-        if self._keep_alive is not None:
-            self._keep_alive(self._directory)
-        return self.job(ticket)
+    def wake(self) -> None:
+        """Start the search where it has something to do and is not there. Raises UserError when it
+        does not start, or is over."""
+        run = self.run()
+        if not self._queue.tickets() and run.view.pending is None:
+            return
+        over = _over(self._directory, run)
+        if over is not None:
+            raise UserError(over)
+        if self._keep_alive is None:
+            return
+        self._keep_alive(self._directory)
+        view = self.run().view
+        ended = view.complete and not runs(self._directory)
+        if ended and view.stopped is not None and self._queue.tickets():
+            raise UserError(
+                f"the search has ended ({view.stopped.reason}); a person can raise its budget with "
+                "asia workspace or asia mcp and a larger --experiments or --hours"
+            )
 
     def job(self, ticket: str) -> Job:
         """See `Desk.job`."""
         waiting = self._queue.tickets()
-        for experiment in open_run(self._directory).view.experiments:
-            if ticket and experiment.proposed.ticket == ticket:
-                state: State = "done" if experiment.result else "running"
-                return Job(ticket, state, experiment=experiment.number)
+        for experiment in self.run().view.experiments:
+            if ticket == _ticket_of(experiment):
+                return _job_of(experiment)
         if ticket in waiting:
             return Job(ticket, "queued", waiting.index(ticket))
         return Job(ticket, "unknown")
 
     def withdraw(self, ticket: str) -> Job:
         """See `Desk.withdraw`."""
-        if not self._queue.remove(ticket):
-            job = self.job(ticket)
-            raise UserError(
-                f"submission {ticket} is {job.state}: only a queued one can be taken back"
-            )
-        return Job(ticket, "unknown")
+        if self._queue.withdraw(ticket):
+            return Job(ticket, "unknown")
+        state = self.job(ticket).state
+        words = "about to be judged" if state == "queued" else state
+        raise UserError(
+            f"submission {one_line(ticket, 60)} is {words}: only a queued one can be taken back"
+        )
 
     def results(self) -> tuple[Result, ...]:
         """See `Desk.results`."""
-        return tuple(result_of(e) for e in open_run(self._directory).view.finished)
+        return tuple(result_of(e) for e in self.run().view.finished)
 
     def source(self, experiment: int) -> str:
         """See `Desk.source`."""
-        run = open_run(self._directory)
+        run = self.run()
         return run.store.text(run.view.experiment(experiment).proposed.source)
 
     def standing(self) -> Standing:
         """See `Desk.standing`."""
-        return standing_of(open_run(self._directory))
+        run = self.run()
+        return standing_of(replace(run, busy=runs(self._directory)))
+
+
+def _ticket_of(experiment: Experiment) -> str:
+    """What nobody handed in, such as the baseline, has a name too."""
+    return experiment.proposed.ticket or f"experiment-{experiment.number}"
+
+
+def _job_of(experiment: Experiment) -> Job:
+    state: State = "done" if experiment.result else "running"
+    return Job(_ticket_of(experiment), state, experiment=experiment.number)
 
 
 def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Job], None]) -> Job:
@@ -255,73 +326,23 @@ def standing_of(run: Run) -> Standing:
     )
 
 
-def _refuse_when_over(view: SearchView, queued: int) -> None:
+def _over(directory: Path, run: Run) -> str | None:
+    """Why nothing can be handed in any more, budget of experiments aside."""
+    view = run.view
     if view.unsealing is not None:
-        raise UserError("the sealed test of this run was opened: its search is over for good")
-    if len(view.experiments) + queued >= view.budget:
-        raise UserError(
-            f"the budget of {view.budget} experiments is spent; a person can raise it with "
-            "asia workspace or asia run and a larger --experiments"
-        )
+        return "the sealed test of this run was opened: its search is over for good"
+    if view.stopped is None:
+        return None
+    stop = max(line.seq for line in run.lines if isinstance(line.event, Stopped))
+    order = Order.find(directory)
+    again = order is not None and order.records > stop
+    if view.stopped.reason == "user" and not again:
+        return "a person stopped this search; the command that began it takes it up again"
+    return None
 
 
-@dataclass(frozen=True)
-class Order:
-    """What a search that empties a queue was asked for; kept in its run directory."""
-
-    problem: str
-    agent: str
-    seed: int
-    experiments: int | None
-    hours: float | None
-    early_stopping: str | None
-    isolation: str | None
-
-    def save(self, directory: Path) -> None:
-        """Write it."""
-        from asia.search._controls import write_whole
-
-        write_whole(directory / "control" / "order.json", json.dumps(asdict(self)).encode())
-
-    @classmethod
-    def load(cls, directory: Path) -> Order:
-        """Read it. Raises UserError when the run was not started by a workspace or a server."""
-        try:
-            return cls(**json.loads((directory / "control" / "order.json").read_text("utf-8")))
-        except FileNotFoundError:
-            raise UserError(
-                f"{directory.name} takes no submissions: it was not started by asia workspace or "
-                "asia mcp"
-            ) from None
-
-
-def start_search(directory: Path) -> None:
-    """Start the process that empties the queue, unless one does; returns once it does. Raises
-    UserError with the last line it wrote when it ends at once."""
-    if _runs(directory):
-        return
-    log = directory / "control" / "search.log"
-    with log.open("ab") as stream:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "asia.search", str(directory)],
-            stdin=subprocess.DEVNULL,
-            stdout=stream,
-            stderr=stream,
-            start_new_session=True,
-            cwd="/",
-        )
-    end = time.monotonic() + _START_SECONDS
-    while not _runs(directory):
-        if process.poll() is not None and not _runs(directory):
-            words = log.read_text("utf-8", "replace").strip().splitlines()
-            raise UserError(f"the search did not start: {one_line(words[-1]) if words else log}")
-        if time.monotonic() > end:
-            raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
-        time.sleep(_POLL)
-
-
-def _runs(directory: Path) -> bool:
-    from asia.ledger import in_use
-
-    ledger = directory / "ledger.jsonl"
-    return ledger.is_file() and in_use(ledger)
+def _budget(directory: Path, run: Run) -> int:
+    """Experiments in all; a larger order counts before the search has seen it."""
+    order = Order.find(directory)
+    ordered = order.experiments if order is not None else None
+    return max(run.view.budget, ordered or 0)

@@ -15,6 +15,7 @@ from asia.agents import (
     Agent,
     AgentStoppedError,
     Attached,
+    Closing,
     InterruptedWaitError,
     Proposal,
 )
@@ -85,6 +86,8 @@ class Loop:
             stopped = self._controlled()
             if stopped is not None:
                 self.record(stopped)
+                if isinstance(self.agent, Closing):
+                    self.agent.stopped(stopped.reason)
         if self.view.refitted is None:
             self._refit()
         return self.view
@@ -167,7 +170,7 @@ class Loop:
             if settled and twin.proposed.digest == experiment.proposed.digest:
                 return _answer_again(experiment, twin)
         start = time.monotonic()
-        evaluation = self._judge(self.store.text(experiment.proposed.source))
+        evaluation = judge(self.evaluator, self.store.text(experiment.proposed.source), view)
         return Evaluated(
             experiment=experiment.number,
             status=decide(evaluation.outcome, view),
@@ -178,15 +181,6 @@ class Loop:
             deadline=_touched_deadline(evaluation),
             validation_scores=evaluation.validation_scores,
         )
-
-    def _judge(self, source: str) -> Evaluation:
-        """Evaluate; a would-be winner must also come back bitwise the same from its bytes."""
-        evaluation = self.evaluator.evaluate(source)
-        if decide(evaluation.outcome, self.view) == "keep":
-            failure = self.evaluator.reload_differs(source, evaluation.folds)
-            if failure is not None:
-                return replace(evaluation, outcome=failure, folds=())
-        return evaluation
 
     def _keep(self, fold: FoldResult) -> FoldRecord:
         return FoldRecord(
@@ -242,6 +236,16 @@ class LoopJournal:
     def interrupted(self) -> bool:
         """Whether a person has something for the search."""
         return self.loop.controls.waiting
+
+
+def judge(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
+    """Evaluate; a would-be winner must also come back bitwise the same from its bytes."""
+    evaluation = evaluator.evaluate(source)
+    if decide(evaluation.outcome, view) == "keep":
+        failure = evaluator.reload_differs(source, evaluation.folds)
+        if failure is not None:
+            return replace(evaluation, outcome=failure, folds=())
+    return evaluation
 
 
 def _baseline(source: str) -> Proposal:

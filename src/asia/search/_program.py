@@ -57,9 +57,9 @@ training samples, then the mean over outputs and over folds: 1 is as bad as the 
 
 Arrays are float64 in physical units. `trajectories` are this fold's training records, with
 `t.u` (T, nu) and `t.y` (T, ny). `u[:, k]` and `y_hat[:, k]` are the same sample; `past_*[:, -1]` is
-the one before. `past_u` has {rule.past_inputs} and `past_y` {rule.past_outputs} samples. `context` has inputs,
-outputs, sampling_time, n_past_u, n_past_y, horizon, metric, physics, seed, deadline, threads and
-`log(step, loss)`. Use `context.seed` for everything random. A fit may take
+the one before. `past_u` has {rule.past_inputs} samples and `past_y` {rule.past_outputs}. `context`
+has inputs, outputs, sampling_time, n_past_u, n_past_y, horizon, metric, physics, seed, deadline,
+threads and `log(step, loss)`. Use `context.seed` for everything random. A fit may take
 {budget.fit_seconds:g} s on one core and {budget.memory_mb} MB, and should end by a number of
 iterations, not by the clock. numpy, scipy, jax, optax and the model library `asia.models` can be
 imported; there is no network and nothing else to read.

@@ -3,22 +3,30 @@ spent or nobody has handed anything in for a while."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from asia.agents import Proposal, SubmittedAgent
-from asia.ledger import Event, Proposed, SearchView
+from asia.ledger import Event, Proposed, SearchView, open_run
 from asia.problem.load import Problem, load_problem
 from asia.sandbox import Isolation
-from asia.search._desk import Order
+from asia.search._detached import Order
 from asia.search._queue import Queue
-from asia.search._search import Prepared, prepare, search, with_early_stopping
+from asia.search._search import Prepared, check_same_search, prepare, search, with_early_stopping
 
 IDLE_SECONDS = 1800.0
+
+# Whoever hands in decides when enough is enough. The lock file has it, so it never changes.
+_PATIENCE = 1_000_000
 
 
 class IdleError(Exception):
     """Nothing was handed in for so long that the process ends; the run can be taken up again."""
+
+
+class NewOrderError(Exception):
+    """More was ordered while the search waited."""
 
 
 def order_problem(order: Order) -> Problem:
@@ -29,8 +37,7 @@ def order_problem(order: Order) -> Problem:
         budget,
         experiments=order.experiments or budget.experiments,
         hours=order.hours if order.hours is not None else budget.hours,
-        # Whoever hands in decides when enough is enough.
-        patience=max(budget.patience, order.experiments or budget.experiments),
+        patience=_PATIENCE,
     )
     problem = replace(problem, budget=budget)
     if order.early_stopping is not None:
@@ -39,43 +46,71 @@ def order_problem(order: Order) -> Problem:
 
 
 def prepare_order(order: Order, runs: Path, name: str | None) -> Prepared:
-    """As `prepare`, for a search that empties a queue."""
+    """As `prepare`, for a search that empties a queue. Where the order leaves the number of
+    experiments open, a run that has more of them than its problem keeps them. Raises UserError too
+    when the run is another search or has a larger budget than ordered."""
     level = Isolation(order.isolation) if order.isolation else None
-    return prepare(
-        order_problem(order), order.agent, seed=order.seed, runs=runs, name=name, isolation=level
-    )
+
+    def prepared(problem: Problem) -> Prepared:
+        return prepare(problem, order.agent, seed=order.seed, runs=runs, name=name, isolation=level)
+
+    problem = order_problem(order)
+    ready = prepared(problem)
+    if not ready.resumes:
+        return ready
+    view = open_run(ready.directory).view
+    if order.experiments is None and view.budget > problem.budget.experiments:
+        budget = replace(problem.budget, experiments=view.budget)
+        ready = prepared(replace(problem, budget=budget))
+    check_same_search(view, ready.started)
+    return ready
 
 
 def serve(directory: Path, idle_seconds: float = IDLE_SECONDS) -> None:
     """Run to the end of the budget, or leave the run interrupted after `idle_seconds` without a
     submission."""
     directory = directory.resolve()
-    prepared = prepare_order(Order.load(directory), directory.parent, directory.name)
+    queue = Queue(directory)
+    while True:
+        order = Order.load(directory)
+        prepared = prepare_order(order, directory.parent, directory.name)
+        patience = _patience(directory, order, idle_seconds)
+        agent = SubmittedAgent(prepared.started.agent, lambda: taking(queue), patience)
+        try:
+            search(
+                prepared,
+                agent,
+                on_event=lambda event, view: clearing(queue, event),
+                on_start=lambda view: clear_known(queue, view),
+            )
+        except IdleError:
+            # Handed in after the last look, by somebody who still saw this search.
+            if not queue.tickets():
+                return
+        except NewOrderError:
+            pass
+        else:
+            if Order.load(directory) == order:
+                return
+
+
+def _patience(directory: Path, order: Order, idle_seconds: float) -> Callable[[float], None]:
+    """What is done while nothing is handed in."""
 
     def waiting(seconds: float) -> None:
+        now = Order.load(directory)
+        # The same order given again asks for nothing more.
+        if replace(now, records=order.records) != order:
+            raise NewOrderError
         if seconds > idle_seconds:
             raise IdleError
 
-    queue = Queue(directory)
-    agent = SubmittedAgent(prepared.started.agent, lambda: taking(queue), waiting)
-    try:
-        search(
-            prepared,
-            agent,
-            on_event=lambda event, view: clearing(queue, event),
-            on_start=lambda view: clear_known(queue, view),
-        )
-    except IdleError:
-        return
+    return waiting
 
 
 def taking(queue: Queue) -> Proposal | None:
     """The oldest submission, with its ticket; it stays until the ledger has it."""
-    for ticket in queue.tickets():
-        proposal = queue.get(ticket)
-        if proposal is not None:
-            return replace(proposal, ticket=ticket)
-    return None
+    return queue.take()
 
 
 def clearing(queue: Queue, event: Event) -> None:
@@ -85,8 +120,9 @@ def clearing(queue: Queue, event: Event) -> None:
 
 
 def clear_known(queue: Queue, view: SearchView) -> None:
-    """Take out what the ledger had when the search was cut off between writing the one and
-    removing the other."""
+    """Put in order what a search left that was cut off: what the ledger has is taken out, what it
+    had taken and not recorded waits again."""
     for experiment in view.experiments:
         if experiment.proposed.ticket:
             queue.remove(experiment.proposed.ticket)
+    queue.give_back()

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia.errors import UserError
+from asia.evaluation import LINEAR
 from asia.ledger import SearchView, Store, journal, open_run, results_table
 from asia.problem import Trajectory
 from asia.problem.load import Problem
-from asia.search._desk import Desk, Order, RunDesk, start_search
+from asia.search._desk import Desk, RunDesk
+from asia.search._detached import Order, start_search
 from asia.search._program import program
 from asia.search._search import Prepared
 from asia.search._socket import SocketDesk
@@ -53,10 +55,11 @@ for path in paths[:8]:
 
 @dataclass(frozen=True)
 class Workspace:
-    """A folder and the run directory it belongs to."""
+    """A folder and the run directory it belongs to; `run` is None where the folder is that of a
+    command agent, which only reaches its search through the socket."""
 
     folder: Path
-    run: Path
+    run: Path | None
 
     @classmethod
     def find(cls, folder: Path) -> Workspace:
@@ -64,7 +67,8 @@ class Workspace:
         for place in (folder.resolve(), *folder.resolve().parents):
             link = place / _LINK
             if link.is_file():
-                return cls(place, Path(json.loads(link.read_text("utf-8"))["run"]))
+                run = json.loads(link.read_text("utf-8"))["run"]
+                return cls(place, Path(run) if run else None)
         raise UserError(
             f"{folder} is not in a workspace: make one with asia workspace PROBLEM DIR, then cd DIR"
         )
@@ -72,13 +76,23 @@ class Workspace:
     def desk(self) -> Desk:
         """Where candidates are handed in: the socket that ASIA_DESK names, else the run itself."""
         path = os.environ.get(DESK_VARIABLE)
-        return SocketDesk(Path(path)) if path else RunDesk(self.run, start_search)
+        if path:
+            return SocketDesk(Path(path))
+        return RunDesk(self._own_run(), start_search)
+
+    def _own_run(self) -> Path:
+        if self.run is None:
+            raise UserError(
+                f"{self.folder} belongs to a coding agent's search, which alone hands in from "
+                "there; make a workspace of your own with asia workspace PROBLEM DIR"
+            )
+        return self.run
 
     def renew_views(self) -> None:
         """results.tsv, search_journal.md and best.py as the ledger stands; in a jail whoever holds
         the socket writes them."""
         if DESK_VARIABLE not in os.environ:
-            opened = open_run(self.run)
+            opened = open_run(self._own_run())
             write_views(self.folder, opened.view, opened.store)
 
 
@@ -90,7 +104,10 @@ def make_workspace(folder: Path, prepared: Prepared, order: Order) -> Workspace:
     if (folder / _LINK).is_file():
         other = Workspace.find(folder).run
         if other != run:
-            raise UserError(f"{folder} is the workspace of {other.name}; choose another folder")
+            raise UserError(
+                f"{folder} is the workspace of {other.name if other else 'a coding agent'}; choose "
+                "another folder"
+            )
     elif folder.is_dir() and any(folder.iterdir()):
         raise UserError(f"{folder} is not empty: give a new folder, so that nothing is mixed up")
     if folder == run or run in folder.parents or folder in run.parents:
@@ -98,14 +115,13 @@ def make_workspace(folder: Path, prepared: Prepared, order: Order) -> Workspace:
             f"{folder} and the run directory {run} lie inside each other: a workspace must not "
             "show the ledger; choose a folder elsewhere"
         )
-    write_folder(folder, prepared.problem, prepared.started.experiments)
-    _write(folder / _LINK, json.dumps({"run": str(run)}) + "\n")
+    write_folder(folder, prepared.problem, prepared.started.experiments, run)
     order.save(run)
     return Workspace(folder, run)
 
 
-def write_folder(folder: Path, problem: Problem, experiments: int, baseline: str = "") -> None:
-    """The files of a workspace, without its link to a run."""
+def write_folder(folder: Path, problem: Problem, experiments: int, run: Path | None = None) -> None:
+    """The files of a workspace; `run` as in `Workspace`."""
     (folder / "data").mkdir(parents=True, exist_ok=True)
     _write(folder / "PROGRAM.md", program(problem, experiments))
     _write(folder / "description.md", problem.description)
@@ -114,9 +130,9 @@ def write_folder(folder: Path, problem: Problem, experiments: int, baseline: str
     for name, record in zip(names, problem.train, strict=True):
         _write_record(folder / "data" / f"{name}.csv", record, problem)
     candidate = folder / CANDIDATE
-    source = baseline or problem.baseline
-    if source and not candidate.exists():
-        _write(candidate, source)
+    if not candidate.exists():
+        _write(candidate, problem.baseline or LINEAR)
+    _write(folder / _LINK, json.dumps({"run": str(run) if run else None}) + "\n")
 
 
 def write_views(folder: Path, view: SearchView, store: Store) -> None:
