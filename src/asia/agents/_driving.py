@@ -72,10 +72,14 @@ def settings_of(agent: object) -> dict[str, str]:
 
 @runtime_checkable
 class Closing(Protocol):
-    """An agent that has something to end when the search has stopped."""
+    """An agent that has something to end when the search is over."""
 
     def stopped(self, reason: StopReason) -> None:
-        """Called once, before the winner is fitted on all data."""
+        """The search has stopped. Called once, before the winner is fitted on all data."""
+        ...
+
+    def leaving(self) -> None:
+        """Called last, after an error or an interrupt too; the journal still takes events."""
         ...
 
 

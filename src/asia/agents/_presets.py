@@ -18,7 +18,8 @@ class Preset:
     """start, resume: argument templates, resume where a session can be taken up again; dollars:
     arguments that tell the agent its cap on money; model: that choose a model; keys: environment
     variables that hold its credentials; config: its own folder below the home directory;
-    tells_cost: whether its stream does."""
+    tells_cost: whether its stream does; tells_late: whether it tells tokens only at the end of
+    a turn or session, so that a cap may be passed by far."""
 
     start: tuple[str, ...]
     resume: tuple[str, ...] = ()
@@ -28,6 +29,7 @@ class Preset:
     keys: tuple[str, ...] = ()
     config: str = ""
     tells_cost: bool = False
+    tells_late: bool = False
 
 
 _CLAUDE = (
@@ -56,6 +58,7 @@ PRESETS: Mapping[str, Preset] = {
         format="codex",
         keys=("OPENAI_API_KEY", "CODEX_API_KEY"),
         config=".codex",
+        tells_late=True,
     ),
     "gemini": Preset(
         start=("gemini", "-p", "{prompt}", "-o", "stream-json", "--approval-mode", "yolo",
@@ -64,6 +67,7 @@ PRESETS: Mapping[str, Preset] = {
         format="gemini",
         keys=("GEMINI_API_KEY",),
         config=".gemini",
+        tells_late=True,
     ),
 }  # fmt: skip
 

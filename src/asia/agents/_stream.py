@@ -7,6 +7,8 @@ stream-json`. What does not parse is passed over: the whole stream is in the led
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -20,16 +22,17 @@ StreamFormat = Literal["claude", "codex", "gemini", "none"]
 class Stream:
     """What one session's stream has told so far.
 
-    usage: of this session alone; paid: cost that earlier sittings of a resumed session were already
-    charged for, which its own total holds again. outcome: the agent's own word for its end.
+    usage: of this process alone; before: the agent's own totals when a session that is taken up
+    again was left, which its totals hold again; totals: where they stand now, None until they are
+    told. outcome: the agent's own word for its end.
     """
 
     format: StreamFormat
-    paid: float = 0.0
+    before: Usage = field(default_factory=lambda: Usage(cost=0.0))
     usage: Usage = field(default_factory=Usage)
     session: str = ""
     outcome: str = ""
-    total_cost: float | None = None
+    totals: Usage | None = None
     _seen: set[str] = field(default_factory=set[str])
 
     def feed(self, line: str) -> None:
@@ -63,7 +66,7 @@ class Stream:
 
 
 def _claude(stream: Stream, event: dict[str, Any]) -> None:
-    stream.session = _text(event.get("session_id")) or stream.session
+    stream.session = _name(event.get("session_id")) or stream.session
     if event.get("type") == "assistant":
         message = _table(event.get("message"))
         if stream.first_time(_text(message.get("id")) or str(len(stream.outcome))):
@@ -73,30 +76,41 @@ def _claude(stream: Stream, event: dict[str, Any]) -> None:
             stream.add(fresh + cached, _count(usage, "output_tokens"), cached, 1)
     elif event.get("type") == "result":
         stream.outcome = _text(event.get("subtype")) or "result"
-        cost = event.get("total_cost_usd")
-        if isinstance(cost, int | float) and not isinstance(cost, bool):
-            stream.total_cost = float(cost)
-            stream.usage = replace(stream.usage, cost=max(0.0, float(cost) - stream.paid))
-        models = [_table(m) for m in _table(event.get("modelUsage")).values()]
-        if models:
-            # With sub-agents; what is told on the way is the main loop alone.
-            cached = sum(_count(m, "cacheReadInputTokens") for m in models)
-            fresh = sum(
-                _count(m, "inputTokens") + _count(m, "cacheCreationInputTokens") for m in models
-            )
-            made = sum(_count(m, "outputTokens") for m in models)
-            stream.usage = replace(
-                stream.usage,
-                input_tokens=max(stream.usage.input_tokens, fresh + cached),
-                output_tokens=max(stream.usage.output_tokens, made),
-                cached_tokens=max(stream.usage.cached_tokens, cached),
-            )
+        _claude_totals(stream, event)
+
+
+def _claude_totals(stream: Stream, event: dict[str, Any]) -> None:
+    """Both totals are those of the whole session, of what was resumed too."""
+    before, now = stream.before, stream.usage
+    totals = stream.totals or before
+    cost = event.get("total_cost_usd")
+    if isinstance(cost, int | float) and not isinstance(cost, bool) and math.isfinite(cost):
+        totals = replace(totals, cost=float(cost))
+        now = replace(now, cost=max(0.0, float(cost) - (before.cost or 0.0)))
+    models = [_table(m) for m in _table(event.get("modelUsage")).values()]
+    if models:
+        # With sub-agents; what is told on the way is the main loop alone.
+        cached = sum(_count(m, "cacheReadInputTokens") for m in models)
+        fresh = sum(
+            _count(m, "inputTokens") + _count(m, "cacheCreationInputTokens") for m in models
+        )
+        made = sum(_count(m, "outputTokens") for m in models)
+        totals = replace(
+            totals, input_tokens=fresh + cached, output_tokens=made, cached_tokens=cached
+        )
+        now = replace(
+            now,
+            input_tokens=max(now.input_tokens, fresh + cached - before.input_tokens),
+            output_tokens=max(now.output_tokens, made - before.output_tokens),
+            cached_tokens=max(now.cached_tokens, cached - before.cached_tokens),
+        )
+    stream.totals, stream.usage = totals, now
 
 
 def _codex(stream: Stream, event: dict[str, Any]) -> None:
     kind = event.get("type")
     if kind == "thread.started":
-        stream.session = _text(event.get("thread_id"))
+        stream.session = _name(event.get("thread_id"))
     elif kind == "turn.completed":
         usage = _table(event.get("usage"))
         stream.add(
@@ -113,7 +127,7 @@ def _codex(stream: Stream, event: dict[str, Any]) -> None:
 def _gemini(stream: Stream, event: dict[str, Any]) -> None:
     kind = event.get("type")
     if kind == "init":
-        stream.session = _text(event.get("session_id"))
+        stream.session = _name(event.get("session_id"))
     elif kind == "message" and event.get("role") == "assistant" and not event.get("delta"):
         stream.add(0, 0, 0, 1)
     elif kind == "error":
@@ -141,7 +155,15 @@ def _table(value: object) -> dict[str, Any]:
 
 
 def _text(value: object) -> str:
-    return value[:200] if isinstance(value, str) else ""
+    """Printable: no escape code and no half of a character leaves here."""
+    flat = value[:200] if isinstance(value, str) else ""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in flat)
+
+
+def _name(value: object) -> str:
+    """Of a session: it goes back onto a command line, where it must not be taken for an option."""
+    text = _text(value)
+    return text if re.fullmatch(r"\w[\w.-]*", text) else ""
 
 
 def _count(table: dict[str, Any], name: str) -> int:

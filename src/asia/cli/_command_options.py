@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from asia.search import CommandRules
 
 PREFIX = "command:"
+_OTHERS = ("llm", "mcp", "workspace")
 PANEL = "Agent command:NAME (claude, codex, gemini, or a program of your own)"
 
 Command = Annotated[
@@ -42,7 +44,7 @@ Network = Annotated[
 Configs = Annotated[
     list[Path] | None,
     typer.Option(
-        "--agent-config", help="Folder or file of its own, such as ~/.claude; writable.",
+        "--agent-config", help="Folder or file of its own, such as ~/.claude; it gets a copy.",
         rich_help_panel=PANEL,
     ),
 ]  # fmt: skip
@@ -75,7 +77,7 @@ def command_driver(
 ) -> Driver:
     """The program, its rules and its jail. Raises UserError for what is not there, and for a cap
     that cannot be kept."""
-    from asia.agents import make_preset
+    from asia.agents import AGENTS, make_preset
     from asia.errors import UserError
     from asia.sandbox import Isolation, probe
     from asia.search import CommandRules, check_rules, run_command
@@ -83,6 +85,10 @@ def command_driver(
     name = agent.removeprefix(PREFIX)
     if not name.replace("-", "").isalnum():
         raise UserError(f"--agent {agent}: expected command:NAME with letters and digits")
+    if name in {*AGENTS, *_OTHERS}:
+        raise UserError(
+            f"--agent {agent}: '{name}' is another way to drive a search; choose a name of your own"
+        )
     preset = make_preset(name, command)
     _check_given((*(configs or ()), *(mounts or ())), pass_env or ())
     rules = CommandRules(
@@ -92,7 +98,8 @@ def command_driver(
         stuck_minutes=stuck_minutes,
         network=network,
         mounts=tuple(p.expanduser().resolve() for p in mounts or ()),
-        configs=tuple(p.expanduser().resolve() for p in configs or ()),
+        # Not resolved: a link keeps its own name below the agent's home.
+        configs=tuple(Path(os.path.abspath(p.expanduser())) for p in configs or ()),
         variables=(*preset.keys, *(pass_env or ())),
         jail=probe().level is Isolation.NAMESPACE,
         model=model,
@@ -101,9 +108,26 @@ def command_driver(
     return Driver(
         name,
         lambda ready, on_event, on_start: run_command(ready, preset, rules, on_event, on_start),
-        {"command": command or name, "model": model or "its default"},
+        _settings(command or name, rules),
         (_jail_words(name, rules),),
     )
+
+
+def _settings(command: str, rules: CommandRules) -> dict[str, str]:
+    """For the ledger."""
+    return {
+        "command": command,
+        "model": rules.model or "its default",
+        "jail": "namespace" if rules.jail else "none",
+        "network": "yes" if rules.network else "no",
+        "mounts": _names(rules.mounts),
+        "configs": _names(rules.configs),
+    }
+
+
+def _names(paths: Sequence[Path]) -> str:
+    home = str(Path.home())
+    return ", ".join(re.sub(f"^{re.escape(home)}(?=/|$)", "~", str(p)) for p in paths) or "none"
 
 
 def _check_given(paths: Sequence[Path], variables: Sequence[str]) -> None:

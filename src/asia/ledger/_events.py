@@ -176,6 +176,15 @@ class Streamed:
 
 
 @dataclass(frozen=True)
+class SessionStarted:
+    """A command agent's process begins; it may spend `grant` USD, None where money has no cap."""
+
+    session: int
+    grant: float | None
+    event: Literal["session_started"] = "session_started"
+
+
+@dataclass(frozen=True)
 class SessionEnded:
     """A command agent's process has ended: how, and what this session consumed."""
 
@@ -248,6 +257,7 @@ Event = (
     | Steered
     | Exchanged
     | Streamed
+    | SessionStarted
     | SessionEnded
     | Refitted
     | Unsealing

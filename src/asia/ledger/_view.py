@@ -19,6 +19,7 @@ from asia.ledger._events import (
     Resumed,
     RungScored,
     SessionEnded,
+    SessionStarted,
     Started,
     Steered,
     Stopped,
@@ -62,7 +63,7 @@ class Experiment:
 class SearchView:
     """A search as its ledger tells it. `budget` experiments and `hours` as last extended, which
     was after experiment `extended_after`; `unsealing` once the test was about to be opened; `notes`
-    of the person; `exchanges` and `sessions` of the agent."""
+    of the person; `exchanges` of the agent, its `sessions` that ended and all that were `begun`."""
 
     started: Started
     budget: int
@@ -72,6 +73,7 @@ class SearchView:
     notes: tuple[Steered, ...] = ()
     exchanges: tuple[Exchanged, ...] = ()
     sessions: tuple[SessionEnded, ...] = ()
+    begun: tuple[SessionStarted, ...] = ()
     experiments: tuple[Experiment, ...] = ()
     stopped: Stopped | None = None
     refitted: Refitted | None = None
@@ -185,6 +187,8 @@ def _apply(view: SearchView, event: Event) -> SearchView:
             return replace(view, notes=(*view.notes, event))
         case Exchanged():
             return replace(view, exchanges=(*view.exchanges, event))
+        case SessionStarted():
+            return replace(view, begun=(*view.begun, event))
         case SessionEnded():
             return replace(view, sessions=(*view.sessions, event))
         case Streamed():

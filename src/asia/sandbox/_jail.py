@@ -14,6 +14,17 @@ INSIDE = "/workspace"
 SOCKET_FOLDER = "/run/asia"
 _HOME = "/home/agent"
 _ETC = ("ld.so.cache", "localtime", "alternatives", "ssl", "ca-certificates", "pki")
+_TMPFS_BYTES = 2 * 1024**3
+_SHM_BYTES = 256 * 1024**2
+_FILE_BYTES = 1024**3
+_PROCESSES = 512
+# Address space stays open: the runtimes of the agents reserve far more than they use.
+_LIMITED = (
+    "import os, resource, sys\n"
+    f"for what, most in (('NPROC', {_PROCESSES}), ('FSIZE', {_FILE_BYTES}), ('CORE', 0)):\n"
+    "    resource.setrlimit(getattr(resource, 'RLIMIT_' + what), (most, most))\n"
+    "os.execvp(sys.argv[1], sys.argv[1:])\n"
+)
 _NET = ("resolv.conf", "hosts", "nsswitch.conf", "services", "protocols", "gai.conf")
 
 
@@ -21,7 +32,7 @@ _NET = ("resolv.conf", "hosts", "nsswitch.conf", "services", "protocols", "gai.c
 class Jail:
     """workspace: folder the agent writes in; socket: folder that holds the search's socket; mounts:
     shown read-only at their own places; configs: folders of the agent, writable, below its home;
-    network: whether it has the machine's."""
+    network: whether it has the machine's. Numbers of processes and sizes of files are bounded."""
 
     workspace: Path
     socket: Path
@@ -44,7 +55,10 @@ class Jail:
         for name in (*_ETC, *(_NET if self.network else ())):
             options += ["--ro-bind-try", f"/etc/{name}", f"/etc/{name}"]
         options += ["--proc", "/proc", "--remount-ro", "/proc", "--dev", "/dev"]
-        options += ["--tmpfs", "/tmp", "--tmpfs", _HOME, "--dir", SOCKET_FOLDER]
+        options += ["--size", str(_SHM_BYTES), "--tmpfs", "/dev/shm"]
+        for place in ("/tmp", _HOME):
+            options += ["--size", str(_TMPFS_BYTES), "--tmpfs", place]
+        options += ["--dir", SOCKET_FOLDER]
         for outside, inside in code_folders():
             options += ["--ro-bind", outside, inside]
         for target, place in interpreter_links():
@@ -57,15 +71,31 @@ class Jail:
         options += ["--bind", str(self.workspace), INSIDE, "--chdir", INSIDE]
         options += ["--remount-ro", "/", "--cap-drop", "ALL"]
         options += ["--uid", "1000", "--gid", "1000", "--hostname", "workspace"]
-        return [bwrap, *options, "--", *arguments]
+        limited = [interpreter(), "-I", "-S", "-c", _LIMITED]
+        return [bwrap, *options, "--", *limited, *arguments]
+
+    def find(self, program: str) -> str | None:
+        """Path of a program that can be run inside, None where there is none."""
+        path = shutil.which(program, path=_programs(self.mounts))
+        shown = ["/usr", *(os.path.realpath(p) for p in self.mounts)]
+        shown += [outside for outside, _ in code_folders()]
+        real = os.path.realpath(path) if path else ""
+        return path if any(real == s or real.startswith(s + os.sep) for s in shown) else None
 
 
-def jail_environment() -> dict[str, str]:
+def _programs(mounts: tuple[Path, ...]) -> str:
+    """Where programs are looked for inside: what is mounted goes before the machine's own."""
+    places = [str(Path(interpreter()).parent)]
+    for path in mounts:
+        places += [str(p) for p in (path / "bin", path) if p.is_dir()]
+    return os.pathsep.join((*places, "/usr/local/bin:/usr/bin:/bin"))
+
+
+def jail_environment(mounts: tuple[Path, ...] = ()) -> dict[str, str]:
     """All environment variables inside, but those that the person passes on. Given to the process
     and not on the command line, where others could read a key."""
-    programs = os.pathsep.join((str(Path(interpreter()).parent), "/usr/local/bin:/usr/bin:/bin"))
     return {
-        "PATH": programs,
+        "PATH": _programs(mounts),
         "HOME": _HOME,
         "USER": "agent",
         "LANG": "C.UTF-8",

@@ -1,7 +1,8 @@
 """The loop: problem + agent + budget + ledger. Alone holds both an agent and an evaluator."""
 
 from asia.search._agent_view import agent_view, problem_facts
-from asia.search._command import CommandRules, check_rules, run_command
+from asia.search._command import run_command
+from asia.search._command_rules import CommandRules, check_rules
 from asia.search._controls import Controls
 from asia.search._desk import Desk, Job, Result, RunDesk, Standing, wait
 from asia.search._detached import Order, start_search

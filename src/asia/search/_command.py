@@ -1,32 +1,44 @@
-"""A coding agent as a process: started in a jail, watched, stopped, taken up again."""
+"""A coding agent that drives a search: started in a jail, capped, stopped, taken up again."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import signal
+import shutil
 import subprocess
 import tempfile
-import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 
-from asia.agents import AgentStoppedError, Journal, Preset, Stream, SubmittedAgent, filled
+from asia.agents import AgentStoppedError, Journal, Preset, Proposal, Stream, SubmittedAgent, filled
 from asia.errors import UserError
 from asia.ledger import (
     Evaluated,
     Event,
     SearchView,
     SessionEnded,
+    SessionStarted,
     StopReason,
     Store,
     Streamed,
     Usage,
+    read_lines,
 )
 from asia.sandbox import INSIDE, SOCKET_FOLDER, Jail, jail_environment
+from asia.search._command_rules import (
+    CommandRules,
+    Secrets,
+    Spent,
+    Stop,
+    check_places,
+    check_rules,
+)
+from asia.search._command_session import Session
+from asia.search._controls import Controls
 from asia.search._desk import RunDesk, one_line
+from asia.search._folder import write_file
 from asia.search._loop import OnEvent
 from asia.search._queue import Queue
 from asia.search._search import Prepared, search
@@ -35,9 +47,7 @@ from asia.search._socket import DeskServer
 from asia.search._workspace import DESK_VARIABLE, write_folder, write_views
 
 SOCKET = "desk.sock"
-_CHUNK_BYTES = 256 * 1024
-_LINE_BYTES = 4 * 1024 * 1024
-_GRACE_SECONDS = 2.0
+WORKSPACES = ".workspaces"
 _LAST_WORDS_SECONDS = 60.0
 _IDLE_SESSIONS = 2
 _FIRST = (
@@ -50,97 +60,67 @@ _AGAIN = (
 )
 
 
-@dataclass(frozen=True)
-class CommandRules:
-    """What a command agent may use.
-
-    minutes: wall-clock time of one sitting; tokens, cost: in all, None for no cap; stuck_minutes:
-    without a new experiment; failures: experiments without a score in a row; network, mounts,
-    configs: see `Jail`; variables: names of environment variables passed on; jail: False to run
-    without one.
-    """
-
-    minutes: float | None = None
-    tokens: int | None = None
-    cost: float | None = None
-    stuck_minutes: float = 30.0
-    failures: int = 10
-    network: bool = False
-    mounts: tuple[Path, ...] = ()
-    configs: tuple[Path, ...] = ()
-    variables: tuple[str, ...] = ()
-    jail: bool = True
-    model: str | None = None
-
-
-@dataclass
-class Session:
-    """One process of the agent. `ended` once it is over, with why the search should stop, None to
-    start another."""
-
-    process: subprocess.Popen[bytes]
-    stream: Stream
-    number: int
-    experiments: int
-    began: float = field(default_factory=time.monotonic)
-    stopped: tuple[StopReason, str] | None = None
-    lines: list[bytes] = field(default_factory=list[bytes])
-    last_words: str = ""
-    reader: threading.Thread | None = None
-
-    def kill(self) -> None:
-        """End it and all it started."""
-        for sign in (signal.SIGTERM, signal.SIGKILL):
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self.process.pid, sign)
-            try:
-                self.process.wait(_GRACE_SECONDS)
-            except subprocess.TimeoutExpired:
-                continue
-
-
 class CommandAgent(SubmittedAgent):
     """Brings what its process hands in through the socket."""
 
     def __init__(
         self, name: str, preset: Preset, rules: CommandRules, prepared: Prepared, folder: Path
     ) -> None:
-        self._preset, self._rules, self._folder = preset, rules, folder
+        super().__init__(name, self._take, self._watch)
+        self._preset, self._folder = preset, folder
+        self._directory = prepared.directory
         self._queue = Queue(prepared.directory)
-        super().__init__(name, lambda: taking(self._queue), self._watch)
+        self._controls = Controls(prepared.directory)
+        self._secrets = Secrets.of(rules.variables)
         self._session: Session | None = None
         self._view: SearchView | None = None
-        self._journal_of: Journal | None = None
-        self._socket = Path(tempfile.mkdtemp(prefix="asia-desk-"))
+        self._finished_before = 0
+        self._private = Path(tempfile.mkdtemp(prefix="asia-agent-"))
+        self._socket = self._private / "desk"
+        self._socket.mkdir()
+        self._rules = replace(rules, configs=self._copied(rules))
         self._server = DeskServer(self._socket / SOCKET, RunDesk(prepared.directory))
-        self._last = time.monotonic()
+        self._quiet_since = self._looked = time.monotonic()
         self._idle = 0
         self._resumable = ""
-        self._paid = 0.0
+        self._totals = Usage(cost=0.0)
         self._until = None if rules.minutes is None else time.monotonic() + 60 * rules.minutes
 
     def attach(self, journal: Journal) -> None:
-        """Begin to serve the socket."""
+        """Begin to serve the socket; account for sessions that were cut off."""
         super().attach(journal)
-        self._journal_of = journal
+        view = self._view
+        assert view is not None
+        ended = {event.session for event in view.sessions}
+        for event in view.begun:
+            if event.session not in ended:
+                usage = self._streamed(event.session, journal)
+                journal.record(SessionEnded(event.session, "cut off with the search", usage))
         self._server.__enter__()
 
     def close(self) -> None:
-        """End the process and the socket, whatever happened."""
+        """End the socket and remove what was private, whatever happened."""
         if self._session is not None:
-            self._session.kill()
-        with contextlib.suppress(RuntimeError):
-            self._server.__exit__(None, None, None)
-        with contextlib.suppress(OSError):
-            self._socket.rmdir()
+            self._session.end()
+        self._server.__exit__(None, None, None)
+        shutil.rmtree(self._private, ignore_errors=True)
 
     def told(self, event: Event, view: SearchView, store: Store) -> None:
-        """An event was recorded: renew the views, count failures."""
+        """An event was recorded: renew the views."""
         self._view = view
         clearing(self._queue, event)
         if isinstance(event, Evaluated):
-            self._last = time.monotonic()
-            write_views(self._folder, view, store)
+            self._quiet_since = time.monotonic()
+            # An agent that makes its folder unwritable harms nobody but itself.
+            with contextlib.suppress(UserError):
+                write_views(self._folder, view, store)
+
+    def started(self, view: SearchView, store: Store) -> None:
+        """The search begins or goes on."""
+        self._view = view
+        self._finished_before = len(view.finished)
+        clear_known(self._queue, view)
+        write_views(self._folder, view, store)
 
     def stopped(self, reason: StopReason) -> None:
         """The search has stopped: where its budget is spent the agent may finish what it says."""
@@ -148,119 +128,105 @@ class CommandAgent(SubmittedAgent):
         if session is None:
             return
         if reason in ("budget", "hours", "saturated"):
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                session.process.wait(_LAST_WORDS_SECONDS)
-        self._end_session(session.stream.outcome or "stopped with the search")
+            session.wait(_LAST_WORDS_SECONDS)
+        self._finish(session)
 
-    def started(self, view: SearchView, store: Store) -> None:
-        """The search begins or goes on."""
-        self._view = view
-        clear_known(self._queue, view)
-        write_views(self._folder, view, store)
+    def leaving(self) -> None:
+        """The search is left, by an error or an interrupt where a session still goes on."""
+        if self._session is not None:
+            self._finish(self._session)
+
+    def _take(self) -> Proposal | None:
+        """What was handed in, unless a cap was reached meanwhile."""
+        session = self._session
+        stop = session.stopped if session is not None else self._judge(None)
+        if stop is not None:
+            if session is not None:
+                self._finish(session)
+            raise AgentStoppedError(*stop)
+        proposal = taking(self._queue)
+        return None if proposal is None else self._secrets.clean_proposal(proposal)
 
     def _watch(self, seconds: float) -> None:
-        """Called while nothing is handed in: start, stop, judge the process."""
+        """Called while nothing is handed in: start, or start again."""
         del seconds
-        if self._session is None:
-            self._check_caps(self._spent(None))
-            self._session = self._start()
-            return
         session = self._session
-        if session.stopped is None:
-            session.stopped = self._overdue()
-            if session.stopped is not None:
-                session.kill()
-        if session.process.poll() is None:
-            return
-        self._after(session)
-
-    def _overdue(self) -> tuple[StopReason, str] | None:
-        now, rules = time.monotonic(), self._rules
-        if self._until is not None and now > self._until:
-            return "time", f"{rules.minutes:g} minutes are over"
-        if now - max(self._last, self._begun()) > 60 * rules.stuck_minutes:
-            return "stuck", f"no new experiment in {rules.stuck_minutes:g} minutes"
-        last = self._view.finished[-rules.failures :] if self._view is not None else ()
-        if len(last) == rules.failures and all(e.score is None for e in last):
-            return "stuck", f"{rules.failures} experiments in a row have no score"
-        return None
-
-    def _begun(self) -> float:
-        return self._session.began if self._session is not None else 0.0
+        if session is None:
+            self._session = self._start()
+        elif session.error is not None:
+            raise session.error
+        elif session.ended:
+            self._after(session)
 
     def _after(self, session: Session) -> None:
-        """The process has ended by itself or was killed."""
-        outcome = session.stream.outcome or (
-            f"exit code {session.process.returncode}: {one_line(session.last_words)}"
-        )
-        self._end_session(outcome)
-        if session.stopped is not None:
-            raise AgentStoppedError(*session.stopped)
-        self._check_caps(self._spent(None))
-        brought = (self._view is not None) and len(self._view.experiments) > session.experiments
+        """The process has ended."""
+        outcome = self._finish(session)
+        view = self._view
+        assert view is not None
+        stop = session.stopped or Spent.of(view, None).over(self._rules)
+        if stop is not None:
+            raise AgentStoppedError(stop[0], f"{stop[1]}; last session: {outcome}")
+        brought = len(view.experiments) > session.experiments
         self._idle = 0 if brought else self._idle + 1
         if self._idle >= _IDLE_SESSIONS:
             raise AgentStoppedError(
                 "agent", f"it ended {self._idle} times without a new experiment, last: {outcome}"
             )
 
-    def _spent(self, session: Session | None) -> Usage:
-        """In all, what is in flight included."""
-        past = self._view.usage if self._view is not None else None
-        past = past or Usage(cost=0.0)
-        if session is None:
-            return past
-        now = session.stream.usage
-        return Usage(
-            past.input_tokens + now.input_tokens,
-            past.output_tokens + now.output_tokens,
-            past.cached_tokens + now.cached_tokens,
-            None if past.cost is None or now.cost is None else past.cost + now.cost,
-            past.turns + now.turns,
-        )
-
-    def _check_caps(self, spent: Usage) -> None:
-        reason = self._over(spent)
-        if reason is not None:
-            raise AgentStoppedError(*reason)
-
-    def _over(self, spent: Usage) -> tuple[StopReason, str] | None:
-        rules = self._rules
-        if rules.tokens is not None and spent.tokens >= rules.tokens:
-            return "tokens", f"{spent.tokens} of {rules.tokens} tokens"
-        if rules.cost is not None and spent.cost is not None and spent.cost >= rules.cost:
-            return "cost", f"{spent.cost:.2f} of {rules.cost:.2f} USD"
+    def _judge(self, stream: Stream | None) -> Stop | None:
+        """Why the agent must stop, from any thread, while something is evaluated too."""
+        now, rules, view = time.monotonic(), self._rules, self._view
+        assert view is not None
+        if view.pending is not None or self._queue.tickets():
+            self._quiet_since = now
+        elif self._controls.paused:
+            self._quiet_since += now - self._looked
+        self._looked = now
+        over = Spent.of(view, stream).over(rules)
+        if over is not None:
+            return over
+        if self._until is not None and now > self._until:
+            return "time", f"{rules.minutes:g} minutes are over"
+        if stream is not None and now - self._quiet_since > 60 * rules.stuck_minutes:
+            return "stuck", f"no new experiment in {rules.stuck_minutes:g} minutes"
+        last = view.finished[self._finished_before :][-rules.failures :]
+        if len(last) == rules.failures and all(e.score is None for e in last):
+            return "stuck", f"{rules.failures} experiments in a row have no score"
         return None
 
     def _start(self) -> Session:
-        preset, rules = self._preset, self._rules
-        view = self._view
+        preset, rules, view, journal = self._preset, self._rules, self._view, self._journal
         assert view is not None
-        again = bool(view.sessions)
-        template = preset.resume if again and self._resumable and preset.resume else preset.start
-        prompt = _AGAIN if again else _FIRST
+        assert journal is not None
+        number = 1 + max(len(view.begun), len(view.sessions))
+        # A jail has a new home each time: only what lies in a configuration outlives a session.
+        kept = not rules.jail or preset.config in [path.name for path in rules.configs]
+        resumes = bool(number > 1 and self._resumable and preset.resume and kept)
+        template = preset.resume if resumes else preset.start
         notes = "".join(f"\n\nThe person says: {n.text}" for n in view.notes)
-        (self._folder / "PROMPT.md").write_text(prompt + notes, "utf-8")
-        left = None if rules.cost is None else rules.cost - (self._spent(None).cost or 0.0)
+        prompt = (_AGAIN if number > 1 else _FIRST) + notes
+        write_file(self._folder, "PROMPT.md", prompt)
+        spent = Spent.of(view, None)
+        left = None if rules.cost is None else rules.cost - spent.cost - spent.unknown
         if left is not None and preset.dollars:
             template = (*template, *preset.dollars)
         if rules.model is not None and preset.model:
             template = (*template, *preset.model, rules.model)
         place = INSIDE if rules.jail else str(self._folder)
         values = {
-            "prompt": prompt + notes,
+            "prompt": prompt,
             "prompt_file": f"{place}/PROMPT.md",
             "workspace": place,
             "session": self._resumable,
             "dollars": "" if left is None else f"{left:.4f}",
         }
+        if not resumes:
+            self._totals = Usage(cost=0.0)
+        journal.record(SessionStarted(number, left))
+        self._quiet_since = self._looked = time.monotonic()
         process = self._spawn(filled(template, values))
-        number = len(view.sessions) + 1
-        stream = Stream(preset.format, self._paid if template is preset.resume else 0.0)
-        session = Session(process, stream, number, len(view.experiments))
-        session.reader = threading.Thread(target=self._read, args=(session,), daemon=True)
-        session.reader.start()
-        return session
+        stream = Stream(preset.format, self._totals)
+        return Session(process, stream, number, len(view.experiments), self._keep, self._judge)
 
     def _spawn(self, arguments: list[str]) -> subprocess.Popen[bytes]:
         rules = self._rules
@@ -268,7 +234,8 @@ class CommandAgent(SubmittedAgent):
         if rules.jail:
             jail = Jail(self._folder, self._socket, rules.mounts, rules.configs, rules.network)
             arguments = jail.command(arguments)
-            environment = jail_environment() | {DESK_VARIABLE: f"{SOCKET_FOLDER}/{SOCKET}"}
+            environment = jail_environment(rules.mounts)
+            environment[DESK_VARIABLE] = f"{SOCKET_FOLDER}/{SOCKET}"
         else:
             environment = {
                 name: os.environ[name] for name in ("PATH", "HOME", "LANG") if name in os.environ
@@ -289,50 +256,50 @@ class CommandAgent(SubmittedAgent):
                 "give its command line with --command"
             ) from None
 
-    def _read(self, session: Session) -> None:
-        """In a thread of its own: the whole stream into the ledger, caps as soon as they show."""
-        stream = session.process.stdout
-        assert stream is not None
-        size = 0
-        with contextlib.suppress(ValueError, OSError):
-            while line := stream.readline(_LINE_BYTES):
-                session.lines.append(line)
-                size += len(line)
-                text = line.decode("utf-8", "replace")
-                session.last_words = text if text.strip() else session.last_words
-                session.stream.feed(text)
-                over = self._over(self._spent(session))
-                if over is not None and session.stopped is None:
-                    session.stopped = over
-                    session.kill()
-                if size > _CHUNK_BYTES:
-                    self._flush(session)
-                    size = 0
-
-    def _flush(self, session: Session) -> None:
-        lines, session.lines = session.lines, []
-        journal = self._journal_of
-        if lines and journal is not None:
-            journal.record(Streamed(session.number, journal.put(b"".join(lines))))
-
-    def _end_session(self, outcome: str) -> None:
-        session, journal = self._session, self._journal_of
-        assert session is not None
+    def _keep(self, number: int, data: bytes) -> None:
+        journal = self._journal
         assert journal is not None
-        session.kill()
-        if session.reader is not None:
-            session.reader.join(_GRACE_SECONDS)
-        if session.process.stdout is not None:
-            session.process.stdout.close()
+        journal.record(Streamed(number, journal.put(self._secrets.clean_bytes(data))))
+
+    def _finish(self, session: Session) -> str:
+        """End it and write its account; how it ended, in words."""
+        journal = self._journal
+        assert journal is not None
         self._session = None
-        self._flush(session)
-        self._resumable = session.stream.session
-        if session.stream.total_cost is not None:
-            self._paid = session.stream.total_cost
+        outcome = one_line(self._secrets.clean(session.end()))
+        stream = session.stream
+        self._resumable = stream.session
+        self._totals = stream.totals or stream.before
         known = self._preset.format != "none"
-        journal.record(
-            SessionEnded(session.number, outcome, session.stream.usage if known else None)
-        )
+        journal.record(SessionEnded(session.number, outcome, stream.usage if known else None))
+        return outcome
+
+    def _streamed(self, number: int, journal: Journal) -> Usage | None:
+        """What the ledger has of the stream of a session that was cut off. Its cost is unknown."""
+        if self._preset.format == "none":
+            return None
+        stream = Stream(self._preset.format)
+        for line in read_lines(self._directory / "ledger.jsonl"):
+            event = line.event
+            if isinstance(event, Streamed) and event.session == number:
+                for text in journal.get(event.lines).decode("utf-8", "replace").splitlines():
+                    stream.feed(text)
+        return replace(stream.usage, cost=None)
+
+    def _copied(self, rules: CommandRules) -> tuple[Path, ...]:
+        """The agent's configuration, as its own copy: what it changes there is lost with it."""
+        if not rules.jail:
+            return ()
+        home = self._private / "home"
+        home.mkdir()
+        for path in rules.configs:
+            if path.is_dir():
+                # Sockets and what cannot be read are left out.
+                with contextlib.suppress(shutil.Error):
+                    shutil.copytree(path, home / path.name, symlinks=True, dirs_exist_ok=True)
+            else:
+                shutil.copy(path, home / path.name)
+        return tuple(home / path.name for path in rules.configs)
 
 
 def run_command(
@@ -343,13 +310,16 @@ def run_command(
     on_start: Callable[[SearchView], None],
 ) -> SearchView:
     """As `search`, with candidates from a coding agent. Raises UserError before anything starts
-    when a cap cannot be kept."""
+    when a cap cannot be kept or the agent's program cannot be run."""
     check_rules(preset, rules)
     directory = prepared.directory
-    folder = directory.with_name(f"{directory.name}-workspace").resolve()
+    check_places(preset, rules, directory)
+    # A level further down than the runs are looked for: what lies in it is never taken for one.
+    folder = directory.resolve().parent / WORKSPACES / directory.name
+    if os.path.lexists(folder / "ledger.jsonl"):
+        raise UserError(f"{folder} holds a ledger: it must not look like a run; remove that file")
     write_folder(folder, prepared.problem, prepared.started.experiments)
-    name = prepared.started.agent
-    agent = CommandAgent(name, preset, rules, prepared, folder)
+    agent = CommandAgent(prepared.started.agent, preset, rules, prepared, folder)
     store = Store(directory / "artifacts")
 
     def both(event: Event, view: SearchView) -> None:
@@ -364,16 +334,3 @@ def run_command(
         return search(prepared, agent, both, begun)
     finally:
         agent.close()
-
-
-def check_rules(preset: Preset, rules: CommandRules) -> None:
-    """Raises UserError for a cap that this agent's stream cannot keep."""
-    if rules.cost is not None and not preset.tells_cost:
-        raise UserError(
-            "--max-cost: this agent does not tell what it costs; cap it with --max-tokens or "
-            "--agent-minutes"
-        )
-    if rules.tokens is not None and preset.format == "none":
-        raise UserError(
-            "--max-tokens: nothing is known of this agent's stream; cap it with --agent-minutes"
-        )

@@ -81,6 +81,14 @@ class Loop:
             return self.view
         if isinstance(self.agent, Attached):
             self.agent.attach(LoopJournal(self))
+        try:
+            self._search()
+        finally:
+            if isinstance(self.agent, Closing):
+                self.agent.leaving()
+        return self.view
+
+    def _search(self) -> None:
         self._score_rungs()
         while self.view.stopped is None:
             stopped = self._controlled()
@@ -90,7 +98,6 @@ class Loop:
                     self.agent.stopped(stopped.reason)
         if self.view.refitted is None:
             self._refit()
-        return self.view
 
     def record(self, event: Event) -> None:
         """Append to the ledger, rewrite the generated files, tell the listener. From any thread."""

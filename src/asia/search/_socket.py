@@ -24,6 +24,8 @@ from asia.search._desk import Desk, Job, Result, Standing
 
 MOST_BYTES = 1_000_000
 _SILENCE_SECONDS = 30.0
+_CONNECTIONS = 32
+_SLOT_SECONDS = 1.0
 
 
 class _Request(BaseModel):
@@ -82,13 +84,35 @@ class DeskServer:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._server.shutdown()
+        # A server that never served would wait for its own end for ever.
+        if self._thread.ident is not None:
+            self._server.shutdown()
         self._server.server_close()
         self.path.unlink(missing_ok=True)
 
 
 class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
+
+    def __init__(self, path: str, handler: type[socketserver.StreamRequestHandler]) -> None:
+        super().__init__(path, handler)
+        self._slots = threading.BoundedSemaphore(_CONNECTIONS)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if not self._slots.acquire(timeout=_SLOT_SECONDS):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self._slots.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._slots.release()
 
 
 def _handler(desk: Desk) -> type[socketserver.StreamRequestHandler]:
@@ -110,12 +134,15 @@ def _answer(desk: Desk, raw: bytes) -> bytes:
         if len(raw) > MOST_BYTES or not raw.endswith(b"\n"):
             raise UserError(f"a request is one line of at most {MOST_BYTES} bytes")
         answer = {"ok": _call(desk, _requests.validate_json(raw))}
+        return json.dumps(answer, allow_nan=False).encode()
     except UserError as error:
         answer = {"error": str(error)}
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         answer = {"error": f"the request is not one that is known: {first['msg']}"}
-    return json.dumps(answer, allow_nan=False).encode()
+    except Exception as error:  # noqa: BLE001 - the border: every request has an answer
+        answer = {"error": f"the search could not answer ({type(error).__name__}); try again"}
+    return json.dumps(answer).encode()
 
 
 def _call(desk: Desk, request: _Submit | _Job | _Source | _Plain) -> Any:
@@ -180,7 +207,13 @@ class SocketDesk:
                     f"the search does not answer at {self._path} ({error.strerror or error}): it "
                     "has ended, or was never started"
                 ) from None
-        answer = json.loads(raw)
+        try:
+            answer = json.loads(raw)
+        except ValueError:
+            raise UserError(
+                f"the search hung up at {self._path} without an answer: it has ended, or too many "
+                "ask at once; try again"
+            ) from None
         if "error" in answer:
             raise UserError(str(answer["error"]))
         return answer["ok"]

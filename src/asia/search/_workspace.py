@@ -4,6 +4,7 @@ test data, never the ledger itself."""
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from asia.problem import Trajectory
 from asia.problem.load import Problem
 from asia.search._desk import Desk, RunDesk
 from asia.search._detached import Order, start_search
+from asia.search._folder import write_file
 from asia.search._program import program
 from asia.search._search import Prepared
 from asia.search._socket import SocketDesk
@@ -23,7 +25,7 @@ from asia.search._socket import SocketDesk
 DESK_VARIABLE = "ASIA_DESK"
 CANDIDATE = "candidate.py"
 VIEWS = ("results.tsv", "search_journal.md")
-_LINK = Path(".asia") / "workspace.json"
+_LINK = ".asia/workspace.json"
 
 _PLOT = '''"""Draws the training records: python plot.py [data/NAME.csv ...] -> data.png"""
 
@@ -122,17 +124,16 @@ def make_workspace(folder: Path, prepared: Prepared, order: Order) -> Workspace:
 
 def write_folder(folder: Path, problem: Problem, experiments: int, run: Path | None = None) -> None:
     """The files of a workspace; `run` as in `Workspace`."""
-    (folder / "data").mkdir(parents=True, exist_ok=True)
-    _write(folder / "PROGRAM.md", program(problem, experiments))
-    _write(folder / "description.md", problem.description)
-    _write(folder / "plot.py", _PLOT)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_file(folder, "PROGRAM.md", program(problem, experiments))
+    write_file(folder, "description.md", problem.description)
+    write_file(folder, "plot.py", _PLOT)
     names = record_names(problem.train)
     for name, record in zip(names, problem.train, strict=True):
-        _write_record(folder / "data" / f"{name}.csv", record, problem)
-    candidate = folder / CANDIDATE
-    if not candidate.exists():
-        _write(candidate, problem.baseline or LINEAR)
-    _write(folder / _LINK, json.dumps({"run": str(run) if run else None}) + "\n")
+        write_file(folder, f"data/{name}.csv", _table(record, problem))
+    if not os.path.lexists(folder / CANDIDATE):
+        write_file(folder, CANDIDATE, problem.baseline or LINEAR)
+    write_file(folder, _LINK, json.dumps({"run": str(run) if run else None}) + "\n")
 
 
 def write_views(folder: Path, view: SearchView, store: Store) -> None:
@@ -141,7 +142,7 @@ def write_views(folder: Path, view: SearchView, store: Store) -> None:
     if view.best is not None:
         texts["best.py"] = store.text(view.best.proposed.source)
     for name, text in texts.items():
-        _write(folder / name, text, mode=0o444)
+        write_file(folder, name, text, mode=0o444)
 
 
 def record_names(records: tuple[Trajectory, ...]) -> list[str]:
@@ -153,19 +154,13 @@ def record_names(records: tuple[Trajectory, ...]) -> list[str]:
     return [f"{s}-{i}" if stems.count(s) > 1 else s for i, s in enumerate(stems, 1)]
 
 
-def _write_record(path: Path, record: Trajectory, problem: Problem) -> None:
+def _table(record: Trajectory, problem: Problem) -> str:
+    """A record as CSV."""
     names = [s.name for s in (*problem.inputs, *problem.outputs)]
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(["time", *names])
-        for k in range(len(record)):
-            values = [*record.u[k].tolist(), *record.y[k].tolist()]
-            table.writerow([repr(k * record.sampling_time), *map(repr, values)])
-
-
-def _write(path: Path, text: str, mode: int = 0o644) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.new")
-    temporary.write_text(text, "utf-8")
-    temporary.chmod(mode)
-    temporary.replace(path)
+    stream = io.StringIO()
+    table = csv.writer(stream, lineterminator="\n")
+    table.writerow(["time", *names])
+    for k in range(len(record)):
+        values = [*record.u[k].tolist(), *record.y[k].tolist()]
+        table.writerow([repr(k * record.sampling_time), *map(repr, values)])
+    return stream.getvalue()

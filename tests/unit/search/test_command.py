@@ -8,38 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import PRESETS, Preset, make_preset
+from asia.agents import make_preset
 from asia.errors import UserError
-from asia.ledger import SearchView, Store, Streamed, open_run, read_lines
-from asia.problem.load import load_problem
-from asia.sandbox import Isolation, probe
-from asia.search import CommandRules, prepare, run_command
+from asia.ledger import Store, Streamed, open_run, read_lines
 
+from .commands import JAILED, RULES, fake, go, with_config
 from .toy import write_problem
-
-HERE = Path(__file__).resolve().parent
-JAILED = probe().level is Isolation.NAMESPACE
-RULES = CommandRules(mounts=(HERE,), jail=JAILED)
 
 
 @pytest.fixture
 def problem(tmp_path: Path) -> Path:
     return write_problem(tmp_path / "toy", experiments=3)
-
-
-def fake(format_: str, scenario: str, *arguments: str) -> Preset:
-    """The preset with a program of our own in place of the agent's."""
-    words = (sys.executable, str(HERE / "fake_agent.py"), format_, scenario, *arguments)
-    known = PRESETS[format_]
-    return replace(
-        known, start=words, resume=(*words, "resume") if known.resume else (), dollars=()
-    )
-
-
-def go(problem: Path, preset: Preset, rules: CommandRules = RULES) -> SearchView:
-    loaded = load_problem(problem)
-    ready = prepare(loaded, "claude", seed=0, runs=problem.parent / "runs")
-    return run_command(ready, preset, rules, lambda event, view: None, lambda view: None)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +83,7 @@ def test_failures_in_a_row_are_stuck(tmp_path: Path) -> None:
 
 
 def test_cost_of_a_resumed_session_is_not_counted_twice(problem: Path) -> None:
-    view = go(problem, fake("claude", "twice"))
+    view = go(problem, fake("claude", "twice"), with_config(problem))
     assert len(view.finished) == 3
     costs = [s.usage.cost for s in view.sessions if s.usage]
     assert costs[0] == pytest.approx(0.03)
@@ -132,7 +111,7 @@ def test_the_jail_shows_the_workspace_and_the_socket_alone(
         runs = problem.parent / "runs"
         seen = (str(Path.home()), str(runs), str(problem), "127.0.0.1", port)
         go(problem, fake("claude", "probe", *seen))
-    found = json.loads((runs / "toy-claude-s0-workspace" / "probe.json").read_text())
+    found = json.loads((runs / ".workspaces" / "toy-claude-s0" / "probe.json").read_text())
     assert not found["ledger"]
     assert not found["test"]
     assert not found["network"]
