@@ -18,11 +18,12 @@ def register(app: typer.Typer) -> None:
 def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
     """Where a run stands: state, experiments, best so far."""
     from asia.cli._format import duration, experiment_line, rung_value, told
-    from asia.ledger import find_run, open_run
+    from asia.ledger import control, control_words, find_run, open_run
     from asia.scoring import Score
 
     opened = open_run(find_run(runs, run))
     view, best = opened.view, opened.view.best
+    beside = control(opened)
     if json:
         answer: dict[str, Any] = {
             "run": view.started.run,
@@ -38,6 +39,9 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
             "best": {"experiment": best.number, "V": best.score.value}
             if best and best.score
             else None,
+            "control": None
+            if beside is None
+            else {"run": beside.run, "V": beside.value, "experiments": beside.experiments},
             "rungs": {
                 r.name: r.outcome.value if isinstance(r.outcome, Score) else None
                 for r in view.rungs
@@ -57,6 +61,8 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
         print(f"V is {told(view)}")
     if view.unsealed is not None:
         print(f"the test was opened: asia unseal {opened.name} shows the result again")
+    if beside is not None:
+        print(f"control {control_words(beside, view.started)}")
     for rung in view.rungs:
         print(f"rung    {rung.name:<18} V={rung_value(rung)}")
     for experiment in view.finished:

@@ -1,5 +1,6 @@
 """Run untrusted candidates in worker processes. What comes back is bytes and is never parsed."""
 
+from asia.sandbox._jail import INSIDE, SOCKET_FOLDER, Jail, jail_environment
 from asia.sandbox._open import absent_layers, open_worker, probe, why_not
 from asia.sandbox._survey import Lack, LevelState, Machine, machine, survey
 from asia.sandbox._types import (
@@ -15,9 +16,12 @@ from asia.sandbox._types import (
 from asia.sandbox._worker import Worker
 
 __all__ = [
+    "INSIDE",
     "LAYERS",
+    "SOCKET_FOLDER",
     "FitReply",
     "Isolation",
+    "Jail",
     "Lack",
     "Layer",
     "LevelState",
@@ -28,6 +32,7 @@ __all__ = [
     "ScoreRefusedError",
     "Worker",
     "absent_layers",
+    "jail_environment",
     "machine",
     "open_worker",
     "probe",

@@ -129,7 +129,7 @@ def test_the_best_score_told_is_the_score_of_the_fold(
     found = evaluator(isolation=isolation, horizon=horizon).evaluate(descent())
     for fold in found.folds:
         assert fold.validation_scores == 12 == len(fold.curve)
-        assert fold.curve[:, 1].min() == fold.score.value
+        assert fold.curve[:, 1].min() == told(fold.score.value)
     assert found.validation_scores == 24
 
 
