@@ -1,14 +1,19 @@
 """Kill searches at random moments and see whether their ledgers come out the same.
 
-python benchmarks/kill.py [--kills 10] [--experiments 6] [--seed 0] [--agent random]
+python benchmarks/kill.py [--kills 200] [--experiments 15] [--seed 0] [--agent cheap]
     [--isolation process] [--out DIR]
 
-One search runs undisturbed. The same command then runs again elsewhere, its whole process group
+One search runs undisturbed. The same search then runs again elsewhere, its whole process group
 is killed (SIGKILL) at a random moment, and it is started again, until the kills are used up; a
 search that ends before its kill is compared and the next one begun. Each search, once at its end,
-must hold the same events as the undisturbed one (time and seconds apart), must verify, must have
-kept every record that was there at a kill, must have evaluated no experiment twice, and no process
-may outlive its kill. Prints a table; exits with 1 on any difference.
+must hold the same events as the undisturbed one (time and seconds apart), the same generated files
+and the same artifacts, must verify, must have kept every record that was there at a kill, must have
+evaluated no experiment twice and lost none, and no process may outlive its kill. Prints a table;
+exits with 1 on any difference.
+
+The agent `cheap` proposes NumPy models that fit in milliseconds, with a crash, an exit and a twin
+among them, so that most kills fall between and into the steps of the search; any other name is
+an agent of `asia run`.
 """
 
 from __future__ import annotations
@@ -29,7 +34,10 @@ from typing import Any
 
 import numpy as np
 
-NAME = "killed"
+from kill_cheap import NAME, arx
+
+CHEAP = "cheap"
+UNDISTURBED = "undisturbed"
 ASIA = str(Path(sys.executable).parent / "asia")
 ENVELOPE = ("seq", "prev", "self", "time")
 CLOCKS = ("seconds", "fit_seconds")
@@ -82,38 +90,54 @@ def main() -> int:
     options = _options()
     out = Path(options.out or tempfile.mkdtemp(prefix="asia-kill-"))
     problem = _write_problem(out / "problem")
-    command = [ASIA, "run", str(problem), "--agent", options.agent, "--name", NAME]
+    if options.agent == CHEAP:
+        command = [sys.executable, str(Path(__file__).with_name("kill_cheap.py")), str(problem)]
+    else:
+        command = [ASIA, "run", str(problem), "--agent", options.agent, "--name", NAME]
     command += ["--experiments", str(options.experiments), "--seed", str(options.seed)]
     command += ["--isolation", options.isolation] if options.isolation else []
     bench = Bench(tuple(command), out, np.random.default_rng(options.seed))
     begin = time.monotonic()
-    reference = out / "undisturbed"
+    reference = out / UNDISTURBED
     _finish(bench, reference)
     duration = time.monotonic() - begin
     expected = _events(reference)
     print(f"undisturbed search: {len(expected)} records, {duration:.1f} s; files in {out}")
     kills = _kill_often(bench, options.kills, SHARE * duration, expected)
-    print(f"{'search':<10}{'kill at s':>10}{'records':>9}  {'during':<22}{'alive':>6}{'left':>6}")
-    for k in kills:
-        print(
-            f"{k.search:<10}{k.after:>10.1f}{k.records:>9}  {k.last:<22}{k.processes:>6}{k.left:>6}"
-        )
+    _print_table(kills)
     for fault in bench.faults:
         print(f"DIFFERENT  {fault}")
     searches = len({k.search for k in kills})
-    verdict = "differences found" if bench.faults else "all the same, all verify"
-    print(f"{len(kills)} kills over {searches} searches: {verdict}")
+    verdict = f"{len(bench.faults)} differences" if bench.faults else "all the same, all verify"
+    print(
+        f"{len(kills)} kills over {searches} searches of {options.experiments} experiments in "
+        f"{time.monotonic() - begin:.0f} s: {verdict}"
+    )
     if options.out is None and not bench.faults:
         shutil.rmtree(out)
     return 1 if bench.faults else 0
 
 
+def _print_table(kills: list[Kill]) -> None:
+    """How many kills fell behind which record, in how many living processes, and what was left."""
+    head = f"{'killed behind':<16}{'kills':>6}{'earliest s':>12}{'latest s':>10}"
+    print(f"{head}{'alive':>8}{'left':>6}")
+    for kind in dict.fromkeys(sorted(k.last.split()[0] for k in kills)):
+        found = [k for k in kills if k.last.split()[0] == kind]
+        times = [k.after for k in found]
+        alive = [k.processes for k in found]
+        print(
+            f"{kind:<16}{len(found):>6}{min(times):>12.2f}{max(times):>10.2f}"
+            f"{f'{min(alive)}-{max(alive)}':>8}{sum(k.left for k in found):>6}"
+        )
+
+
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--experiments", type=int, default=6)
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--experiments", type=int, default=15)
     parser.add_argument("--seed", type=int, default=0, help="of the search and of the moments")
-    parser.add_argument("--agent", default="random")
+    parser.add_argument("--agent", default=CHEAP)
     parser.add_argument("--isolation", help="a level instead of the strongest: process")
     parser.add_argument("--out", help="an empty directory; default: a temporary one")
     return parser.parse_args()
@@ -133,7 +157,8 @@ def _kill_often(
             ended = kill is None
             if kill is not None:
                 kills.append(kill)
-                print(f"kill {len(kills)}/{count}", file=sys.stderr, flush=True)
+                words = f"{kill.search} at {kill.after:.2f} s behind {kill.last}"
+                print(f"kill {len(kills)}/{count}: {words}", file=sys.stderr, flush=True)
         if not ended:
             before = _whole_lines(runs)
             _finish(bench, runs)
@@ -160,7 +185,7 @@ def _kill_once(bench: Bench, runs: Path, after: float) -> Kill | None:
         _check_prefix(bench, runs, before)
         lines = _whole_lines(runs)
         last = json.loads(lines[-1]) if lines else {"event": "nothing"}
-        words = f"after {last['event']} {last.get('experiment', '')}".strip()
+        words = f"{last['event']} {last.get('experiment', '')}".strip()
         return Kill(runs.name, after, len(lines), words, len(alive), len(left))
     if code != 0:
         bench.fault(runs, f"ended with exit code {code}: see {runs.name}.log")
@@ -192,11 +217,26 @@ def _compare(bench: Bench, runs: Path, expected: list[dict[str, Any]]) -> None:
         counts = Counter(e["experiment"] for e in found if e["event"] == kind)
         for experiment in (n for n, times in counts.items() if times > 1):
             bench.fault(runs, f"experiment {experiment} was {kind} {counts[experiment]} times")
+        lost = {e["experiment"] for e in expected if e["event"] == kind} - counts.keys()
+        for experiment in sorted(lost):
+            bench.fault(runs, f"experiment {experiment} was never {kind}")
+    _compare_files(bench, runs)
     verify = subprocess.run(
         [ASIA, "verify", NAME, "--runs", str(runs)], capture_output=True, text=True, check=False
     )
     if verify.returncode != 0:
         bench.fault(runs, f"asia verify: {verify.stderr.strip()}")
+
+
+def _compare_files(bench: Bench, runs: Path) -> None:
+    """Generated files and artifacts: the same bytes as undisturbed, and nothing half written."""
+    here, there = (r / NAME for r in (runs, bench.out / UNDISTURBED))
+    for name in ("results.tsv", "problem.lock.toml"):
+        if (here / name).read_bytes() != (there / name).read_bytes():
+            bench.fault(runs, f"{name} differs")
+    found, expected = ({p.name for p in (d / "artifacts").iterdir()} for d in (here, there))
+    for name in sorted(found ^ expected):
+        bench.fault(runs, f"artifact {name} is {'too much' if name in found else 'missing'}")
 
 
 def _whole_lines(runs: Path) -> list[bytes]:
@@ -273,6 +313,7 @@ def _write_problem(directory: Path) -> Path:
         '[data]\ntrain = ["train.csv"]\ntest = ["test.csv"]\n'
         "[protocol]\npast_inputs = 5\npast_outputs = 5\n"
     )
+    (directory / "baseline.py").write_text(arx(1, 0, 10.0))
     return directory
 
 

@@ -258,7 +258,7 @@ def _measure(level: Isolation, source: str) -> list[Times]:
         own, imported = evaluator.clock.own, evaluator.clock.imported
         evaluator.clock = Clock()
         # The clock in the first output makes the replies differ: the verdict is of no interest.
-        evaluator.reload_differs(source, evaluation.folds)
+        evaluator.objection(source, evaluation.folds)
         wall, again = turns.walls
         reload = again - evaluator.clock.simulate
         bare = _bare(source, fold, context, rule)

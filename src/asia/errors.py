@@ -21,6 +21,8 @@ class Reason(StrEnum):
     UNSOLICITED = "unsolicited"
     MODEL_SIZE = "model_size"
     NOT_REPRODUCIBLE = "not_reproducible"
+    LITERAL_DATA = "literal_data"
+    SUSPECT = "suspect"
 
     @property
     def status(self) -> Literal["crash", "timeout", "invalid"]:
@@ -58,6 +60,10 @@ _ADVICE = {
     Reason.MODEL_SIZE: "the fitted model is too large to keep: lower the number of parameters",
     Reason.NOT_REPRODUCIBLE: "the model reloaded in a fresh process simulates differently: "
     "keep everything simulate needs inside the model",
+    Reason.LITERAL_DATA: "the source carries too much data of its own: "
+    "let fit learn the numbers from the training records, and shorten the rest",
+    Reason.SUSPECT: "the model does not answer like a model of a dynamical system: "
+    "make simulate a causal, continuous function of its arguments, with no memory between calls",
 }
 
 

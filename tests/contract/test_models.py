@@ -11,16 +11,10 @@ import asia.models
 from asia.agents import Facts
 from asia.agents._library import FAMILIES, Family
 from asia.agents._recipe import Settings
-from asia.candidate import Context, check_source
+from asia.candidate import Context
 from asia.problem import ParameterRange, Physics, Signal, Trajectory
-from asia.sandbox import Limits, open_worker, probe
-
-# The smallest of what costs time; a row takes those it has.
-SMALL_CONFIG = {
-    "order": 1, "hidden": 3, "units": 4, "states": 2, "width": 4, "layers": 1, "slow": 2, "fast": 2,
-    "levels": 2, "lift": 2, "receptive_field": 8, "span": 8, "points": 60,
-}  # fmt: skip
-SMALL_METHOD = {"iterations": 3, "starts": 1, "steps": 5}
+from asia.redteam._honest import SMALL_CONFIG, SMALL_METHOD
+from asia.testing import check_candidate
 
 
 @pytest.fixture(scope="module")
@@ -79,20 +73,7 @@ def test_a_model_comes_back_and_is_fitted_again_bitwise_the_same(row, record, co
     record, context = suited(row, record, context)
     source = quick_source(row, record, context)
     assert f"import {row.name}\n" in source
-    check_source(source)
-    level, limits = probe().level, Limits(300.0, 120.0, 4096)
-    cases = record.u[None, :5], record.y[None, :5], record.u[None, 5:]
-    with open_worker(level, limits) as worker:
-        worker.fit(source, [record], context)
-        model = worker.dump()
-        y = worker.simulate(*cases)
-    with open_worker(level, limits) as fresh:
-        fresh.load(source, model, context)
-        np.testing.assert_array_equal(fresh.simulate(*cases), y)
-    with open_worker(level, limits) as again:
-        again.fit(source, [record], context)
-        np.testing.assert_array_equal(again.simulate(*cases), y)
-    assert np.std(y) > 0
+    check_candidate(source, [record], context)
 
 
 @pytest.mark.parametrize("row", FAMILIES, ids=lambda row: row.name)

@@ -28,4 +28,4 @@ def test_a_search_from_python(tmp_path: Path) -> None:
     assert run.state == "finished"
     assert run.view.best is not None
     assert run.view.best.number == 2
-    assert asia.unseal(run.directory).first_time
+    assert asia.unseal(run.directory, process_consent=True).first_time

@@ -115,7 +115,7 @@ def request_key(path: str, body: bytes) -> str:
     """sha256 of method, path and body, its JSON in canonical form."""
     try:
         text = json.dumps(json.loads(body), sort_keys=True, separators=(",", ":"))
-    except ValueError:
+    except (ValueError, RecursionError):
         text = body.decode("utf-8", "replace")
     return hashlib.sha256(f"POST {path}\n{text}".encode("utf-8", "surrogatepass")).hexdigest()
 
@@ -126,7 +126,7 @@ def may_have_cost(exchange: Exchanged, content: bytes) -> bool:
         return _answered(exchange.status)
     try:
         kind: Any = json.loads(content).get("error")
-    except (ValueError, AttributeError):
+    except (ValueError, RecursionError, AttributeError):
         return True
     return kind not in _NEVER_SENT
 

@@ -185,24 +185,25 @@ class ChatClient:
             raise AgentStoppedError("agent", f"the server's account is spent: {said}")
         if error.status_code in (401, 403):
             raise UserError(
-                f"{s.url} refuses the key ({error.status_code}): check {s.api_key_env}; it said: "
-                f"{said}"
+                f"{s.shown_url} refuses the key ({error.status_code}): check {s.api_key_env}; it "
+                f"said: {said}"
             )
         if error.status_code == 404:
             raise UserError(
-                f"{s.url} does not know the model '{s.model}' or the path: check --model and "
+                f"{s.shown_url} does not know the model '{s.model}' or the path: check --model and "
                 f"--base-url, which ends in /v1 for most servers; it said: {said}"
             )
         raise UserError(
-            f"{s.url} refuses the request ({error.status_code}): {said}. {_advice(error.param)}"
+            f"{s.shown_url} refuses the request ({error.status_code}): {said}. "
+            f"{_advice(error.param)}"
         )
 
     def _give_up(self, what: str) -> NoReturn:
         """A server that never answered is the person's to mend; one that did may come back."""
         if not self._answered:
             raise UserError(
-                f"cannot reach the model at {self._settings.url}: {what}; check --base-url and "
-                "that the server runs, then give the same command again"
+                f"cannot reach the model at {self._settings.shown_url}: {what}; check --base-url "
+                "and that the server runs, then give the same command again"
             )
         raise AgentStoppedError("agent", f"the model's server stays away: {what}")
 
@@ -267,7 +268,7 @@ def _object(value: Any) -> dict[str, Any]:
     if isinstance(value, bytes):
         try:
             value = json.loads(value)
-        except ValueError:
+        except (ValueError, RecursionError):
             return {}
     return value if isinstance(value, dict) else {}
 

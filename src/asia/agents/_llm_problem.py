@@ -148,6 +148,12 @@ def _judgement(facts: Facts) -> Iterator[str]:
         f"V: {facts.metric.upper()} of each output over its standard deviation in the training "
         "fold, mean over outputs, then over folds."
     )
+    if facts.ladder is not None:
+        yield (
+            f"V is told on a ladder: a candidate that beats the last V told by more than "
+            f"{facts.ladder:.0%}, and not by chance, is kept and its V told roughly; for any other "
+            "the last V told is repeated, which says no more than that."
+        )
 
 
 def _equations(physics: Physics) -> Iterator[str]:

@@ -18,7 +18,8 @@ _FENCE = re.compile(r"^\s{0,3}(`{3,}|~{3,})[ \t]*(\w*)[^\n]*$")
 _LABEL = re.compile(
     r"^[\s>#*_-]*(hypothesis|expected|family|title|parent)[\s*_]*[:=][\s*_]*(.*)$", re.IGNORECASE
 )
-_THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
+_THOUGHT = re.compile(r"<think(?:ing)?>", re.IGNORECASE)
+_THOUGHT_END = re.compile(r"</think(?:ing)?>", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class MalformedReplyError(Exception):
 
 def read_reply(text: str, cut: bool = False) -> Reply:
     """Raises MalformedReplyError. cut: the answer ended at its limit of tokens."""
-    text = _THOUGHT.sub("", text)
+    text = _without_thoughts(text)
     prose, blocks, is_open = _split(text)
     if cut or is_open:
         raise MalformedReplyError(
@@ -65,6 +66,19 @@ def read_reply(text: str, cut: bool = False) -> Reply:
         parent=int(parent.group()[:9]) if parent else None,
         problem=wrong,
     )
+
+
+def _without_thoughts(text: str) -> str:
+    """In one pass: a model that repeats itself must not cost the square of its answer."""
+    parts: list[str] = []
+    at = 0
+    while begin := _THOUGHT.search(text, at):
+        end = _THOUGHT_END.search(text, begin.end())
+        if end is None:
+            break
+        parts.append(text[at : begin.start()])
+        at = end.end()
+    return "".join((*parts, text[at:]))
 
 
 def _split(text: str) -> tuple[str, list[str], bool]:

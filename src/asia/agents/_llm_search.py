@@ -104,7 +104,8 @@ def _line(trial: Trial) -> str:
         folds = ", ".join(f"{v:.5g}" for v in trial.folds)
         train = trial.train_error
         tail = "" if train is None else f", train_error {train:.4g}"
-        return f"{head}: V {trial.value:.5g} (folds {folds}){tail}"
+        parts = f" (folds {folds})" if folds else ""
+        return f"{head}: V {trial.value:.5g}{parts}{tail}"
     return f"{head}: {one_line(trial.failure or 'failed', 200)}{_words(trial)}"
 
 

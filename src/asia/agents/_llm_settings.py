@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 from urllib.parse import urlsplit
+
+from pydantic import TypeAdapter
 
 from asia.errors import UserError
 
@@ -17,6 +19,7 @@ _OURS = frozenset({
     "top_p", "seed",
 })  # fmt: skip
 _NO_KEY = "none"
+_TEXTS = ("model", "base_url")
 
 
 @dataclass(frozen=True)
@@ -52,10 +55,10 @@ class LlmSettings:
     def __post_init__(self) -> None:
         if not self.model:
             raise UserError("the agent llm needs a model: give its name with --model")
-        parts = urlsplit(self.url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
+        if not self.shown_url:
+            # What is no address may still hold a key: it is not repeated.
             raise UserError(
-                f"base URL '{self.base_url}': expected http:// or https:// and a host, such as "
+                "the base URL is no address: expected http:// or https:// and a host, such as "
                 "http://localhost:8000/v1"
             )
         if (self.price_input is None) != (self.price_output is None):
@@ -72,13 +75,27 @@ class LlmSettings:
             raise UserError(f"extra body: '{ours[0]}' has an option of its own, or is fixed")
         try:
             json.dumps(dict(self.extra_body), allow_nan=False)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, RecursionError):
             raise UserError("extra body: expected a JSON object") from None
 
     @property
     def url(self) -> str:
         """Base URL of the server."""
         return self.base_url or DEFAULT_URL
+
+    @property
+    def shown_url(self) -> str:
+        """The same to be shown and kept: without user, password and query, which may be secrets;
+        "" for what is no address."""
+        try:
+            parts = urlsplit(self.url)
+            port = f":{parts.port}" if parts.port else ""
+        except ValueError:
+            return ""
+        host = parts.hostname or ""
+        shown = f"[{host}]" if ":" in host else host
+        known = parts.scheme in ("http", "https") and host
+        return f"{parts.scheme}://{shown}{port}{parts.path}" if known else ""
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -106,9 +123,6 @@ class LlmSettings:
 
     def record(self) -> dict[str, str]:
         """What shapes the search, for the ledger: no key, no limit that may be raised."""
-        parts = urlsplit(self.url)
-        where = parts.hostname or ""
-        port = f":{parts.port}" if parts.port else ""
         given = {
             "temperature": self.temperature,
             "top_p": self.top_p,
@@ -120,16 +134,17 @@ class LlmSettings:
         }
         return {
             "model": self.model,
-            "base_url": f"{parts.scheme}://{where}{port}{parts.path}",
+            "base_url": self.shown_url,
             **{k: json.dumps(v, sort_keys=True) for k, v in given.items() if v is not None},
         }
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> LlmSettings:
         """The settings of `record`. Raises UserError when it is not one."""
-        given = dict(record)
         try:
-            model, url = given.pop("model"), given.pop("base_url")
-            return cls(model, url, **{k: json.loads(v) for k, v in given.items()})
-        except (KeyError, TypeError, ValueError):
+            given = {k: v if k in _TEXTS else json.loads(v) for k, v in record.items()}
+            if given.keys() - {f.name for f in fields(cls)}:
+                raise ValueError
+            return TypeAdapter(cls).validate_json(json.dumps(given), strict=True)
+        except (ValueError, RecursionError):
             raise UserError("the ledger does not say how its language model was asked") from None

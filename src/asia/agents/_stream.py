@@ -42,7 +42,7 @@ class Stream:
             return
         try:
             event: Any = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             return
         if isinstance(event, dict):
             reader(self, event)

@@ -32,7 +32,8 @@ class Facts:
     where whole records are simulated; notes, strategies: what the literature says and what to try,
     in the person's words; groups: names of the records held out together, one tuple a
     fold, () where folds are cut inside the records; early_stopping: `validation` lets a fit ask
-    for its score on the held-out part.
+    for its score on the held-out part; ladder: the share of V by which a new best must be better to
+    be told, None where all of V is told.
     """
 
     description: str
@@ -51,6 +52,7 @@ class Facts:
     budget: Effort = Effort()
     notes: str = ""
     strategies: str = ""
+    ladder: float | None = None
 
     @property
     def past(self) -> int:
@@ -70,7 +72,8 @@ class Facts:
 
 @dataclass(frozen=True)
 class Trial:
-    """An evaluated experiment. `value` and `folds` are None and () when there is no score;
+    """An evaluated experiment. `value` and `folds` are None and () when there is no score; with the
+    Ladder `folds` is () and `value` what was told last, a new best where the status is `keep`;
     `failure` is what happened and what to do, `error` the candidate's own words for it: data, not
     to be trusted."""
 

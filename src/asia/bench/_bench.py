@@ -47,11 +47,14 @@ class Result:
     pictures: tuple[Path, ...]
 
 
-def bench(plan: Plan, watcher: Watcher, *, open_test: bool = False) -> Result:
+def bench(
+    plan: Plan, watcher: Watcher, *, open_test: bool = False, process_consent: bool = False
+) -> Result:
     """Searches that exist are finished, not repeated: killed anywhere, the same call goes on.
 
     open_test: after the last search, score the declared run on the sealed test; no other run's test
-    is ever opened. Raises UserError for anything the caller can mend.
+    is ever opened; process_consent: as in `unseal`. Raises UserError for anything the caller can
+    mend.
     """
     declared = declare(plan)
     to_open = require_declared(plan, declared) if open_test else None
@@ -64,7 +67,7 @@ def bench(plan: Plan, watcher: Watcher, *, open_test: bool = False) -> Result:
         finished.append(Finished(run, view))
         _write(plan, _tables(plan, finished, declared, None))
     if to_open is not None:
-        unseal(plan.runs / to_open)
+        unseal(plan.runs / to_open, process_consent=process_consent)
     names = {run.name for run in planned}
     test = read_test(plan.runs / declared) if declared in names and declared else None
     tables = _tables(plan, finished, declared, test)

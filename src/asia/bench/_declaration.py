@@ -55,7 +55,7 @@ def require_declared(plan: Plan, declared: str | None) -> str:
 def _read(path: Path, problem: str) -> str | None:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     declared = found.get("declared") if isinstance(found, dict) else None
     if not isinstance(declared, str) or found.get("problem") != problem:

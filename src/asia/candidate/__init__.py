@@ -1,7 +1,7 @@
 """The candidate contract: what a `candidate.py` is given and what it gives back."""
 
 from asia.candidate._contract import VALIDATION_SCORES, Context, Fit, Model
-from asia.candidate._source import check_source, source_digest
+from asia.candidate._source import check_source, executed_source, source_digest
 
 __all__ = [
     "VALIDATION_SCORES",
@@ -9,5 +9,6 @@ __all__ = [
     "Fit",
     "Model",
     "check_source",
+    "executed_source",
     "source_digest",
 ]

@@ -6,7 +6,9 @@ import ast
 import hashlib
 import warnings
 
+from asia.candidate._lint import check_content, without_words
 from asia.errors import CandidateError, Reason
+from asia.problem._syntax import syntax_tree
 
 LARGEST_SOURCE = 64 * 1024
 
@@ -14,14 +16,21 @@ LARGEST_SOURCE = 64 * 1024
 def check_source(source: str) -> None:
     """Refuse a source that cannot be a candidate; nothing of it is executed.
 
-    Raises CandidateError: SYNTAX if it is over 64 KB or does not parse, CONTRACT if it defines no
-    top-level name `fit`.
+    Raises CandidateError: SYNTAX if it does not parse, CONTRACT if it defines no top-level name
+    `fit`, LITERAL_DATA if it is over 64 KB or carries more data than a model needs.
     """
     tree = _parse(source)
     if "fit" not in _defined(tree.body):
         raise CandidateError(
             Reason.CONTRACT, "the source defines no top-level function fit(trajectories, context)"
         )
+    check_content(source, tree)
+
+
+def executed_source(source: str) -> str:
+    """What a worker executes: the source without comments and docstrings, which could carry data;
+    lines keep their numbers. Raises CandidateError as `check_source` does."""
+    return without_words(source, _parse(source))
 
 
 def source_digest(source: str) -> str:
@@ -47,12 +56,13 @@ def _parse(source: str) -> ast.Module:
         raise CandidateError(Reason.SYNTAX, "the source is not valid Unicode") from error
     if size > LARGEST_SOURCE:
         raise CandidateError(
-            Reason.SYNTAX, f"the source has {size} bytes, at most {LARGEST_SOURCE} are allowed"
+            Reason.LITERAL_DATA,
+            f"the source has {size} bytes, at most {LARGEST_SOURCE} are allowed",
         )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return ast.parse(source, "candidate.py")
+            return syntax_tree(source, "candidate.py")
     except SyntaxError as error:
         raise CandidateError(Reason.SYNTAX, f"line {error.lineno}: {error.msg}") from error
     except ValueError as error:

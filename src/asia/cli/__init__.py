@@ -1,12 +1,15 @@
 """The command line: parse, call the library, exit code. One file a command.
 
 Exit codes: 0 done; 1 a bug, a broken sandbox or a replay that differs; 2 something the user can
-mend; 3 a search whose candidates all failed; 130 interrupted.
+mend; 3 a search whose candidates all failed; 130 interrupted (SIGINT), 143 terminated (SIGTERM).
 """
 
 from __future__ import annotations
 
+import signal
 import sys
+from types import FrameType
+from typing import NoReturn
 
 import typer
 
@@ -18,6 +21,7 @@ from asia.cli import (
     _doctor,
     _init,
     _mcp,
+    _redteam,
     _replay,
     _report,
     _run,
@@ -34,6 +38,7 @@ from asia.errors import CandidateError, SandboxError, UserError
 __all__ = ["app", "main"]
 
 INTERRUPTED = 130
+TERMINATED = 128 + signal.SIGTERM
 
 app = typer.Typer(
     name="asia",
@@ -46,7 +51,9 @@ app = typer.Typer(
 )
 for _module in (_init, _check, _run, _status, _show, _unseal, _report):
     _module.register(app)
-for _module in (_diff, _verify, _replay, _bench, _compare, _workspace, _try, _steer, _mcp, _doctor):
+for _module in (_diff, _verify, _replay, _bench, _compare, _workspace, _try, _steer, _mcp):
+    _module.register(app)
+for _module in (_doctor, _redteam):
     _module.register(app)
 
 
@@ -63,6 +70,7 @@ def _version(
 
 def main() -> None:
     """Entry point of the `asia` command."""
+    before = signal.signal(signal.SIGTERM, _terminate)
     try:
         app(args=spread(sys.argv[1:]))
     except UserError as error:
@@ -76,13 +84,27 @@ def main() -> None:
     except SystemExit as end:
         if end.code == INTERRUPTED:
             _complain("interrupted; the same command goes on from here", INTERRUPTED)
+        if end.code == TERMINATED:
+            _complain("terminated; the same command goes on from here", TERMINATED)
         raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    """As an interrupt: what runs ends its workers on the way out, and the record stays whole."""
+    sys.exit(TERMINATED)
 
 
 def spread(words: list[str]) -> list[str]:
     """`--train a.csv b.csv` and `--train=a.csv b.csv` with the option before each word, for the
-    list options of init and bench."""
-    known = {"init": _init.LISTS, "bench": _bench.LISTS, "compare": _compare.LISTS}
+    list options of these commands."""
+    known = {
+        "init": _init.LISTS,
+        "bench": _bench.LISTS,
+        "compare": _compare.LISTS,
+        "redteam": _redteam.LISTS,
+    }
     lists = known.get(words[0] if words else "")
     if lists is None:
         return words

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, Json, Runs
+from asia.cli._options import DEFAULT_RUNS, MORE, Json, Runs, YesProcess
 
 if TYPE_CHECKING:
     from asia.bench import Arm, Paper, Plan, PlannedRun, Result
@@ -66,6 +66,7 @@ def bench(
         bool,
         typer.Option("--unseal", help="At the very end, open the sealed test of the declared run."),
     ] = False,
+    yes_process: YesProcess = False,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
@@ -91,7 +92,7 @@ def bench(
     )
     lines = Lines(json)
     lines.head(plan)
-    result = compare(plan, lines, open_test=unseal)
+    result = compare(plan, lines, open_test=unseal, process_consent=yes_process)
     if json:
         from asia.bench import result_object
 

@@ -19,6 +19,7 @@ from asia.cli._format import (
     duration,
     event_object,
     experiment_line,
+    guard_words,
     last_line,
     rung_value,
     stop_words,
@@ -37,7 +38,6 @@ from asia.ledger import (
     control,
     control_words,
     error_value,
-    open_run,
 )
 from asia.problem.load import Problem
 from asia.scoring import Failure
@@ -190,10 +190,12 @@ class TextDisplay:
                 style="bold",
             )
             if view.started.early_stopping == "validation":
-                self._print(f"V is     {told(view)}")
-            beside = control(open_run(self.prepared.directory))
+                self._print(f"V is     {told(view.validation_scores)}")
+            beside = control(self.prepared.directory, view.started, len(view.finished))
             if beside is not None:
                 self._print(f"control  {control_words(beside, view.started)}")
+            if view.looks:
+                self._print(f"guard    {guard_words(view)}")
             rungs = " · ".join(f"{r.name} {rung_value(r)}" for r in view.rungs)
             self._print(f"rungs    {rungs}")
         self._print(f"files    {self.prepared.directory}/results.tsv, search_journal.md")

@@ -8,6 +8,7 @@ from asia.ledger import (
     Evaluated,
     Event,
     Experiment,
+    GuardLooked,
     RungScored,
     SearchView,
     Usage,
@@ -32,11 +33,11 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600}h{whole % 3600 // 60:02d}m"
 
 
-def told(view: SearchView) -> str:
+def told(validation_scores: int) -> str:
     """With validation early stopping: what V is, and how often held-out parts were asked."""
     return (
-        f"with validation early stopping, not leak-free; {view.validation_scores} validation "
-        "scores were given in all"
+        f"with validation early stopping, not leak-free; {validation_scores} validation scores "
+        "were given in all"
     )
 
 
@@ -85,6 +86,22 @@ def incumbent_at(number: int, view: SearchView) -> Experiment | None:
     return kept[-1] if kept else None
 
 
+def guard_words(view: SearchView) -> str:
+    """The last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, the winner is #07`."""
+    look = view.looks[-1]
+    scores = ", ".join(
+        f"#{s.experiment:02d} "
+        + (error_value(s.outcome.value) if isinstance(s.outcome, Score) else s.outcome.reason.value)
+        for s in look.scores
+    )
+    best = view.best
+    winner = (
+        "" if best is None or best.number == look.pick else f", the winner is #{best.number:02d}"
+    )
+    pick = "none" if look.pick is None else f"#{look.pick:02d}"
+    return f"{scores}; it picks {pick}{winner} (look {look.look})"
+
+
 def stop_words(reason: str, view: SearchView) -> str:
     """Why a search ended, in words."""
     return {
@@ -129,4 +146,14 @@ def event_object(event: Event, view: SearchView) -> dict[str, Any]:
     if isinstance(event, RungScored):
         value = event.outcome.value if isinstance(event.outcome, Score) else None
         return {"event": "rung", "name": event.name, "V": value}
+    if isinstance(event, GuardLooked):
+        return {
+            "event": "guard",
+            "look": event.look,
+            "pick": event.pick,
+            "V": {
+                str(s.experiment): s.outcome.value if isinstance(s.outcome, Score) else None
+                for s in event.scores
+            },
+        }
     return {"event": event.event}

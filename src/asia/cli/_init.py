@@ -5,11 +5,15 @@ from __future__ import annotations
 import sys
 from math import inf
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asia.cli._options import Keys
 from asia.errors import UserError
+
+if TYPE_CHECKING:
+    from asia.problem.load import NewProblem
 
 SEAL_FRACTION = 0.2
 LISTS = ("--train", "--test", "--inputs", "--outputs")
@@ -26,14 +30,16 @@ def init(
     inputs: Annotated[list[str], typer.Option(help="Input columns.")],
     outputs: Annotated[list[str], typer.Option(help="Output columns.")],
     sampling_time: Annotated[float, typer.Option(help="Sampling time in seconds, above 0.")],
-    test: Annotated[list[Path] | None, typer.Option(help="Test records, sealed.")] = None,
+    test: Annotated[list[Path] | None, typer.Option(help="Test records.")] = None,
     seal: Annotated[
         bool | None,
         typer.Option(
             "--seal/--no-seal",
-            help="Without --test: seal the last 20 % of each record as the test.",
+            help="Move the test records into an encrypted store; without --test, the last 20 % of "
+            "each record.",
         ),
     ] = None,
+    keys: Keys = None,
 ) -> None:
     """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y ..."""
     from asia.problem.load import init_problem
@@ -46,21 +52,38 @@ def init(
         seal = typer.confirm(
             "No --test given. Seal the last 20 % of each record as the test?", default=True
         )
-    fraction = SEAL_FRACTION if seal and not test else None
-    written = init_problem(
+    made = init_problem(
         name,
         train=train,
         test=test or [],
         inputs=inputs,
         outputs=outputs,
         sampling_time=sampling_time,
-        seal_fraction=fraction,
+        seal_fraction=SEAL_FRACTION if seal and not test else None,
+        seal=bool(seal),
+        keys=keys,
     )
-    print(f"wrote    {written}")
-    if fraction is not None:
-        print("sealed   the last 20 % of each record; the search will not see it")
-    elif not test:
+    print(f"wrote    {made.path}")
+    if made.store is not None:
+        _print_sealed(made, "the last 20 % of each record" if not test else "the test records")
+    elif test:
+        print("note     the test files stay where they are, in plain text; --seal encrypts them")
+    else:
         print("note     no test data: asia unseal will have nothing to open")
-    print(f"next     describe the system in {written.parent / 'description.md'}")
+    print(f"next     describe the system in {made.path.parent / 'description.md'}")
     print(f"         asia check {name}")
     print(f"         asia run {name}")
+
+
+def _print_sealed(made: NewProblem, what: str) -> None:
+    print(f"sealed   {what}, encrypted, in {made.store}; the search will not see it")
+    print(f"key      {made.key}: keep a copy elsewhere, without it nobody can open the test")
+    for path in made.removed:
+        print(f"removed  {path}")
+    if made.removed:
+        print(
+            "note     removing a file does not wipe the disk, and no backup, snapshot or version "
+            "control"
+        )
+    for note in made.notes:
+        print(f"note     {note}")

@@ -151,7 +151,7 @@ def _object(text: str | None) -> dict[str, Any]:
         return {}
     try:
         value = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         value = None
     if not isinstance(value, dict):
         raise UserError(f"--extra-body {text}: expected a JSON object, such as '{{\"top_k\": 20}}'")

@@ -4,6 +4,7 @@ agent is told of it."""
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -87,6 +88,8 @@ def mcp(
     if http is not None:
         serve_http(opened, http, token_env)
     else:
+        # A thread that waits for a line on stdin would keep a process that leaves by itself.
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         serve_stdio(opened)
 
 

@@ -14,5 +14,18 @@ RunName = Annotated[
     str | None, typer.Argument(metavar="[RUN]", help="Path or name; the newest when left out.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, all else on stderr.")]
+Keys = Annotated[
+    Path | None,
+    typer.Option(
+        "--keys",
+        help="Folder of the keys of sealed tests; default ASIA_KEYS, else ~/.config/asia/keys.",
+    ),
+]
+YesProcess = Annotated[
+    bool,
+    typer.Option(
+        "--yes-process", help="Open the test though level process kept no candidate off it."
+    ),
+]
 MORE = "More commands"
 DEFAULT_RUNS = Path("runs")

@@ -9,6 +9,8 @@ import typer
 
 from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
 
+LAST = 50
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -17,25 +19,26 @@ def register(app: typer.Typer) -> None:
 
 def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
     """Where a run stands: state, experiments, best so far."""
-    from asia.cli._format import duration, experiment_line, rung_value, told
-    from asia.ledger import control, control_words, find_run, open_run
+    from asia.cli._format import duration, experiment_line, guard_words, rung_value, told
+    from asia.ledger import brief, control, control_words, find_run
     from asia.scoring import Score
 
-    opened = open_run(find_run(runs, run))
-    view, best = opened.view, opened.view.best
-    beside = control(opened)
+    directory = find_run(runs, run)
+    found = brief(directory, LAST)
+    view, best = found.view, found.view.best
+    beside = control(directory, view.started, found.finished)
     if json:
         answer: dict[str, Any] = {
             "run": view.started.run,
             "problem": view.started.problem,
             "agent": view.started.agent,
             "seed": view.started.seed,
-            "state": opened.state,
-            "experiments": len(view.finished),
+            "state": found.state,
+            "experiments": found.finished,
             "budget": view.budget,
             "isolation": view.started.isolation,
             "early_stopping": view.started.early_stopping,
-            "validation_scores": view.validation_scores,
+            "validation_scores": found.validation_scores,
             "best": {"experiment": best.number, "V": best.score.value}
             if best and best.score
             else None,
@@ -54,16 +57,20 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
         f"seed {view.started.seed}  isolation {view.started.isolation}"
     )
     print(
-        f"{opened.state}: {len(view.finished)} of {view.budget} experiments in "
-        f"{duration(view.seconds)}"
+        f"{found.state}: {found.finished} of {view.budget} experiments in {duration(found.seconds)}"
     )
     if view.started.early_stopping == "validation":
-        print(f"V is {told(view)}")
+        print(f"V is {told(found.validation_scores)}")
+    if view.looks:
+        print(f"guard   {guard_words(view)}")
     if view.unsealed is not None:
-        print(f"the test was opened: asia unseal {opened.name} shows the result again")
+        print(f"the test was opened: asia unseal {directory.name} shows the result again")
     if beside is not None:
         print(f"control {control_words(beside, view.started)}")
     for rung in view.rungs:
         print(f"rung    {rung.name:<18} V={rung_value(rung)}")
-    for experiment in view.finished:
+    shown = view.finished[-LAST:]
+    if found.finished > len(shown):
+        print(f"the last {len(shown)} of {found.finished} experiments; all are in results.tsv")
+    for experiment in shown:
         print(experiment_line(experiment, view))

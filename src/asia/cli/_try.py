@@ -108,7 +108,8 @@ def result_lines(result: Result, standing: Standing) -> list[str]:
     if result.value is not None:
         folds = ", ".join(error_value(v) for v in result.folds)
         name = standing.v_name
-        lines = [f"{head}{name} = {error_value(result.value)} (folds {folds}) | {tail}"]
+        parts = f" (folds {folds})" if folds else ""
+        lines = [f"{head}{name} = {error_value(result.value)}{parts} | {tail}"]
     else:
         lines = [f"{head}no score: {result.advice} | {tail}"]
         if result.detail:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
+from asia.cli._options import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
 
 if TYPE_CHECKING:
-    from asia.ledger import TestRecord, Unsealed
+    from asia.ledger import Run, TestRecord, Unsealed
     from asia.scoring import Failure, MeeTable
 
 
@@ -23,6 +23,8 @@ def register(app: typer.Typer) -> None:
 def unseal(
     run: RunName = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes_process: YesProcess = False,
+    keys: Keys = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
@@ -44,7 +46,8 @@ def unseal(
         )
         if typer.prompt("Type the run's name to go on", err=True) != opened.name:
             raise UserError("the name does not match; nothing was opened")
-    result = open_seal(directory)
+    consent = yes_process or _consents(opened)
+    result = open_seal(directory, process_consent=consent, keys=keys)
     pictures = write_report(directory)
     if result.opened_before:
         names = ", ".join(result.opened_before)
@@ -58,10 +61,25 @@ def unseal(
         return
     _print_text(result.record)
     if view.started.early_stopping == "validation":
-        print(f"chosen {told(view)}; the test itself was never seen")
+        print(f"chosen {told(view.validation_scores)}; the test itself was never seen")
     for picture in pictures:
         if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
             print(f"picture  {picture}")
+
+
+def _consents(opened: Run) -> bool:
+    """Whether the person on the terminal says that a test which nothing kept from the candidates
+    may be opened; False where nobody is asked."""
+    from asia.errors import UserError
+    from asia.search import CONSENT, needs_consent
+
+    view = opened.view
+    if view.unsealed is not None or not needs_consent(view) or not sys.stdin.isatty():
+        return False
+    print(f"Note: {CONSENT.format(run=opened.name)}.", file=sys.stderr)
+    if not typer.confirm("Open the test all the same?", default=False, err=True):
+        raise UserError("nothing was opened; search again at a stronger level, see asia doctor")
+    return True
 
 
 def _as_object(record: Unsealed) -> dict[str, Any]:

@@ -22,4 +22,5 @@ def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
     print(
         f"{directory.name}: {found.records} records and {found.artifacts} artifacts verify, "
         f"head {found.head[:16]}"
+        + (f"; {found.torn} bytes of a record cut off while it was written" if found.torn else "")
     )

@@ -2,6 +2,8 @@
 what goes to a worker is a `Case`, what is scored stays here."""
 
 from asia.evaluation._evaluator import Evaluation, Evaluator, FoldResult, derive_seed
+from asia.evaluation._metamorphic import Suspicion, SuspicionKind, suspicions
+from asia.evaluation._requests import simulate_held_out
 from asia.evaluation._rungs import LINEAR, TRUTH, Rung, score_rungs
 
 __all__ = [
@@ -11,6 +13,10 @@ __all__ = [
     "Evaluator",
     "FoldResult",
     "Rung",
+    "Suspicion",
+    "SuspicionKind",
     "derive_seed",
     "score_rungs",
+    "simulate_held_out",
+    "suspicions",
 ]

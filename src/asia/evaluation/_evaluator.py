@@ -10,14 +10,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
-from asia.candidate import Context, check_source
-from asia.errors import CandidateError, Reason, SandboxError
+from asia.candidate import Context, check_source, executed_source
+from asia.errors import CandidateError, Reason, SandboxError, UserError
+from asia.evaluation._metamorphic import suspicions
 from asia.evaluation._oracle import Oracle
 from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.executor import Executor
 from asia.problem import Array, Budget, ProtocolRule, Trajectory
 from asia.protocol import Block, Fold, whole
-from asia.sandbox import FitReply, Isolation, Limits, Worker, open_worker
+from asia.sandbox import FitReply, Isolation, Limits, Worker, WorkerKilledError, open_worker
 from asia.scoring import (
     METRICS,
     Diagnostics,
@@ -30,6 +31,8 @@ from asia.scoring import (
 )
 
 T = TypeVar("T")
+
+_MOST_LEFT_BEHIND = 3
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,8 @@ class Evaluator:
         self._rule = rule
         self.isolation = isolation
         self._executor = executor
+        # Processes that the kernel does not let die, by pid: they keep their core and memory.
+        self.left_behind: list[int] = []
         self._open: set[Worker] = set()
         self._interrupted = False
         self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
@@ -100,10 +105,14 @@ class Evaluator:
         """Fit and simulate `source` on every fold. A failed fold fails the candidate."""
         try:
             check_source(source)
+            source = executed_source(source)
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
         jobs = [partial(self._guarded_fold, source, fold) for fold in self.folds]
-        ends = self._run(jobs)
+        try:
+            ends = self._run(jobs)
+        except CandidateError as error:
+            return Evaluation(Failure(error.reason, error.detail))
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.result, Failure):
@@ -111,20 +120,33 @@ class Evaluator:
         folds = tuple(end.result for end in ends if isinstance(end.result, FoldResult))
         return Evaluation(combine([f.score for f in folds]), folds, ends[0].output, calls)
 
-    def reload_differs(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
-        same as the worker that fitted it."""
+        same as the worker that fitted it, and answers like a model (see `suspicions`)."""
+        jobs = [partial(self._doubt, source, f, r) for f, r in zip(self.folds, folds, strict=True)]
+        try:
+            return next((f for f in self._run(jobs) if f is not None), None)
+        except CandidateError as error:
+            return Failure(error.reason, error.detail)
 
-        def check(fold: Fold, result: FoldResult) -> Failure | None:
+    def _doubt(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
+        place, seed = fold.index + 1, derive_seed(self._context.seed, "suspicions", fold.index)
+        with self._worker() as worker:
             try:
-                again = self._simulate_model(source, result.model, fold.validation)
+                worker.load(executed_source(source), result.model, self._fold_context("load"))
+                y_hat = simulate_held_out(worker, fold.validation, self.horizon)
             except CandidateError as error:
-                return Failure(Reason.NOT_REPRODUCIBLE, str(error), fold.index + 1)
-            same = all(a.tobytes() == b.tobytes() for a, b in zip(again, result.y_hat, strict=True))
-            return None if same else Failure(Reason.NOT_REPRODUCIBLE, "", fold.index + 1)
-
-        jobs = [partial(check, f, r) for f, r in zip(self.folds, folds, strict=True)]
-        return next((f for f in self._run(jobs) if f is not None), None)
+                return Failure(Reason.NOT_REPRODUCIBLE, str(error), place)
+            pairs = zip(y_hat, result.y_hat, strict=True)
+            if any(again.tobytes() != first.tobytes() for again, first in pairs):
+                return Failure(Reason.NOT_REPRODUCIBLE, "", place)
+            try:
+                found = suspicions(worker, fold.validation, y_hat, fold.scale, self.horizon, seed)
+            except CandidateError as error:
+                detail = f"next to the scored cases: {error.detail or error.reason.advice}"
+                return Failure(error.reason, detail, place)
+        words = "; ".join(f"{one.kind}: {one.words}" for one in found)
+        return Failure(Reason.SUSPECT, words, place) if found else None
 
     def refit(self, source: str) -> bytes:
         """Fit on all training records; the opaque model. Nothing is held out, so that the
@@ -132,7 +154,7 @@ class Evaluator:
 
         def fit() -> bytes:
             with self._worker() as worker:
-                worker.fit(source, self._records, self._fold_context("all"))
+                worker.fit(executed_source(source), self._records, self._fold_context("all"))
                 return worker.dump()
 
         return self._run([fit])[0]
@@ -145,8 +167,9 @@ class Evaluator:
         return self._run(jobs)
 
     def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
-        """Results of the jobs; a sandbox that fails is tried once more. Workers still open at the
-        end are those of an interrupted run."""
+        """Results of the jobs; one whose worker fails for no fault of the candidate is tried once
+        more. Raises CandidateError when somebody ended the worker both times. Workers still open
+        at the end are those of an interrupted run."""
         try:
             return self._executor.run([partial(self._twice, job) for job in jobs])
         finally:
@@ -160,18 +183,36 @@ class Evaluator:
         except SandboxError:
             if self._interrupted:
                 raise
+        try:
             return job()
+        except WorkerKilledError as error:
+            if self._interrupted:
+                raise
+            raise CandidateError(
+                Reason.MEMORY, f"{error}, twice, as a machine does whose memory has run out"
+            ) from None
 
     @contextmanager
     def _worker(self) -> Generator[Worker]:
-        with open_worker(self.isolation, self._limits) as worker:
-            self._open.add(worker)
-            try:
-                if self._interrupted:
-                    raise SandboxError("the search was interrupted")
-                yield worker
-            finally:
-                self._open.discard(worker)
+        if len(self.left_behind) >= _MOST_LEFT_BEHIND:
+            pids = ", ".join(str(pid) for pid in self.left_behind)
+            raise UserError(
+                f"worker processes {pids} cannot be ended: restart the machine, and give the same "
+                "command again, which goes on from here"
+            )
+        worker = open_worker(self.isolation, self._limits)
+        try:
+            with worker:
+                self._open.add(worker)
+                try:
+                    if self._interrupted:
+                        raise SandboxError("the search was interrupted")
+                    yield worker
+                finally:
+                    self._open.discard(worker)
+        finally:
+            if worker.left_behind is not None:
+                self.left_behind.append(worker.left_behind)
 
     def _fold_context(self, fold: object) -> Context:
         return replace(
@@ -196,7 +237,8 @@ class Evaluator:
             model = worker.dump()
             y_hat = simulate_held_out(worker, fold.validation, self.horizon)
             train_y_hat = simulate_training(worker, inside, self.horizon)
-        score = score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric)
+        held_out, in_parts = [b.y for b in fold.validation], self._rule.ladder is not None
+        score = score_fold(held_out, y_hat, fold.scale, metric, in_parts=in_parts)
         train_y = [b.y for b in inside]
         train = score_fold(train_y, train_y_hat, fold.scale, metric)
         evidence = diagnose(
@@ -216,18 +258,22 @@ class Evaluator:
         self, source: str, model: bytes, blocks: Sequence[Block]
     ) -> tuple[Array, ...]:
         with self._worker() as worker:
-            worker.load(source, model, self._fold_context("load"))
+            worker.load(executed_source(source), model, self._fold_context("load"))
             return simulate_held_out(worker, blocks, self.horizon)
 
 
 def score_outputs(
-    folds: Sequence[Fold], outputs: Sequence[Sequence[Array]], metric: str
+    folds: Sequence[Fold],
+    outputs: Sequence[Sequence[Array]],
+    metric: str,
+    *,
+    in_parts: bool = False,
 ) -> Outcome:
     """Score given simulations, one (H, ny) array a held-out block of each fold."""
     if metric not in METRICS:
         raise KeyError(metric)
     scores = [
-        score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric)
+        score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric, in_parts=in_parts)
         for fold, y_hat in zip(folds, outputs, strict=True)
     ]
     return combine(scores)

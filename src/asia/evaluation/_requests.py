@@ -22,9 +22,14 @@ def simulate_held_out(
     A later past window is an earlier block's answer. Whole blocks go one a request, in time order;
     windows as `time_order` groups them. Raises CandidateError.
     """
+    return _replies(worker, blocks, held_out_requests(blocks, horizon))
+
+
+def held_out_requests(blocks: Sequence[Block], horizon: int | None) -> list[list[int]]:
+    """The requests of `simulate_held_out`, as lists of indices into `blocks`."""
     if horizon is None:
-        return _replies(worker, blocks, [[i] for i in range(len(blocks))])
-    return _replies(worker, blocks, time_order([block.record for block in blocks]))
+        return [[i] for i in range(len(blocks))]
+    return time_order([block.record for block in blocks])
 
 
 def simulate_training(

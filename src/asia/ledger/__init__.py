@@ -1,7 +1,8 @@
 """Append-only, hash-chained record of a search; all else is a view of it."""
 
-from asia.ledger._chain import Chain, Line, in_use, read_lines
+from asia.ledger._chain import Chain, in_use, read_lines
 from asia.ledger._control import Control, control, control_words
+from asia.ledger._disk import write_whole
 from asia.ledger._events import (
     RESUMABLE,
     Evaluated,
@@ -9,6 +10,8 @@ from asia.ledger._events import (
     Exchanged,
     Extended,
     FoldRecord,
+    GuardLooked,
+    GuardScore,
     Phase,
     Proposed,
     Refitted,
@@ -35,13 +38,18 @@ from asia.ledger._exports import (
     scores_told,
     write_exports,
 )
+from asia.ledger._index import Brief, brief, refresh
+from asia.ledger._published import beats, published
+from asia.ledger._record import Line
+from asia.ledger._run import Run, State, find_run, open_run
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, check_lock, verify
-from asia.ledger._view import Experiment, Run, SearchView, State, find_run, open_run, replay
+from asia.ledger._view import Experiment, SearchView, replay
 from asia.scoring import Diagnostics
 
 __all__ = [
     "RESUMABLE",
+    "Brief",
     "Chain",
     "Control",
     "Diagnostics",
@@ -51,6 +59,8 @@ __all__ = [
     "Experiment",
     "Extended",
     "FoldRecord",
+    "GuardLooked",
+    "GuardScore",
     "Line",
     "Phase",
     "Proposed",
@@ -74,6 +84,8 @@ __all__ = [
     "Unsealing",
     "Usage",
     "Verified",
+    "beats",
+    "brief",
     "check_lock",
     "control",
     "control_words",
@@ -83,10 +95,13 @@ __all__ = [
     "in_use",
     "journal",
     "open_run",
+    "published",
     "read_lines",
+    "refresh",
     "replay",
     "results_table",
     "scores_told",
     "verify",
     "write_exports",
+    "write_whole",
 ]

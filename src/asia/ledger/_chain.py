@@ -1,76 +1,28 @@
-"""Append-only JSON lines, each naming the sha256 of the line before it."""
+"""The one writer of a ledger, and readers of it."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import fcntl
-import hashlib
 import json
 import os
+import socket
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-from pydantic import ValidationError
+from asia.errors import UserError
+from asia.ledger._disk import make_folder, sync_folder, writing
+from asia.ledger._events import Event
+from asia.ledger._record import BEGIN, Line, Place, decode, encode, scan
+from asia.ledger._view import Replay, SearchView
 
-from asia.errors import InternalError, UserError
-from asia.ledger._events import Event, adapter
-
-GENESIS = "0" * 64
-LINE_LIMIT = 64 * 1024
 _LOCK_ATTEMPTS = 20
-_ENVELOPE = ("seq", "prev", "time", "self")
-
-
-@dataclass(frozen=True)
-class Line:
-    """One verified line."""
-
-    seq: int
-    time: str
-    event: Event
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def _canonical(body: dict[str, Any]) -> bytes:
-    text = json.dumps(body, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return text.encode()
-
-
-def _encode(seq: int, prev: str, event: Event) -> bytes:
-    body: dict[str, Any] = {
-        "seq": seq,
-        "prev": prev,
-        "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
-        **adapter.dump_python(event, mode="json"),
-    }
-    body["self"] = _digest(_canonical(body))
-    line = _canonical(body)
-    if len(line) >= LINE_LIMIT:
-        raise InternalError(f"ledger event '{event.event}' is {len(line)} bytes long")
-    return line
-
-
-def _decode(raw: bytes, seq: int, prev: str, where: str) -> Line:
-    try:
-        body: dict[str, Any] = json.loads(raw)
-        own = body.pop("self")
-        sound = own == _digest(_canonical(body)) and body["prev"] == prev and body["seq"] == seq
-        time = body["time"]
-        event = adapter.validate_python({k: v for k, v in body.items() if k not in _ENVELOPE})
-    except (ValueError, KeyError, AttributeError, TypeError, ValidationError):
-        raise UserError(
-            f"{where}: record {seq} is damaged or was written by another version"
-        ) from None
-    if not sound:
-        raise UserError(f"{where}: record {seq} was changed after it was written")
-    return Line(seq, time, event)
 
 
 def read_lines(path: Path) -> Iterator[Line]:
@@ -78,62 +30,79 @@ def read_lines(path: Path) -> Iterator[Line]:
 
     Raises UserError that names the first record that does not verify.
     """
-    prev = GENESIS
     with path.open("rb") as stream:
-        for seq, raw in enumerate(stream):
-            if not raw.endswith(b"\n"):
-                return
-            raw = raw[:-1]
-            yield _decode(raw, seq, prev, str(path))
-            prev = _digest(raw)
+        for place, raw in scan(stream, str(path)):
+            yield decode(raw, place.seq - 1, str(path))
 
 
 class Chain:
-    """The one writer of a ledger. Holds an exclusive lock for as long as it is open."""
+    """The one writer of a ledger. Holds an exclusive lock for as long as it is open.
+
+    Raises UserError when another process holds it, which it names, or when the directory cannot
+    be written. A torn last line is cut.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
-        if not _locked(self._fd):
+        with writing(path):
+            make_folder(path.parent)
+            self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            self._lock()
+            self.lines, self._place = _read(path)
+            self._replay, self._replayed = Replay(), 0
+            with writing(path):
+                self._cut_back()
+                sync_folder(path.parent)
+        except BaseException:
             os.close(self._fd)
-            raise UserError(
-                f"{path.parent} is in use by another search; wait for it or choose another --name"
-            ) from None
-        self.lines = list(read_lines(path))
-        self._prev = GENESIS
-        self._cut_torn_tail()
-        _sync_directory(path.parent)
+            raise
 
-    def _cut_torn_tail(self) -> None:
-        whole = 0
-        with self._path.open("rb") as stream:
-            for raw in stream:
-                if raw.endswith(b"\n"):
-                    whole += len(raw)
-                    self._prev = _digest(raw[:-1])
-        if os.fstat(self._fd).st_size != whole:
-            os.ftruncate(self._fd, whole)
-            os.fsync(self._fd)
+    @property
+    def view(self) -> SearchView:
+        """The events replayed, each of them once. Raises UserError as `Replay`."""
+        while self._replayed < len(self.lines):
+            self._replay.add(self.lines[self._replayed].event)
+            self._replayed += 1
+        return self._replay.view
 
     def append(self, event: Event) -> None:
-        """Write one event; on return it is on the disk."""
-        line = _encode(len(self.lines), self._prev, event)
-        self._write(line + b"\n")
-        self.lines.append(_decode(line, len(self.lines), self._prev, str(self._path)))
-        self._prev = _digest(line)
+        """Write one event; on return it is on the disk. Raises UserError when that is not possible:
+        then nothing was written."""
+        raw = encode(self._place, event)
+        seq = self._place.seq
+        line = decode(raw, seq, str(self._path))
+        # An interrupt may have cut off an earlier call before it returned: then its record is
+        # still there, and nobody was told that it is.
+        with writing(self._path):
+            self._cut_back()
+            try:
+                done = 0
+                while done < len(raw):
+                    done += os.write(self._fd, raw[done:])
+                os.fsync(self._fd)
+            except OSError:
+                with contextlib.suppress(OSError):
+                    self._cut_back()
+                raise
+        self._place = self._place.behind(raw)
+        self.lines.append(line)
 
-    def _write(self, data: bytes) -> None:
-        """All of it, on the disk; or nothing and UserError."""
-        size = os.fstat(self._fd).st_size
-        try:
-            done = 0
-            while done < len(data):
-                done += os.write(self._fd, data[done:])
+    def _cut_back(self) -> None:
+        """To the end of the last record that was acknowledged."""
+        if os.fstat(self._fd).st_size != self._place.offset:
+            os.ftruncate(self._fd, self._place.offset)
             os.fsync(self._fd)
-        except OSError as error:
-            os.ftruncate(self._fd, size)
-            raise UserError(f"cannot write {self._path}: {error.strerror}") from None
+
+    def _lock(self) -> None:
+        if not _locked(self._fd, self._path):
+            holder = Holder.find(self._path)
+            by = "" if holder is None else f" ({holder})"
+            raise UserError(
+                f"{self._path.parent} is in use by another search{by}; wait for it or choose "
+                "another --name"
+            )
+        Holder.here().save(self._path)
 
     def __enter__(self) -> Self:
         return self
@@ -144,15 +113,65 @@ class Chain:
         value: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        with contextlib.suppress(OSError):
+            _holder_path(self._path).unlink()
         os.close(self._fd)
 
 
-def _locked(fd: int) -> bool:
+@dataclass(frozen=True)
+class Holder:
+    """Who holds a ledger, for people: the lock itself is the file's, and ends with the process."""
+
+    pid: int
+    host: str
+    since: str
+
+    @classmethod
+    def here(cls) -> Holder:
+        """This process, from now on."""
+        return cls(os.getpid(), socket.gethostname(), datetime.now(UTC).isoformat(" ", "seconds"))
+
+    @classmethod
+    def find(cls, ledger: Path) -> Holder | None:
+        """Who took the lock last; None where that cannot be read."""
+        try:
+            return cls(**json.loads(_holder_path(ledger).read_text("utf-8")))
+        except (OSError, ValueError, TypeError):
+            return None
+
+    def save(self, ledger: Path) -> None:
+        """Leave it beside the ledger; a search does not fail for want of it."""
+        with contextlib.suppress(OSError):
+            _holder_path(ledger).write_text(json.dumps(asdict(self)), "utf-8")
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}, since {self.since}"
+
+
+def _holder_path(ledger: Path) -> Path:
+    return ledger.with_suffix(".holder")
+
+
+def _read(path: Path) -> tuple[list[Line], Place]:
+    lines: list[Line] = []
+    place = BEGIN
+    with path.open("rb") as stream:
+        for place, raw in scan(stream, str(path)):
+            lines.append(decode(raw, place.seq - 1, str(path)))
+    return lines, place
+
+
+def _locked(fd: int, path: Path) -> bool:
     """Take the exclusive lock. `in_use` holds a shared one for a moment, which is no search."""
     for attempt in range(_LOCK_ATTEMPTS):
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except OSError as error:
+            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+                raise UserError(
+                    f"{path} cannot be locked ({error.strerror}): name a directory on another file "
+                    "system with --runs"
+                ) from None
             time.sleep(0.01 if attempt + 1 < _LOCK_ATTEMPTS else 0.0)
         else:
             return True
@@ -167,11 +186,3 @@ def in_use(path: Path) -> bool:
         except OSError:
             return True
         return False
-
-
-def _sync_directory(path: Path) -> None:
-    fd = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

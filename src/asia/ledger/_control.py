@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from asia.errors import UserError
+from asia.ledger._chain import read_lines
 from asia.ledger._events import Started
-from asia.ledger._view import Run, SearchView, open_run
+from asia.ledger._index import brief, least
 
 # Agents that need nothing and no one, and so are no controlled ones.
 FREE = ("expert", "random", "random-paper", "bayes")
@@ -24,20 +26,23 @@ class Control:
     experiments: int
 
 
-def control(run: Run) -> Control | None:
-    """The control arm of a search beside it in the same directory; None for the agents that need
-    none. Of several runs of the control the one with the same seed counts, else the first."""
-    start, spent = run.view.started, len(run.view.finished)
+def control(directory: Path, start: Started, spent: int) -> Control | None:
+    """The control arm of a search in `directory` that has spent so many experiments, beside it in
+    the same folder; None for the agents that need none. Of several runs of the control the one with
+    the same seed counts, else the first."""
     if start.agent in FREE or spent == 0:
         return None
     found = sorted(
-        (view for view in _siblings(run.directory) if _is_control(view.started, start)),
-        key=lambda view: (view.started.seed != start.seed, view.started.run),
+        ((other, place) for other, place in _siblings(directory) if _is_control(other, start)),
+        key=lambda pair: (pair[0].seed != start.seed, pair[0].run),
     )
-    for view in found:
-        if len(view.finished) >= spent or view.stopped is not None:
-            values = [e.score.value for e in view.finished[:spent] if e.score]
-            return Control(view.started.run, min(values, default=None), spent)
+    for other, place in found:
+        try:
+            finished, value = least(place, spent)
+            if finished == spent or brief(place, last=1).view.stopped is not None:
+                return Control(other.run, value, spent)
+        except UserError:
+            continue
     return Control(None, None, spent)
 
 
@@ -52,15 +57,16 @@ def control_words(found: Control, start: Started) -> str:
     return f"expert, the same {found.experiments} experiments: {value} ({found.run})"
 
 
-def _siblings(directory: Path) -> list[SearchView]:
-    views: list[SearchView] = []
+def _siblings(directory: Path) -> Iterator[tuple[Started, Path]]:
     for ledger in sorted(directory.resolve().parent.glob("*/ledger.jsonl")):
-        if ledger.parent != directory.resolve():
-            try:
-                views.append(open_run(ledger.parent).view)
-            except UserError:
-                continue
-    return views
+        if ledger.parent == directory.resolve():
+            continue
+        try:
+            first = next(read_lines(ledger), None)
+        except UserError:
+            continue
+        if first is not None and isinstance(first.event, Started):
+            yield first.event, ledger.parent
 
 
 def _is_control(other: Started, start: Started) -> bool:

@@ -24,7 +24,9 @@ class Started:
     """First event: what is searched, by whom, under which rules. `test_digest` commits the sealed
     test before experiment 1; it is None when the problem has no test. With `early_stopping`
     `validation` candidates saw their score on the held-out parts: V is not leak-free.
-    `agent_settings` are those of the agent that shape the search."""
+    `agent_settings` are those of the agent that shape the search; `ladder` is the share of V
+    by which a new best must be better for whoever proposes to be told, None where all is told;
+    `guard_digest` commits the guard records."""
 
     run: str
     problem: str
@@ -41,6 +43,8 @@ class Started:
     environment: dict[str, str]
     early_stopping: EarlyStopping = "inner"
     agent_settings: dict[str, str] = field(default_factory=dict[str, str])
+    ladder: float | None = None
+    guard_digest: str | None = None
     event: Literal["started"] = "started"
 
 
@@ -89,7 +93,8 @@ class Evaluated:
     """What came of a candidate. `duplicate_of` names the experiment whose outcome was reused;
     `deadline` marks an outcome that depends on how fast the machine was; `validation_scores` counts
     those given in all folds, failed ones too; `isolation` is the level that kept the candidate in,
-    None in records from before it was written here."""
+    None in records from before it was written here; `left_behind` are worker processes, by pid,
+    that the kernel did not let die."""
 
     experiment: int
     status: Status
@@ -101,6 +106,7 @@ class Evaluated:
     deadline: bool = False
     validation_scores: int = 0
     isolation: str | None = None
+    left_behind: tuple[int, ...] = ()
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -207,6 +213,26 @@ class Refitted:
 
 
 @dataclass(frozen=True)
+class GuardScore:
+    """How the ensemble of an experiment's fold models does on the guard records, in the search's
+    metric over the standard deviations of the training records."""
+
+    experiment: int
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class GuardLooked:
+    """The guard records were looked at, for the `look`-th time, with the last new bests; `pick` is
+    the best of them there."""
+
+    look: int
+    scores: tuple[GuardScore, ...]
+    pick: int | None
+    event: Literal["guard"] = "guard"
+
+
+@dataclass(frozen=True)
 class TestRecord:
     """One model on the sealed test; `y_hat` is the artifact of its simulation, `mee` the table of
     Mean Euclidean Errors where the protocol asks for one."""
@@ -219,11 +245,13 @@ class TestRecord:
 @dataclass(frozen=True)
 class Unsealing:
     """The sealed test is about to be opened; from here on the search is over. `opened_before`
-    names the runs beside this one that had opened the same test."""
+    names the runs beside this one that had opened the same test; `process_consent`: a person said
+    yes to opening it though the candidates ran at level process, where they could read it."""
 
     experiment: int
     test_digest: str
     opened_before: tuple[str, ...]
+    process_consent: bool = False
     event: Literal["unsealing"] = "unsealing"
 
 
@@ -262,6 +290,7 @@ Event = (
     | SessionStarted
     | SessionEnded
     | Refitted
+    | GuardLooked
     | Unsealing
     | Unsealed
 )

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from asia.ledger._disk import write_whole
 from asia.ledger._events import Evaluated
 from asia.ledger._view import Experiment, SearchView
 
 
 def write_exports(directory: Path, view: SearchView) -> None:
-    """Both files, each replaced in one step."""
-    _replace(directory / "results.tsv", results_table(view))
-    _replace(directory / "search_journal.md", journal(view))
+    """Both files, each replaced in one step. Raises UserError when the disk refuses."""
+    for name, text in (("results.tsv", results_table(view)), ("search_journal.md", journal(view))):
+        write_whole(directory / name, text.encode("utf-8", "replace"), durable=False)
 
 
 def results_table(view: SearchView) -> str:
@@ -77,18 +78,19 @@ def error_value(value: float) -> str:
 
 def describe_result(e: Experiment, view: SearchView) -> str:
     """One line: V and its folds, or the failure with advice."""
+    left = e.result.left_behind if e.result else ()
+    stuck = f"; worker process {', '.join(map(str, left))} could not be ended" if left else ""
+    return _outcome_words(e, view) + stuck
+
+
+def _outcome_words(e: Experiment, view: SearchView) -> str:
     if e.score and e.result:
         folds = ", ".join(error_value(f.value) for f in e.score.folds)
         told = "" if view.started.early_stopping == "inner" else f", {scores_told(e.result)}"
-        return f"{view.v_name} = {error_value(e.score.value)} (folds {folds}{told})"
+        parts = f" (folds {folds}{told})" if folds else ""
+        return f"{view.v_name} = {error_value(e.score.value)}{parts}"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         detail = f" ({e.failure.detail.splitlines()[-1]})" if e.failure.detail.strip() else ""
         return f"no score{where}: {e.failure.advice}{detail}"
     return "being evaluated"
-
-
-def _replace(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.new")
-    temporary.write_text(text)
-    temporary.replace(path)

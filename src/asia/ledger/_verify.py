@@ -19,32 +19,78 @@ from asia.ledger._events import (
     TestRecord,
     Unsealed,
 )
-from asia.ledger._view import Run, open_run
+from asia.ledger._record import BEGIN, decode, scan
+from asia.ledger._store import Store
 
 
 @dataclass(frozen=True)
 class Verified:
-    """What was checked. `head` is the sha256 of the last record."""
+    """What was checked. `head` is the sha256 of the last record; `torn` the bytes of a record after
+    it that a crash cut off, or that is being written."""
 
     records: int
     artifacts: int
     head: str
+    torn: int = 0
 
 
 def verify(directory: Path) -> Verified:
     """Raises UserError that names the first record or artifact that does not hold."""
-    run: Run = open_run(directory)
-    named: set[str] = set()
-    for line in run.lines:
-        for digest in _artifacts(line.event):
+    ledger, check = directory / "ledger.jsonl", _Check(Store(directory / "artifacts"))
+    if not ledger.is_file():
+        raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
+    place = BEGIN
+    with ledger.open("rb") as stream:
+        for place, raw in scan(stream, str(ledger)):
+            event = decode(raw, place.seq - 1, str(ledger)).event
             try:
-                run.store.get(digest)
+                check.add(event)
             except UserError as error:
-                raise UserError(f"record {line.seq} of {directory}: {error}") from None
-            named.add(digest)
-    check_lock(directory, run.view.started)
-    raw = (directory / "ledger.jsonl").read_bytes().splitlines()[len(run.lines) - 1]
-    return Verified(len(run.lines), len(named), hashlib.sha256(raw).hexdigest())
+                raise UserError(f"record {place.seq - 1} of {directory}: {error}") from None
+    if check.started is None:
+        raise UserError(f"{directory}: the ledger is empty: the search was stopped before it began")
+    check_lock(directory, check.started)
+    torn = ledger.stat().st_size - place.offset
+    return Verified(place.seq, len(check.artifacts), place.head, torn)
+
+
+class _Check:
+    """What a record must be after those before it. `replay` asks the same of it, and takes longer,
+    for it keeps them all."""
+
+    def __init__(self, store: Store) -> None:
+        self.started: Started | None = None
+        self.artifacts: set[str] = set()
+        self._store = store
+        self._proposed: set[int] = set()
+        self._pending: set[int] = set()
+
+    def add(self, event: Event) -> None:
+        """Raises UserError."""
+        match event:
+            case Proposed():
+                self._once(event.experiment, event.experiment not in self._proposed)
+                self._proposed.add(event.experiment)
+                self._pending.add(event.experiment)
+            case Evaluated():
+                self._once(event.experiment, event.experiment in self._pending)
+                self._pending.discard(event.experiment)
+            case _:
+                self._start(event)
+        for digest in _artifacts(event):
+            if digest not in self.artifacts:
+                self._store.get(digest)
+                self.artifacts.add(digest)
+
+    def _start(self, event: Event) -> None:
+        if isinstance(event, Started) == (self.started is not None):
+            raise UserError("a ledger starts once, with its first record")
+        if isinstance(event, Started):
+            self.started = event
+
+    def _once(self, experiment: int, sound: bool) -> None:
+        if not sound or self.started is None:
+            raise UserError(f"experiment {experiment} is there twice, or has no proposal")
 
 
 def check_lock(directory: Path, started: Started) -> None:

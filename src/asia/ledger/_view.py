@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Literal
 
 from asia.errors import UserError
-from asia.ledger._chain import Line, in_use, read_lines
 from asia.ledger._events import (
     Evaluated,
     Event,
     Exchanged,
     Extended,
+    GuardLooked,
     Proposed,
     Refitted,
     Resumed,
@@ -23,15 +21,11 @@ from asia.ledger._events import (
     Started,
     Steered,
     Stopped,
-    Streamed,
     Unsealed,
     Unsealing,
     Usage,
 )
-from asia.ledger._store import Store
 from asia.scoring import Failure, Score
-
-State = Literal["running", "interrupted", "finished", "unsealed"]
 
 
 @dataclass(frozen=True)
@@ -61,9 +55,10 @@ class Experiment:
 
 @dataclass(frozen=True)
 class SearchView:
-    """A search as its ledger tells it. `budget` experiments and `hours` as last extended, which
-    was after experiment `extended_after`; `unsealing` once the test was about to be opened; `notes`
-    of the person; `exchanges` of the agent, its `sessions` that ended and all that were `begun`."""
+    """A search as its ledger tells it. `budget` experiments and `hours` as last extended, which was
+    after experiment `extended_after`; `unsealing` once the test was about to be opened; `notes`
+    of the person; `looks` at the guard, `looked` since the search stopped; `exchanges` of the
+    agent, its `sessions` that ended and all that were `begun`."""
 
     started: Started
     budget: int
@@ -77,6 +72,8 @@ class SearchView:
     experiments: tuple[Experiment, ...] = ()
     stopped: Stopped | None = None
     refitted: Refitted | None = None
+    looks: tuple[GuardLooked, ...] = ()
+    looked: bool = False
     unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
 
@@ -98,8 +95,17 @@ class SearchView:
 
     @property
     def complete(self) -> bool:
-        """Stopped, with the winner refitted."""
-        return self.stopped is not None and (self.refitted is not None or self.best is None)
+        """Stopped, with the winner refitted and the guard looked at."""
+        refitted = self.refitted is not None or self.best is None
+        return self.stopped is not None and refitted and not self.guard_due
+
+    @property
+    def guard_due(self) -> bool:
+        """Whether the guard records are to be looked at now: not when a person stopped the search,
+        who may go on with it."""
+        ended = self.stopped is not None and self.stopped.reason != "user"
+        guarded = self.started.guard_digest is not None and self.best is not None
+        return ended and guarded and not self.looked
 
     @property
     def seconds(self) -> float:
@@ -146,110 +152,108 @@ class SearchView:
         )
 
 
-def replay(events: Iterable[Event]) -> SearchView:
-    """Fold events into a view. Raises UserError when the first is not `started`."""
-    stream = iter(events)
-    first = next(stream, None)
-    if not isinstance(first, Started):
-        raise UserError("the ledger is empty: the search was stopped before it began")
-    view = SearchView(first, first.experiments, first.hours)
-    for event in stream:
-        view = _apply(view, event)
-    return view
+class Replay:
+    """Folds events into a view, one at a time. Raises UserError for events that cannot follow one
+    another: no start or a second one, an experiment or a result that is there already."""
 
+    def __init__(self) -> None:
+        self._view: SearchView | None = None
+        self._experiments: dict[int, Experiment] = {}
+        self._rungs: list[RungScored] = []
+        self._notes: list[Steered] = []
+        self._exchanges: list[Exchanged] = []
+        self._sessions: list[SessionEnded] = []
+        self._begun: list[SessionStarted] = []
 
-def _apply(view: SearchView, event: Event) -> SearchView:
-    match event:
-        case RungScored():
-            return replace(view, rungs=(*view.rungs, event))
-        case Proposed():
-            return replace(view, experiments=(*view.experiments, Experiment(event)))
-        case Evaluated():
-            done = tuple(
-                replace(e, result=event) if e.number == event.experiment else e
-                for e in view.experiments
+    @property
+    def view(self) -> SearchView:
+        """As of the last event. Raises UserError before the first."""
+        if self._view is None:
+            raise UserError("the ledger is empty: the search was stopped before it began")
+        return replace(
+            self._view,
+            rungs=tuple(self._rungs),
+            notes=tuple(self._notes),
+            exchanges=tuple(self._exchanges),
+            sessions=tuple(self._sessions),
+            begun=tuple(self._begun),
+            experiments=tuple(self._experiments.values()),
+        )
+
+    def add(self, event: Event) -> None:
+        """The next event."""
+        if self._view is None:
+            if not isinstance(event, Started):
+                raise UserError("the ledger does not begin with the start of a search")
+            self._view = SearchView(event, event.experiments, event.hours)
+            return
+        match event:
+            case RungScored():
+                self._rungs.append(event)
+            case Proposed():
+                self._propose(event)
+            case Evaluated():
+                self._judge(event)
+            case Steered():
+                self._notes.append(event)
+            case Exchanged():
+                self._exchanges.append(event)
+            case SessionStarted():
+                self._begun.append(event)
+            case SessionEnded():
+                self._sessions.append(event)
+            case Started():
+                raise UserError("the ledger starts twice")
+            case _:
+                self._view = _apply(self._view, event, len(self._experiments))
+
+    def _propose(self, event: Proposed) -> None:
+        if event.experiment in self._experiments:
+            raise UserError(f"the ledger has experiment {event.experiment} twice")
+        self._experiments[event.experiment] = Experiment(event)
+
+    def _judge(self, event: Evaluated) -> None:
+        known = self._experiments.get(event.experiment)
+        if known is None or known.result is not None:
+            raise UserError(
+                f"the ledger has a result of experiment {event.experiment} that is its second, or "
+                "comes before its proposal"
             )
-            return replace(view, experiments=done)
+        self._experiments[event.experiment] = replace(known, result=event)
+
+
+def replay(events: Iterable[Event]) -> SearchView:
+    """Fold events into a view. Raises UserError when there is none, or as `Replay`."""
+    replayed = Replay()
+    for event in events:
+        replayed.add(event)
+    return replayed.view
+
+
+def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
+    """What changes the course of the search."""
+    match event:
         case Extended():
             return replace(
                 view,
                 budget=event.experiments,
                 hours=event.hours,
-                extended_after=len(view.experiments),
+                extended_after=experiments,
                 stopped=None,
                 refitted=None,
+                looked=False,
             )
         case Stopped():
             return replace(view, stopped=event)
         case Resumed():
-            return replace(view, stopped=None, refitted=None)
-        case Steered():
-            return replace(view, notes=(*view.notes, event))
-        case Exchanged():
-            return replace(view, exchanges=(*view.exchanges, event))
-        case SessionStarted():
-            return replace(view, begun=(*view.begun, event))
-        case SessionEnded():
-            return replace(view, sessions=(*view.sessions, event))
-        case Streamed():
-            return view
+            return replace(view, stopped=None, refitted=None, looked=False)
         case Refitted():
             return replace(view, refitted=event)
+        case GuardLooked():
+            return replace(view, looks=(*view.looks, event), looked=True)
         case Unsealing():
             return replace(view, unsealing=event)
         case Unsealed():
             return replace(view, unsealed=event)
-        case Started():
-            raise UserError("the ledger starts twice")
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run directory opened for reading."""
-
-    directory: Path
-    view: SearchView
-    lines: tuple[Line, ...]
-    busy: bool
-
-    @property
-    def name(self) -> str:
-        """Name of the run."""
-        return self.directory.name
-
-    @property
-    def store(self) -> Store:
-        """Its artifacts."""
-        return Store(self.directory / "artifacts")
-
-    @property
-    def state(self) -> State:
-        """Where the search stands."""
-        if self.view.unsealed:
-            return "unsealed"
-        if self.busy:
-            return "running"
-        return "finished" if self.view.complete else "interrupted"
-
-
-def open_run(directory: Path) -> Run:
-    """Read and verify a run. Raises UserError when it is not one or does not verify."""
-    ledger = directory / "ledger.jsonl"
-    if not ledger.is_file():
-        raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
-    lines = tuple(read_lines(ledger))
-    return Run(directory, replay(line.event for line in lines), lines, in_use(ledger))
-
-
-def find_run(runs: Path, name: str | None) -> Path:
-    """RUN is a path, a name below `runs`, or None for the newest. Raises UserError."""
-    if name is not None:
-        for path in (Path(name), runs / name):
-            if (path / "ledger.jsonl").is_file():
-                return path
-        known = ", ".join(sorted(p.parent.name for p in runs.glob("*/ledger.jsonl"))) or "none"
-        raise UserError(f"no run '{name}' under {runs}; there is: {known}")
-    found = list(runs.glob("*/ledger.jsonl"))
-    if not found:
-        raise UserError(f"no runs under {runs}; start one with: asia run PROBLEM")
-    return max(found, key=lambda p: p.stat().st_mtime).parent
+        case _:
+            return view

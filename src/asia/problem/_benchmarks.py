@@ -76,6 +76,11 @@ def benchmark_records(name: str, part: Literal["train", "test"]) -> tuple[Trajec
     )
 
 
+def cache_folder(name: str) -> Path:
+    """Where the files of a benchmark are, or will be."""
+    return _cache(name).archive.parent
+
+
 def _load(cache: _Cache) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     import nonlinear_benchmarks
 

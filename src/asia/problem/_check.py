@@ -11,6 +11,7 @@ import numpy as np
 
 from asia.problem._blocks import splits, windows
 from asia.problem._digest import data_digest, protocol_digest
+from asia.problem._places import kept_words
 from asia.problem._problem import Problem, Seal
 from asia.problem._types import Array, ProtocolRule, Signal, Trajectory
 
@@ -109,6 +110,8 @@ class CheckReport:
             f"protocol {self.protocol_sha256[:12]}",
             *_early_stopping_lines(rule),
             *_seal_lines(self.seal, rule),
+            *_kept_lines(p),
+            *_guard_lines(p),
             f"physics: {self.physics or 'none'}",
             f"baseline: {'baseline.py' if p.baseline else 'none'}",
             *(f"warning: {w}" for w in self.warnings),
@@ -328,6 +331,20 @@ def _seal_lines(seal: Seal, rule: ProtocolRule) -> list[str]:
     )
     skipped = f"{rule.test.skip} samples after the past window are skipped"
     return [f"test, sealed: {records}; {skipped}; {digest}"]
+
+
+def _kept_lines(problem: Problem) -> list[str]:
+    words = kept_words(problem)
+    return [f"test kept: {words}"] if words else []
+
+
+def _guard_lines(problem: Problem) -> list[str]:
+    guard = problem.guard
+    if not guard:
+        return []
+    names = ", ".join([path.stem for path in guard.paths] + list(guard.names))
+    who = names or f"{guard.count} simulated records"
+    return [f"guard: {who}; seen by no fold and no agent, looked at when the search ends"]
 
 
 def _table_summary(rule: ProtocolRule) -> str:

@@ -40,13 +40,17 @@ class CsvRecord:
 
 
 def read_csv(
-    path: Path, inputs: Sequence[str], outputs: Sequence[str], sampling_time: float
+    path: Path,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    sampling_time: float,
+    content: bytes | None = None,
 ) -> CsvRecord:
-    """The columns named, in that order. One header row; `,` `;` or tab between cells; a decimal
-    comma is understood where it is not the delimiter. A column named t or time is compared with
-    `sampling_time` (s). Raises UserError naming file, line and column."""
+    """The columns named, in that order, of the file or of `content`. One header row; `,` `;` or tab
+    between cells; a decimal comma is understood where it is not the delimiter. A column named t or
+    time is compared with `sampling_time` (s). Raises UserError naming file, line and column."""
     wanted = [*inputs, *outputs]
-    file = _open(path, wanted)
+    file = _open(path, wanted, content)
     time = next((c for c in file.columns if c.casefold() in _TIME_NAMES and c not in wanted), None)
     values = _numbers(file, [_index(file, name) for name in wanted])
     trajectory = Trajectory(
@@ -74,8 +78,8 @@ def split_csv(path: Path, wanted: Sequence[str], share: float) -> tuple[str, str
     )
 
 
-def _open(path: Path, wanted: Sequence[str]) -> _File:
-    lines = _text(path).split("\n")
+def _open(path: Path, wanted: Sequence[str], content: bytes | None = None) -> _File:
+    lines = _text(path, read_whole(path) if content is None else content).split("\n")
     start = next((i for i, line in enumerate(lines) if line.strip()), None)
     if start is None:
         raise UserError(f"{path} is empty: expected a header row with column names, then numbers")
@@ -96,13 +100,17 @@ def _open(path: Path, wanted: Sequence[str]) -> _File:
     return _File(path, delimiter, layouts[delimiter], lines[start], start + 1, body)
 
 
-def _text(path: Path) -> str:
+def read_whole(path: Path) -> bytes:
+    """The bytes of a file. Raises UserError."""
     try:
-        raw = path.read_bytes()
+        return path.read_bytes()
     except FileNotFoundError as error:
         raise UserError(f"no such file: {path}") from error
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _text(path: Path, raw: bytes) -> str:
     try:
         if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
             text = raw.decode("utf-16")

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 from asia.errors import UserError
 from asia.problem._nearest import nearest
+from asia.problem._syntax import syntax_tree
 
 T = TypeVar("T")
 
@@ -131,7 +132,7 @@ def parse_expression(text: str, where: str) -> Expression:
             "allowed; split it into [physics.definitions]"
         )
     try:
-        tree = ast.parse(text.strip(), mode="eval")
+        tree = syntax_tree(text.strip(), "<expression>", "eval")
         root = _convert(tree.body, where)
         names = frozenset(_names(root))
     except (SyntaxError, ValueError) as error:

@@ -12,6 +12,15 @@ from pathlib import Path
 from asia.errors import UserError
 from asia.problem._csv import read_csv, split_csv
 from asia.problem._loading import load_problem, require_length
+from asia.problem._sealed_store import Content, key_folder, sync_folder
+from asia.problem._sealing import (
+    STORE,
+    Columns,
+    Sealing,
+    check_key_folder,
+    remove_plain,
+    seal_files,
+)
 from asia.problem._toml import toml_value
 from asia.problem._types import ProtocolRule, Trajectory
 
@@ -52,13 +61,26 @@ fit_seconds = 120                   # per fold
 
 
 @dataclass(frozen=True)
+class NewProblem:
+    """What was made. path: of problem.toml; store: the encrypted test, key: what opens it; removed:
+    plain files that are gone; notes: what else to know, in plain words."""
+
+    path: Path
+    store: Path | None = None
+    key: Path | None = None
+    removed: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class _Plan:
-    """What to write: `files` by name inside the directory."""
+    """What to write: `files` by name inside the directory; `sealing` into its store."""
 
     train: tuple[str, ...]
-    test: tuple[str, ...]
-    files: tuple[tuple[str, str], ...]
-    note: str
+    test: tuple[str, ...] = ()
+    files: tuple[tuple[str, str], ...] = ()
+    sealing: Sealing | None = None
+    notes: tuple[str, ...] = ()
 
 
 def init_problem(
@@ -69,26 +91,38 @@ def init_problem(
     inputs: Sequence[str],
     outputs: Sequence[str],
     sampling_time: float,
-    seal_fraction: float | None,
-) -> Path:
-    """Writes problem.toml, with comments, and description.md, and returns the path of the former.
+    seal_fraction: float | None = None,
+    seal: bool = False,
+    keys: Path | None = None,
+) -> NewProblem:
+    """Writes problem.toml, with comments, and description.md.
 
-    sampling_time in seconds. Without test files and with a seal_fraction (0 to 0.5) that share at
-    the end of each record becomes the test: both parts are written as CSV files into the
-    directory. Everything is checked first, nothing is overwritten, and a failure leaves nothing
-    behind. Raises UserError.
+    sampling_time in seconds. seal: the test files are moved into an encrypted store in the
+    directory, its key into the folder `keys` (None: the person's own); they are removed last, once
+    the store was read back. Without test files and with a seal_fraction (0 to 0.5) that share at
+    the end of each record is sealed, and the rest written as CSV files into the directory.
+    Everything is checked first, nothing is overwritten, and a failure leaves nothing behind. Raises
+    UserError.
     """
     directory = directory.resolve()
     _check_directory(directory)
     rule = ProtocolRule()
-    records = _read(train, inputs, outputs, sampling_time)
-    if test:
-        _check_test(_read(test, inputs, outputs, sampling_time), rule)
-    sealing = None if test else seal_fraction
-    if sealing is not None:
-        records = _sealed_split(records, sealing, rule)
+    columns = Columns(tuple(inputs), tuple(outputs), sampling_time)
+    records = _read(train, columns)
+    if test and seal:
+        sealing = seal_files(test, train, columns)
+        _check_test(sealing.records, rule)
+        plan = _Plan(tuple(_written(p, directory) for p in train), sealing=sealing)
+    elif test or seal_fraction is None:
+        _check_test(_read(test, columns), rule)
+        paths = [_written(p, directory) for p in train], [_written(p, directory) for p in test]
+        plan = _Plan(tuple(paths[0]), tuple(paths[1]))
+    else:
+        plan = _split(train, columns, seal_fraction)
+        records = [r[: len(r) - round(seal_fraction * len(r))] for r in records]
+        assert plan.sealing is not None
+        _check_test(plan.sealing.records, rule)
     require_length(records, rule)
-    plan = _plan(directory, train, test, [*inputs, *outputs], sealing)
     text = _TOML.format(
         name=toml_value(directory.name),
         sampling_time=toml_value(float(sampling_time)),
@@ -101,8 +135,15 @@ def init_problem(
     )
     description = _DESCRIPTION.format(name=directory.name)
     files = (*plan.files, ("description.md", description), ("problem.toml", text))
-    _write(directory, files)
-    return directory / "problem.toml"
+    folder = key_folder(keys)
+    if plan.sealing is None:
+        _write(directory, files, None, records, folder)
+        return NewProblem(directory / "problem.toml")
+    check_key_folder(folder, directory)
+    key = _write(directory, files, plan.sealing, records, folder)
+    gone = remove_plain(plan.sealing, directory / STORE, folder)
+    notes = (*plan.notes, *gone.notes)
+    return NewProblem(directory / "problem.toml", directory / STORE, key, gone.removed, notes)
 
 
 def _check_directory(directory: Path) -> None:
@@ -116,10 +157,9 @@ def _check_directory(directory: Path) -> None:
         )
 
 
-def _read(
-    paths: Sequence[Path], inputs: Sequence[str], outputs: Sequence[str], sampling_time: float
-) -> list[Trajectory]:
-    return [read_csv(path, inputs, outputs, sampling_time).trajectory for path in paths]
+def _read(paths: Sequence[Path], columns: Columns) -> list[Trajectory]:
+    wanted = columns.inputs, columns.outputs, columns.sampling_time
+    return [read_csv(path, *wanted).trajectory for path in paths]
 
 
 def _check_test(records: Sequence[Trajectory], rule: ProtocolRule) -> None:
@@ -131,41 +171,22 @@ def _check_test(records: Sequence[Trajectory], rule: ProtocolRule) -> None:
             )
 
 
-def _sealed_split(
-    records: Sequence[Trajectory], share: float, rule: ProtocolRule
-) -> list[Trajectory]:
+def _split(train: Sequence[Path], columns: Columns, share: float) -> _Plan:
+    """The last `share` of each record to seal, the rest to write."""
     if not 0 < share <= 0.5:
         raise UserError(f"the share to seal is {share:g}, expected more than 0 and at most 0.5")
-    parts = [(r, len(r) - round(share * len(r))) for r in records]
-    _check_test([r[keep:] for r, keep in parts], rule)
-    return [r[:keep] for r, keep in parts]
-
-
-def _plan(
-    directory: Path,
-    train: Sequence[Path],
-    test: Sequence[Path],
-    wanted: Sequence[str],
-    share: float | None,
-) -> _Plan:
-    if share is None:
-        paths = [_written(p, directory) for p in train], [_written(p, directory) for p in test]
-        return _Plan(tuple(paths[0]), tuple(paths[1]), (), "")
     stems = [path.stem for path in train]
     if len(set(stems)) < len(stems):
         raise UserError("two training files have the same name: rename one to split them")
     kept = tuple(f"{stem}_train.csv" for stem in stems)
-    sealed = tuple(f"{stem}_sealed.csv" for stem in stems)
-    texts = [split_csv(path, wanted, share) for path in train]
-    files = (
-        *zip(kept, (first for first, _ in texts), strict=True),
-        *zip(sealed, (last for _, last in texts), strict=True),
-    )
+    texts = [split_csv(path, (*columns.inputs, *columns.outputs), share) for path in train]
+    sealed = (Content(f"{s}_sealed.csv", t[1].encode()) for s, t in zip(stems, texts, strict=True))
+    files = tuple((name, text[0]) for name, text in zip(kept, texts, strict=True))
     note = (
-        f"# The last {share:.0%} of each record is sealed as the test set. The original files "
-        "still hold it:\n# keep them out of reach of whoever builds the models.\n"
+        f"the rows were copied out of {', '.join(map(str, train))}, which still hold them: keep "
+        "these files out of reach of whoever builds the models"
     )
-    return _Plan(kept, sealed, files, note)
+    return _Plan(kept, (), files, Sealing(columns, tuple(sealed)), (note,))
 
 
 def _written(path: Path, directory: Path) -> str:
@@ -177,15 +198,25 @@ def _written(path: Path, directory: Path) -> str:
 
 
 def _data_lines(plan: _Plan) -> str:
-    lines = plan.note + f"train = {toml_value(plan.train)}\n"
+    lines = f"train = {toml_value(plan.train)}\n"
+    if plan.sealing is not None:
+        return lines + plan.sealing.toml()
     if plan.test:
         return lines + f"test = {toml_value(plan.test)}\n"
     return lines + '# test = ["run2.csv"]             # opened once, at the end\n'
 
 
-def _write(directory: Path, files: Sequence[tuple[str, str]]) -> None:
-    """All or nothing: a directory beside the final one is filled, loaded, then renamed."""
+def _write(
+    directory: Path,
+    files: Sequence[tuple[str, str]],
+    sealing: Sealing | None,
+    train: Sequence[Trajectory],
+    keys: Path,
+) -> Path | None:
+    """All or nothing: a directory beside the final one is filled, loaded, then renamed. The path
+    of the key."""
     above = [p for p in directory.parents if not p.exists()]
+    key: Path | None = None
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(prefix=f".{directory.name}-", dir=directory.parent))
@@ -195,12 +226,17 @@ def _write(directory: Path, files: Sequence[tuple[str, str]]) -> None:
         for name, text in files:
             (draft / name).write_text(text, encoding="utf-8")
         load_problem(draft)
+        key = sealing.write(draft, train, keys) if sealing else None
         draft.chmod(0o755)
         draft.rename(directory)
+        sync_folder(directory.parent)
     except OSError as error:
         raise UserError(f"cannot write {directory}: {error.strerror}") from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
         if not directory.exists():
+            if key is not None:
+                key.unlink(missing_ok=True)
             for made in above:
                 made.rmdir()
+    return key

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 from asia.errors import UserError
 from asia.problem._blocks import least_case
+from asia.problem._guard import guard_source, without_guard
 from asia.problem._lock import check_digests
 from asia.problem._nearest import suggestion
 from asia.problem._physics import check_physics
-from asia.problem._problem import CsvSource, DataSource, Problem, TestSource
+from asia.problem._problem import CsvSource, DataSource, Problem, SealedSource, TestSource
 from asia.problem._protocol import check_protocol, with_groups
 from asia.problem._schema import DataTable, LockFile, ProblemFile, ProblemTables
 from asia.problem._sources import Channels, parse_source, read_records
@@ -53,7 +54,7 @@ def load_problem(name_or_path: str | Path) -> Problem:
         notes=_named_text(path, file.notes),
         strategies=_named_text(path, file.strategies),
     )
-    return _assemble(file, path.resolve().parent, texts, None)
+    return _assemble(file, path.resolve().parent, texts)
 
 
 def load_lock(path: Path) -> Problem:
@@ -64,7 +65,7 @@ def load_lock(path: Path) -> Problem:
     """
     file = read_table(path, LockFile)
     texts = _Texts(file.name, file.description, file.baseline, file.notes, file.strategies)
-    problem = _assemble(file, path.resolve().parent, texts, file.digests.test)
+    problem = _assemble(file, path.resolve().parent, texts, file.digests.test, file.digests.guard)
     check_digests(problem, file.digests, path)
     return problem
 
@@ -114,7 +115,13 @@ def _named_text(path: Path, named: str | None) -> str:
     return "" if named is None else _text(path.parent / named)
 
 
-def _assemble(file: ProblemTables, root: Path, texts: _Texts, test_sha256: str | None) -> Problem:
+def _assemble(
+    file: ProblemTables,
+    root: Path,
+    texts: _Texts,
+    test_sha256: str | None = None,
+    guard_sha256: str | None = None,
+) -> Problem:
     channels = Channels(
         tuple(s.signal() for s in file.inputs),
         tuple(s.signal() for s in file.outputs),
@@ -127,7 +134,10 @@ def _assemble(file: ProblemTables, root: Path, texts: _Texts, test_sha256: str |
         check_physics(physics, *names)
     check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
     data, test = _data(file.data, root)
+    guard = guard_source(file.data.guard, data, root)
     records = read_records(data, "train", channels)
+    if guard.names:
+        records = replace(records, trajectories=without_guard(records.trajectories, guard))
     names = [t.name for t in records.trajectories]
     rule = with_groups(file.protocol.rule(), file.data.groups, names)
     require_length(records.trajectories, rule)
@@ -149,6 +159,7 @@ def _assemble(file: ProblemTables, root: Path, texts: _Texts, test_sha256: str |
         strategies=texts.strategies,
         truth=records.truth,
         warnings=records.warnings,
+        guard=replace(guard, sha256=guard_sha256),
     )
 
 
@@ -159,9 +170,10 @@ def _check_names(channels: Channels) -> None:
             raise UserError(f"signal '{name}' is named {count} times among inputs and outputs")
 
 
-def _data(table: DataTable, root: Path) -> tuple[DataSource, DataSource | None]:
+def _data(table: DataTable, root: Path) -> tuple[DataSource, DataSource | SealedSource | None]:
+    sealed = table.sealed
     if table.source is not None:
-        if table.train or table.test:
+        if table.train or table.test or sealed:
             raise UserError("[data] has both source and file names: keep one of them")
         source = parse_source(table.source, table.seed)
         return source, source
@@ -171,10 +183,21 @@ def _data(table: DataTable, root: Path) -> tuple[DataSource, DataSource | None]:
         raise UserError('[data] names no training data: expected train = ["file.csv"] or source')
     train = tuple((root / name).resolve() for name in table.train)
     test = tuple((root / name).resolve() for name in table.test)
-    for path, count in Counter((*train, *test)).items():
+    guard = (
+        ()
+        if isinstance(table.guard, int)
+        else tuple((root / name).resolve() for name in table.guard)
+    )
+    lists = {"train": train, "test": test, "guard": guard}
+    for path, count in Counter((*train, *test, *guard)).items():
         if count > 1:
-            what = "both train and test" if path in train and path in test else "one list twice"
+            named = [name for name, paths in lists.items() if path in paths]
+            what = f"both {' and '.join(named)}" if len(named) > 1 else "one list twice"
             raise UserError(f"[data] names {path} in {what}: name every record once")
+    if sealed is not None:
+        if test:
+            raise UserError("[data] has both test and sealed: keep one of them")
+        return CsvSource(train), SealedSource((root / sealed.file).resolve(), sealed.sha256)
     return CsvSource(train), CsvSource(test) if test else None
 
 

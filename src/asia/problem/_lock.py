@@ -10,12 +10,14 @@ from typing import Any
 
 from asia.errors import UserError
 from asia.problem._digest import data_digest, physics_digest, protocol_digest, text_digest
+from asia.problem._guard import guard_table
 from asia.problem._problem import (
     BenchmarkSource,
     CsvSource,
     NanodroneSource,
     Problem,
     Seal,
+    SealedSource,
     SimulatedSource,
 )
 from asia.problem._protocol import groups_table, protocol_table
@@ -54,10 +56,11 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
     """
     try:
         before = dict(_flat(tomllib.loads(path.read_text(encoding="utf-8"))))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     now = dict(_flat(tomllib.loads(lock_text(problem, seal))))
-    moved = {"data.train", "data.test", "description", "notes", "strategies", "baseline"}
+    texts = {"description", "notes", "strategies", "baseline"}
+    moved = {"data.train", "data.test", "data.guard", "data.sealed.file", *texts}
     keys = [k for k in {**before, **now} if k not in moved and before.get(k) != now.get(k)]
     return tuple(Difference(k, before.get(k), now.get(k)) for k in keys)
 
@@ -106,11 +109,15 @@ def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
         "sampling_time": problem.sampling_time,
         "inputs": [asdict(s) for s in problem.inputs],
         "outputs": [asdict(s) for s in problem.outputs],
-        "data": {**_data(problem), "groups": groups_table(problem.protocol)},
+        "data": {
+            **_data(problem),
+            "groups": groups_table(problem.protocol),
+            "guard": guard_table(problem.guard),
+        },
         "protocol": protocol_table(problem.protocol),
         "budget": asdict(problem.budget),
         "physics": None if problem.physics is None else asdict(problem.physics),
-        "digests": _digests(problem, seal.sha256),
+        "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
     }
 
 
@@ -125,6 +132,9 @@ def _data(problem: Problem) -> dict[str, Any]:
     return {
         "train": [str(p) for p in problem.data.paths],
         "test": [str(p) for p in test.paths] if isinstance(test, CsvSource) else [],
+        "sealed": {"file": str(test.path), "sha256": test.sha256}
+        if isinstance(test, SealedSource)
+        else None,
     }
 
 

@@ -35,6 +35,15 @@ class NanodroneSource:
     """The flights of the nanodrone benchmark's repository."""
 
 
+@dataclass(frozen=True)
+class SealedSource:
+    """Test records in an encrypted store at an absolute path; sha256: the digest of the records
+    that were sealed."""
+
+    path: Path
+    sha256: str
+
+
 DataSource = CsvSource | BenchmarkSource | SimulatedSource | NanodroneSource
 
 
@@ -46,8 +55,23 @@ class TestSource:
     once they were sealed.
     """
 
-    source: DataSource | None
+    source: DataSource | SealedSource | None
     sha256: str | None = None
+
+
+@dataclass(frozen=True)
+class GuardSource:
+    """How to read the guard records; never their values. One of: CSV files at absolute paths, names
+    of a benchmark's training records, which are then no training records, or how many records of a
+    simulated system. sha256: as in `TestSource`."""
+
+    paths: tuple[Path, ...] = ()
+    names: tuple[str, ...] = ()
+    count: int = 0
+    sha256: str | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.paths or self.names or self.count)
 
 
 @dataclass(frozen=True)
@@ -56,13 +80,14 @@ class Seal:
 
     sha256: digest of all values, None when the problem has no test data. names, lengths: of the
     records. shared_samples: test samples inside runs of consecutive samples, inputs and outputs,
-    that also occur in a training record.
+    that also occur in a training record. guard: digest of the guard records, None without any.
     """
 
     sha256: str | None
     names: tuple[str, ...] = ()
     lengths: tuple[int, ...] = ()
     shared_samples: int = 0
+    guard: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +95,11 @@ class Problem:
     """What a search is about.
 
     sampling_time in seconds; train: the records the search may use; data: where they came from;
-    baseline: source of the problem's own first candidate; truth: noise-free outputs (T, ny) of
-    the training records, for simulated systems only; test: handle for the one opener of test
-    data; warnings: doubts about the data, in plain words; notes, strategies: what the literature
-    says and what to try, in plain words, for agents that read, "" for none.
+    baseline: source of the problem's own first candidate; truth: noise-free outputs (T, ny) of the
+    training records, for simulated systems only; test: handle for the one opener of test data;
+    guard: handle for the records that no agent sees; warnings: doubts about the data, in plain
+    words; notes, strategies: what the literature says and what to try, in plain words, for agents
+    that read, "" for none.
     """
 
     name: str
@@ -92,3 +118,4 @@ class Problem:
     warnings: tuple[str, ...] = ()
     notes: str = ""
     strategies: str = ""
+    guard: GuardSource = GuardSource()

@@ -43,7 +43,22 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
             "[data.groups] belongs to leave_one_group_out folds: set protocol.folds = { kind = "
             '"leave_one_group_out" }, or leave the groups out'
         )
+    check_feedback(table.rule())
+    if table.ladder_step is not None and table.feedback == "exact":
+        raise UserError(
+            'protocol.ladder_step belongs to feedback = "ladder": set that, or leave the step out '
+            "to tell agents all of V"
+        )
     _check_test(table, table.test.rule(), outputs)
+
+
+def check_feedback(rule: ProtocolRule) -> None:
+    """Raises UserError when a fit would be told what the agent must not know."""
+    if rule.ladder is not None and rule.early_stopping == "validation":
+        raise UserError(
+            'protocol.feedback = "ladder" hides V from the agent, which early_stopping = '
+            '"validation" tells its candidates: keep one of them'
+        )
 
 
 def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) -> None:
@@ -135,8 +150,11 @@ def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
     """[protocol] of a rule, from which `ProtocolTable` reads the same rule, its groups apart."""
     grouped = rule.folds.kind == "leave_one_group_out"
     test = rule.test
+    ladder = rule.ladder
     return {
-        **asdict(rule),
+        **{key: value for key, value in asdict(rule).items() if key != "ladder"},
+        "feedback": None if ladder is None else "ladder",
+        "ladder_step": ladder,
         "folds": {"kind": rule.folds.kind, "count": None if grouped else rule.folds.count},
         "test": {
             "metrics": test.metrics,

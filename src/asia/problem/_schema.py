@@ -10,6 +10,7 @@ from asia.problem._types import (
     Bounds,
     Budget,
     EarlyStopping,
+    Feedback,
     FoldRule,
     Metric,
     OutputGroup,
@@ -22,6 +23,7 @@ from asia.problem._types import (
 )
 
 LEAST_MEMORY_MB = 1600
+LADDER_STEP = 0.1
 
 
 class Table(BaseModel):
@@ -54,12 +56,21 @@ def _path(value: object) -> object:
 FileName = Annotated[str, BeforeValidator(_path)]
 
 
+class SealedTable(Table):
+    """Test records in an encrypted store."""
+
+    file: FileName
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
 class DataTable(Table):
     train: list[FileName] = []
     test: list[FileName] = []
+    sealed: SealedTable | None = None
     source: str | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     groups: dict[str, list[str]] = {}
+    guard: list[FileName] | Annotated[int, Field(ge=1, le=100)] = []
 
 
 class FoldsTable(Table):
@@ -102,6 +113,8 @@ class ProtocolTable(Table):
     past_outputs: int = Field(default=ProtocolRule.past_outputs, ge=0, le=100_000)
     metric: Metric = "rmse"
     early_stopping: EarlyStopping = "inner"
+    feedback: Feedback = "exact"
+    ladder_step: Annotated[float, Field(gt=0, lt=1)] | None = None
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     test: TestTable = TestTable()
 
@@ -115,6 +128,7 @@ class ProtocolTable(Table):
             early_stopping=self.early_stopping,
             horizon=self.horizon,
             test=self.test.rule(),
+            ladder=(self.ladder_step or LADDER_STEP) if self.feedback == "ladder" else None,
         )
 
 
@@ -186,6 +200,7 @@ class DigestTable(Table):
 
     train: list[str]
     test: str | None = None
+    guard: str | None = None
     description: str
     notes: str | None = None
     strategies: str | None = None

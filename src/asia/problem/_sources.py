@@ -17,14 +17,18 @@ from asia.problem._problem import (
     BenchmarkSource,
     CsvSource,
     DataSource,
+    GuardSource,
     NanodroneSource,
+    SealedSource,
     SimulatedSource,
 )
+from asia.problem._sealed_store import open_store
 from asia.problem._two_tanks import SAMPLING_TIME, simulate_two_tanks
 from asia.problem._types import Array, Signal, Trajectory
 
 _SYSTEMS = ("two_tanks",)
 _REALISATIONS = {"train": 0, "test": 1}
+_GUARD = 2
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,34 @@ def read_records(source: DataSource, part: Literal["train", "test"], channels: C
     trajectories = benchmark_records(source.benchmark, part)
     _check_channels(trajectories, channels)
     return Records(trajectories)
+
+
+def guard_records(guard: GuardSource, data: DataSource, channels: Channels) -> Records:
+    """The records that stand guard. Raises UserError as `read_records`."""
+    if isinstance(data, CsvSource):
+        return _csv_records(guard.paths, channels)
+    if not isinstance(data, SimulatedSource):
+        found = read_records(data, "train", channels).trajectories
+        return Records(tuple(record for record in found if record.name in guard.names))
+    made = tuple(
+        Trajectory(record.u, record.y, SAMPLING_TIME, f"{data.system}_guard{number}")
+        for number, record in enumerate(
+            (simulate_two_tanks(data.seed, _GUARD + k) for k in range(guard.count)), 1
+        )
+    )
+    _check_channels(made, channels)
+    return Records(made)
+
+
+def sealed_records(source: SealedSource, channels: Channels, keys: Path) -> Records:
+    """The records of an encrypted store. Raises UserError without its key, or when it was
+    changed."""
+    inputs, outputs = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
+    found = [
+        read_csv(Path(c.name), inputs, outputs, channels.sampling_time, c.data)
+        for c in open_store(source.path, keys)
+    ]
+    return Records(tuple(record.trajectory for record in found))
 
 
 def _csv_records(paths: Sequence[Path], channels: Channels) -> Records:

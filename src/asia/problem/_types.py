@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Metric = Literal["rmse", "mae"]
 TestMetric = Literal["rmse", "mae", "mee"]
 EarlyStopping = Literal["inner", "validation"]
+Feedback = Literal["exact", "ladder"]
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,9 @@ class ProtocolRule:
 
     kind: `simulation` of whole blocks, or `windows` of `horizon` samples, each started from its own
     past window. early_stopping: `inner`, or `validation` as in Piga and Forgione, where a candidate
-    may ask for its score on the held-out part while it trains; V is then not leak-free.
+    may ask for its score on the held-out part while it trains; V is then not leak-free. ladder: the
+    share of V by which a new best must be better for agents to be told, None where they are told
+    all of V.
     """
 
     kind: Literal["simulation", "windows"] = "simulation"
@@ -161,6 +164,7 @@ class ProtocolRule:
     early_stopping: EarlyStopping = "inner"
     horizon: int | None = None
     test: TestRule = TestRule()
+    ladder: float | None = None
 
     @property
     def past(self) -> int:

@@ -3,24 +3,30 @@ ones, and what is doubtful about them."""
 
 from asia.problem._check import CheckReport, check_problem
 from asia.problem._digest import data_digest, protocol_digest
-from asia.problem._init import init_problem
+from asia.problem._init import NewProblem, init_problem
 from asia.problem._loading import builtin_problems, load_lock, load_problem
 from asia.problem._lock import Difference, lock_differences, lock_text
+from asia.problem._places import kept_places, record_places
 from asia.problem._problem import BenchmarkSource, Problem, Seal
+from asia.problem._protocol import check_feedback
 
 __all__ = [
     "BenchmarkSource",
     "CheckReport",
     "Difference",
+    "NewProblem",
     "Problem",
     "Seal",
     "builtin_problems",
+    "check_feedback",
     "check_problem",
     "data_digest",
     "init_problem",
+    "kept_places",
     "load_lock",
     "load_problem",
     "lock_differences",
     "lock_text",
     "protocol_digest",
+    "record_places",
 ]

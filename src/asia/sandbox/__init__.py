@@ -2,6 +2,7 @@
 
 from asia.sandbox._jail import INSIDE, SOCKET_FOLDER, Jail, jail_environment
 from asia.sandbox._open import absent_layers, open_worker, probe, why_not
+from asia.sandbox._surroundings import shown_in
 from asia.sandbox._survey import Lack, LevelState, Machine, machine, survey
 from asia.sandbox._types import (
     LAYERS,
@@ -12,6 +13,7 @@ from asia.sandbox._types import (
     Probe,
     ScoreModel,
     ScoreRefusedError,
+    WorkerKilledError,
 )
 from asia.sandbox._worker import Worker
 
@@ -31,11 +33,13 @@ __all__ = [
     "ScoreModel",
     "ScoreRefusedError",
     "Worker",
+    "WorkerKilledError",
     "absent_layers",
     "jail_environment",
     "machine",
     "open_worker",
     "probe",
+    "shown_in",
     "survey",
     "why_not",
 ]

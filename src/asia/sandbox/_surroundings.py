@@ -82,6 +82,14 @@ def readable() -> list[str]:
     return [*_SYSTEM_CODE, *SYSTEM_FILES, *code, "/proc/self", *_FACTS]
 
 
+def shown_in(path: Path) -> str | None:
+    """The folder through which every candidate and every agent can read `path`, None for none."""
+    real = os.path.realpath(path)
+    code = [outside for outside, _ in code_folders()]
+    system = [os.path.realpath(place) for place in _SYSTEM_CODE]
+    return next((f for f in (*system, *code) if _within(real, [f])), None)
+
+
 def code_folders() -> list[tuple[str, str]]:
     """(place on this machine, place in the sandbox) of all code a worker reads outside /usr."""
     wanted: list[str] = []

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from asia.errors import SandboxError
 from asia.problem import Array
 
 
@@ -59,6 +60,10 @@ class Limits:
     simulate_seconds: float
     memory_mb: int
     model_mb: int = 64
+
+
+class WorkerKilledError(SandboxError):
+    """Somebody else ended the worker; most often the kernel, when memory had run out."""
 
 
 class ScoreRefusedError(Exception):

@@ -6,6 +6,7 @@ import builtins
 import contextlib
 import math
 import pickle
+import signal
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -18,7 +19,7 @@ from asia.errors import CandidateError, Reason, SandboxError
 from asia.problem import Array, Trajectory
 from asia.sandbox._cell import Cell
 from asia.sandbox._channel import Channel, GoneError, Head, LateError, UnsolicitedError, printable
-from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError
+from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError, WorkerKilledError
 from asia.sandbox._wire import (
     CURVE_ROW_BYTES,
     CURVE_ROWS,
@@ -29,6 +30,7 @@ from asia.sandbox._wire import (
 
 _START_SECONDS = 60.0
 _LAST_WORDS = 1500
+_KILLED = 128 + signal.SIGKILL
 _REASONS = {
     Status.SYNTAX: Reason.SYNTAX,
     Status.CONTRACT: Reason.CONTRACT,
@@ -58,6 +60,7 @@ class Worker:
         self._cell = cell
         self._limits = limits
         self._channel = Channel(cell.pipes, cell.running)
+        self.left_behind: int | None = None
         self._closed = False
         self._started = False
         self._latest = math.inf
@@ -156,12 +159,13 @@ class Worker:
             self._cell.force()
 
     def close(self) -> None:
-        """End the process with everything it started; may be called again. Raises SandboxError
-        if the kernel does not let it die."""
+        """End the process with everything it started; may be called again. What the kernel does
+        not let die is `left_behind`."""
         if not self._closed:
             self._closed = True
             self._channel.close()
-            self._cell.end()
+            if not self._cell.end():
+                self.left_behind = self._cell.process.pid
 
     def _start(self) -> None:
         """Wait for the fresh process to be ready: its start is nobody's fit time."""
@@ -264,9 +268,10 @@ class Worker:
         if isinstance(error, UnsolicitedError):
             return self._failure(Reason.UNSOLICITED)
         code = self._cell.exit_code()
-        if self._cell.beyond_reach and code is not None and code < 0:
+        if code is not None and (code == _KILLED or (self._cell.beyond_reach and code < 0)):
             self.close()
-            return SandboxError(f"the sandbox's own process was killed by signal {-code}")
+            number = -code if code < 0 else code - 128
+            return WorkerKilledError(f"the worker was ended from outside by signal {number}")
         if self._cases_seen:
             return self._failure(Reason.EXITED)
         said = self._channel.take_output()[-_LAST_WORDS:].strip()

@@ -13,22 +13,25 @@ from asia.problem import Array
 from asia.scoring._metrics import METRICS, fit_index, mae, pooled, r2, rmse
 
 DIVERGED = 1e100
+PARTS = 8
 
 
 @dataclass(frozen=True)
 class FoldScore:
     """One fold: `value` is the normalised metric that enters V; errors per channel are in
-    physical units, fit index in percent; None where the held-out output does not move. Raises
-    InternalError when a number is not finite."""
+    physical units, fit index in percent; None where the held-out output does not move. `parts` is
+    the normalised metric on PARTS equal parts of the held-out samples in turn, () where nothing
+    asks for it. Raises InternalError when a number is not finite."""
 
     value: float
     rmse: tuple[float, ...]
     mae: tuple[float, ...]
     fit_index: tuple[float | None, ...]
     r2: tuple[float | None, ...]
+    parts: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        numbers = (self.value, *self.rmse, *self.mae, *self.fit_index, *self.r2)
+        numbers = (self.value, *self.rmse, *self.mae, *self.fit_index, *self.r2, *self.parts)
         if not all(n is None or math.isfinite(n) for n in numbers):
             raise InternalError("a score that is not finite was about to be recorded")
 
@@ -86,11 +89,14 @@ def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:
         raise CandidateError(Reason.NOT_FINITE)
 
 
-def score_fold(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str) -> FoldScore:
+def score_fold(
+    y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str, *, in_parts: bool = False
+) -> FoldScore:
     """Score the simulated blocks of one fold.
 
     y, y_hat: one (H, ny) array a block; scale (ny,). The metric of each channel is taken over all
-    samples of all blocks, divided by scale, and averaged over the channels.
+    samples of all blocks, divided by scale, and averaged over the channels. in_parts: fill
+    `FoldScore.parts`.
     Raises CandidateError for a reply of the wrong size or not finite.
     """
     for measured, simulated in zip(y, y_hat, strict=True):
@@ -99,9 +105,12 @@ def score_fold(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric:
     value = float(np.mean(METRICS[metric](a, b) / scale))
     if not math.isfinite(value):
         raise CandidateError(Reason.NOT_FINITE)
-    return FoldScore(
-        value, _t(rmse(a, b)), _t(mae(a, b)), _defined(fit_index(a, b)), _defined(r2(a, b))
-    )
+    parts: tuple[float, ...] = ()
+    if in_parts:
+        cut = zip(np.array_split(a, PARTS), np.array_split(b, PARTS), strict=True)
+        parts = tuple(float(np.mean(METRICS[metric](c, d) / scale)) for c, d in cut if len(c))
+    indices = _defined(fit_index(a, b)), _defined(r2(a, b))
+    return FoldScore(value, _t(rmse(a, b)), _t(mae(a, b)), *indices, parts)
 
 
 def combine(folds: Sequence[FoldScore]) -> Score:

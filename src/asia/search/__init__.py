@@ -11,11 +11,12 @@ from asia.search._replay import Replayed, ReplayReport, replay_run
 from asia.search._search import LOCK, Prepared, check_baseline, prepare, search, with_early_stopping
 from asia.search._serve import prepare_order
 from asia.search._simulate import simulate
-from asia.search._unseal import UnsealResult, unseal
+from asia.search._unseal import CONSENT, UnsealResult, needs_consent, unseal
 from asia.search._workspace import CANDIDATE, Workspace, make_workspace
 
 __all__ = [
     "CANDIDATE",
+    "CONSENT",
     "LOCK",
     "CommandRules",
     "Controls",
@@ -35,6 +36,7 @@ __all__ = [
     "check_baseline",
     "check_rules",
     "make_workspace",
+    "needs_consent",
     "prepare",
     "prepare_order",
     "problem_facts",

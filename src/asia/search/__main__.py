@@ -1,5 +1,6 @@
 """python -m asia.search DIRECTORY: the process behind a workspace or a server."""
 
+import signal
 import sys
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from asia.report import write_report
 from asia.search._serve import serve
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         serve(Path(sys.argv[1]))
     except UserError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from asia.agents import AgentView, Effort, Facts, Trial
 from asia.candidate import source_digest
 from asia.errors import CandidateError
-from asia.ledger import Experiment, SearchView, Store
+from asia.ledger import Experiment, SearchView, Store, published
 from asia.problem.load import Problem
 from asia.search._rules import phase
 
@@ -31,6 +31,7 @@ def problem_facts(problem: Problem) -> Facts:
         horizon=rule.horizon,
         metric=rule.metric,
         early_stopping=rule.early_stopping,
+        ladder=rule.ladder,
         folds=rule.folds.count,
         groups=tuple(group.records for group in rule.folds.groups),
         budget=Effort(problem.budget.experiments, problem.budget.fit_seconds),
@@ -41,6 +42,7 @@ def problem_facts(problem: Problem) -> Facts:
 
 def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
     """The search as its agent may see it now."""
+    view = published(view)
     tried = {e.proposed.digest for e in view.experiments}
     return AgentView(
         facts=facts,

@@ -39,6 +39,7 @@ from asia.search._command_session import Session
 from asia.search._controls import Controls
 from asia.search._desk import RunDesk, one_line
 from asia.search._folder import write_file
+from asia.search._hidden import check_shown
 from asia.search._loop import OnEvent
 from asia.search._queue import Queue
 from asia.search._search import Prepared, search
@@ -314,6 +315,7 @@ def run_command(
     check_rules(preset, rules)
     directory = prepared.directory
     check_places(preset, rules, directory)
+    check_shown((*rules.mounts, *rules.configs) if rules.jail else (), prepared.problem)
     # A level further down than the runs are looked for: what lies in it is never taken for one.
     folder = directory.resolve().parent / WORKSPACES / directory.name
     if os.path.lexists(folder / "ledger.jsonl"):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia.errors import UserError
+from asia.ledger import write_whole
 
 LONGEST_NOTE = 4000
 
@@ -68,14 +69,3 @@ class Controls:
         except FileNotFoundError:
             return False
         return any(n in ("pause", "stop") or n.startswith("steer-") for n in names)
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """The file appears with all its bytes, on the disk."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
-    with temporary.open("wb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
-    temporary.replace(path)

@@ -15,7 +15,7 @@ from typing import Literal, Protocol
 from asia.agents import Proposal
 from asia.candidate import check_source
 from asia.errors import CandidateError, UserError
-from asia.ledger import Experiment, Run, Stopped, open_run
+from asia.ledger import Experiment, Run, Stopped, open_run, published
 from asia.search._agent_view import digest
 from asia.search._detached import Order, has_begun, runs
 from asia.search._queue import TEXT, TITLE, Queue
@@ -114,8 +114,8 @@ class RunDesk:
         self._seen: tuple[tuple[int, ...], Run] | None = None
 
     def run(self) -> Run:
-        """The run as it stands, read anew where its ledger has changed. A search that never began
-        is started first. Raises UserError as `open_run` does."""
+        """The run as it stands, its scores as they are told, read anew where its ledger has
+        changed. A search that never began is started first. Raises UserError as `open_run` does."""
         ledger = self._directory / "ledger.jsonl"
         if self._keep_alive is not None and not has_begun(self._directory):
             self._keep_alive(self._directory)
@@ -125,7 +125,8 @@ class RunDesk:
         stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
         seen = self._seen
         if seen is None or seen[0] != stamp:
-            seen = (stamp, open_run(self._directory))
+            run = open_run(self._directory)
+            seen = (stamp, replace(run, view=published(run.view)))
             self._seen = seen
         return seen[1]
 

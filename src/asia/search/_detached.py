@@ -12,13 +12,18 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from pydantic import TypeAdapter
+
 from asia.errors import UserError
-from asia.ledger import in_use
-from asia.search._controls import write_whole
+from asia.ledger import in_use, write_whole
 
 _POLL = 0.05
 _START_SECONDS = 60.0
 _WORDS = 300
+_VARIABLES = (
+    "PATH", "HOME", "USER", "LOGNAME", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "TMPDIR", "PYTHONPATH",
+    "LD_LIBRARY_PATH", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "OMP_NUM_THREADS",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -55,10 +60,10 @@ class Order:
         where it cannot be read."""
         path = _order_path(directory)
         try:
-            return cls(**json.loads(path.read_text("utf-8")))
+            return _orders.validate_json(path.read_bytes(), strict=True)
         except FileNotFoundError:
             return None
-        except (ValueError, TypeError):
+        except ValueError:
             raise UserError(
                 f"{path} is damaged: give the command that began the search again"
             ) from None
@@ -73,6 +78,9 @@ class Order:
                 "asia mcp"
             )
         return order
+
+
+_orders = TypeAdapter(Order)
 
 
 def _order_path(directory: Path) -> Path:
@@ -122,9 +130,11 @@ def _start(directory: Path, log: Path) -> None:
 
 
 def _environment() -> dict[str, str]:
-    """A relative path in it would mean another place there."""
+    """What a search needs, and none of the keys that this process may hold. A relative path would
+    mean another place there."""
+    kept = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
     given = os.environ.get("ASIA_DATA_DIR")
-    return {**os.environ, **({"ASIA_DATA_DIR": os.path.abspath(given)} if given else {})}
+    return {**kept, **({"ASIA_DATA_DIR": os.path.abspath(given)} if given else {})}
 
 
 def _ready(directory: Path) -> bool:

@@ -37,13 +37,14 @@ from asia.ledger import (
     Stopped,
     StopReason,
     Store,
-    replay,
+    refresh,
     write_exports,
 )
 from asia.problem.load import Problem
 from asia.scoring import Failure
 from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
 from asia.search._controls import Controls
+from asia.search._guard import look_at_guard
 from asia.search._rules import decide, stop_reason
 
 OnEvent = Callable[[Event, SearchView], None]
@@ -73,10 +74,11 @@ class Loop:
     @property
     def view(self) -> SearchView:
         """The ledger replayed."""
-        return replay(line.event for line in self.chain.lines)
+        return self.chain.view
 
     def run(self) -> SearchView:
-        """Rungs, search, refit of the winner. What the ledger already holds is not redone."""
+        """Rungs, search, refit of the winner, a look at the guard. What the ledger already holds is
+        not redone."""
         if self.view.complete or self.view.unsealing:
             return self.view
         if isinstance(self.agent, Attached):
@@ -98,13 +100,17 @@ class Loop:
                     self.agent.stopped(stopped.reason)
         if self.view.refitted is None:
             self._refit()
+        if self.view.guard_due:
+            self.record(look_at_guard(self.problem, self.evaluator, self.store, self.view))
 
     def record(self, event: Event) -> None:
         """Append to the ledger, rewrite the generated files, tell the listener. From any thread."""
         with self._lock:
             self.chain.append(event)
             view = self.view
-            write_exports(self.directory, view)
+            if isinstance(event, Evaluated):
+                write_exports(self.directory, view)
+                refresh(self.directory)
             self.on_event(event, view)
 
     def _controlled(self) -> Stopped | None:
@@ -176,7 +182,7 @@ class Loop:
             settled = twin.result is not None and not twin.result.deadline
             if settled and twin.proposed.digest == experiment.proposed.digest:
                 return _answer_again(experiment, twin)
-        start = time.monotonic()
+        start, before = time.monotonic(), len(self.evaluator.left_behind)
         evaluation = judge(self.evaluator, self.store.text(experiment.proposed.source), view)
         return Evaluated(
             experiment=experiment.number,
@@ -188,6 +194,7 @@ class Loop:
             deadline=_touched_deadline(evaluation),
             validation_scores=evaluation.validation_scores,
             isolation=self.evaluator.isolation.value,
+            left_behind=tuple(self.evaluator.left_behind[before:]),
         )
 
     def _keep(self, fold: FoldResult) -> FoldRecord:
@@ -247,10 +254,11 @@ class LoopJournal:
 
 
 def judge(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
-    """Evaluate; a would-be winner must also come back bitwise the same from its bytes."""
+    """Evaluate; a would-be winner must also come back bitwise the same from its bytes, and answer
+    like a model."""
     evaluation = evaluator.evaluate(source)
     if decide(evaluation.outcome, view) == "keep":
-        failure = evaluator.reload_differs(source, evaluation.folds)
+        failure = evaluator.objection(source, evaluation.folds)
         if failure is not None:
             return replace(evaluation, outcome=failure, folds=())
     return evaluation

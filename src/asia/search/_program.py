@@ -47,7 +47,7 @@ Read `description.md` first. Inputs: {_signals(problem.inputs)}. Outputs:
 
 V is the error of the open-loop simulation, each output divided by its standard deviation over the
 training samples, then the mean over outputs and over folds: 1 is as bad as the mean of the data.
-{_early_stopping(rule)}
+{_feedback(rule)}{_early_stopping(rule)}
 
 {sealed}
 
@@ -128,6 +128,16 @@ def _protocol(problem: Problem) -> str:
     return (
         f"{how} and trains on the rest. The model is then given the past window and the inputs of "
         f"{what}, and never an output of it. Metric: {rule.metric.upper()}."
+    )
+
+
+def _feedback(rule: ProtocolRule) -> str:
+    if rule.ladder is None:
+        return ""
+    return (
+        f"V is told on a ladder: a candidate that beats the last V told by more than "
+        f"{rule.ladder:.0%}, and not by chance, is kept and its V told roughly; for any other the "
+        "last V told is repeated, which says no more than that.\n"
     )
 
 

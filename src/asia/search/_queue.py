@@ -14,9 +14,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from pydantic import TypeAdapter
+
 from asia.agents import Proposal
 from asia.errors import UserError
-from asia.search._controls import write_whole
+from asia.ledger import write_whole
 
 TITLE = 80
 TEXT = 2000
@@ -24,6 +26,7 @@ TEXT = 2000
 # A ticket comes back from outside and is part of a file name.
 _TICKET = re.compile(r"\d{20}-[0-9a-f]{8}")
 _WAITING, _TAKEN = ".json", ".taken"
+_proposals = TypeAdapter(Proposal)
 
 
 @dataclass(frozen=True)
@@ -50,15 +53,12 @@ class Queue:
             yield
 
     def put(self, proposal: Proposal) -> str:
-        """Hand in; on return it is on the disk. The ticket."""
-        ticket = f"{time.time_ns():020d}-{secrets.token_hex(4)}"
+        """Hand in; on return it is on the disk. The ticket, which comes after all that wait: a
+        clock may be set back."""
+        newest = max((int(t[:20]) for t in self.tickets()), default=-1)
+        ticket = f"{max(time.time_ns(), newest + 1):020d}-{secrets.token_hex(4)}"
         body = json.dumps(asdict(replace(proposal, ticket=ticket)))
         write_whole(self._path(ticket), body.encode())
-        folder = os.open(self.folder, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
         return ticket
 
     def tickets(self) -> list[str]:
@@ -71,10 +71,10 @@ class Queue:
         for suffix in (_WAITING, _TAKEN) if _TICKET.fullmatch(ticket) else ():
             path = self._path(ticket, suffix)
             try:
-                return Proposal(**json.loads(path.read_text("utf-8")))
+                return _proposals.validate_json(path.read_bytes(), strict=True)
             except FileNotFoundError:
                 continue
-            except (ValueError, TypeError):
+            except ValueError:
                 raise UserError(f"{path} is not a submission: remove the file") from None
         return None
 

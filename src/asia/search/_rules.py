@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from asia.ledger import SearchView, Status, StopReason
+from asia.ledger import SearchView, Status, StopReason, beats
 from asia.problem import Budget
 from asia.scoring import Failure, Outcome
 
@@ -35,8 +35,7 @@ def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
 
 
 def decide(outcome: Outcome, view: SearchView) -> Status:
-    """`keep` when V is below the incumbent's, else `discard`; a failure by its reason."""
+    """`keep` when V beats the incumbent's, else `discard`; a failure by its reason."""
     if isinstance(outcome, Failure):
         return outcome.reason.status
-    best = view.best.score if view.best else None
-    return "keep" if best is None or outcome.value < best.value else "discard"
+    return "keep" if beats(outcome, view) else "discard"

@@ -25,13 +25,23 @@ from asia.ledger import (
     Started,
     Store,
     check_lock,
-    replay,
+    write_exports,
+    write_whole,
 )
 from asia.problem import Budget, EarlyStopping
-from asia.problem.load import Problem, Seal, lock_differences, lock_text, protocol_digest
+from asia.problem.load import (
+    Problem,
+    Seal,
+    check_feedback,
+    lock_differences,
+    lock_text,
+    protocol_digest,
+)
 from asia.protocol import make_folds
+from asia.protocol._guard import guard_digest
 from asia.protocol._sealed import seal
 from asia.sandbox import Isolation, Probe, probe
+from asia.search._hidden import check_hidden
 from asia.search._loop import Loop, OnEvent
 
 LOCK = "problem.lock.toml"
@@ -70,11 +80,12 @@ def prepare(
     check_baseline(problem)
     _check_budget(problem.budget)
     make_folds(problem.train, problem.protocol)
-    sealed = seal(problem)
+    sealed = replace(seal(problem), guard=guard_digest(problem))
     setting = "" if problem.protocol.early_stopping == "inner" else "-validation"
     run_name = name or f"{problem.name}-{agent_name}-s{seed}{setting}"
     directory = runs / run_name
     found = _probe(isolation)
+    check_hidden(problem, directory, found.level)
     lock = lock_text(problem, sealed)
     started = Started(
         run=run_name,
@@ -92,6 +103,8 @@ def prepare(
         environment=environment(agent_name),
         early_stopping=problem.protocol.early_stopping,
         agent_settings=dict(agent_settings or {}),
+        ladder=problem.protocol.ladder,
+        guard_digest=sealed.guard,
     )
     if not (directory / "ledger.jsonl").is_file() or not (directory / LOCK).is_file():
         return Prepared(problem, directory, lock, started, resumes=False)
@@ -112,12 +125,11 @@ def search(
     when the run is in use, belongs to another agent or seed, or was unsealed.
     """
     directory, problem = prepared.directory, prepared.problem
-    directory.mkdir(parents=True, exist_ok=True)
     with Chain(directory / "ledger.jsonl") as chain:
         if not chain.lines:
-            _write(directory / LOCK, prepared.lock)
+            write_whole(directory / LOCK, prepared.lock.encode())
             chain.append(prepared.started)
-        view = replay(line.event for line in chain.lines)
+        view = chain.view
         check_lock(directory, view.started)
         check_same_search(view, prepared.started)
         loop = Loop(
@@ -130,6 +142,9 @@ def search(
             directory=directory,
             on_event=on_event,
         )
+        loop.store.tidy()
+        # A search that was killed behind its last record has not written them.
+        write_exports(directory, view)
         on_start(view)
         wanted = prepared.started
         if (wanted.experiments, wanted.hours) != (view.budget, view.hours):
@@ -168,10 +183,13 @@ def make_evaluator(
 
 
 def with_early_stopping(problem: Problem, setting: str) -> Problem:
-    """The problem with this setting instead of its file's. Raises UserError for another word."""
+    """The problem with this setting instead of its file's. Raises UserError for another word, or
+    one that the protocol's feedback rules out."""
     for known in get_args(EarlyStopping):
         if setting == known:
-            return replace(problem, protocol=replace(problem.protocol, early_stopping=known))
+            rule = replace(problem.protocol, early_stopping=known)
+            check_feedback(rule)
+            return replace(problem, protocol=rule)
     raise UserError(
         f"early stopping '{setting}': expected {' or '.join(get_args(EarlyStopping))}; "
         "choose one, or leave it out for the problem's own"
@@ -260,9 +278,3 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
 
 def _hours(value: float | None) -> float:
     return math.inf if value is None else value
-
-
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.new")
-    temporary.write_text(text)
-    temporary.replace(path)

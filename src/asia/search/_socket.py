@@ -209,7 +209,7 @@ class SocketDesk:
                 ) from None
         try:
             answer = json.loads(raw)
-        except ValueError:
+        except (ValueError, RecursionError):
             raise UserError(
                 f"the search hung up at {self._path} without an answer: it has ended, or too many "
                 "ask at once; try again"

@@ -23,12 +23,19 @@ from asia.ledger import (
     replay,
     write_exports,
 )
-from asia.problem import Array
+from asia.problem import Array, Trajectory
 from asia.problem.load import Problem, data_digest, load_lock
 from asia.protocol import Block, whole
-from asia.protocol._sealed import open_test
+from asia.protocol._sealed import check_openable, open_test
+from asia.sandbox import Isolation
 from asia.scoring import METRICS, Failure, mee_table, score_test
 from asia.search._search import LOCK, make_evaluator
+
+CONSENT = (
+    "the candidates of run '{run}' ran at isolation level process, where a candidate can read "
+    "every file that you can, the test data and their key included: nothing shows that its winner "
+    "never saw them"
+)
 
 
 @dataclass(frozen=True)
@@ -41,12 +48,16 @@ class UnsealResult:
     opened_before: tuple[str, ...]
 
 
-def unseal(directory: Path) -> UnsealResult:
+def unseal(
+    directory: Path, *, process_consent: bool = False, keys: Path | None = None
+) -> UnsealResult:
     """Score the ensemble of the winner's fold models, and its refit, on the sealed test.
 
     A second call returns the first result. A model that fails on the test is recorded as a
-    Failure. Raises UserError when the search is not finished, has no winner or no test, or when
-    problem or test data are not those of its first record.
+    Failure. process_consent: open it though the candidates ran at level process; recorded. keys:
+    folder of the key of an encrypted test, None for the person's own. Raises UserError when the
+    search is not finished, has no winner or no test, when problem or test data are not those of its
+    first record, when the key is missing, and at level process without consent.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = replay(line.event for line in chain.lines)
@@ -54,13 +65,28 @@ def unseal(directory: Path) -> UnsealResult:
             before = view.unsealing.opened_before if view.unsealing else ()
             return UnsealResult(view.unsealed, first_time=False, opened_before=before)
         best, digest = _check(directory, view)
+        consented = process_consent and needs_consent(view)
+        if needs_consent(view) and not consented:
+            raise UserError(
+                f"{CONSENT.format(run=view.started.run)}; to open the test all the same say "
+                "--yes-process (in Python: process_consent=True), and the ledger keeps it"
+            )
+        problem = load_lock(directory / LOCK)
+        check_openable(problem, keys)
         before = _openers(directory, digest)
         if view.unsealing is None:
-            chain.append(Unsealing(best.number, digest, before))
-        event = _score(directory, view, best, digest)
+            chain.append(Unsealing(best.number, digest, before, consented))
+        event = _score(directory, view, best, problem, open_test(problem, keys))
         chain.append(event)
         write_exports(directory, replay(line.event for line in chain.lines))
     return UnsealResult(event, first_time=True, opened_before=before)
+
+
+def needs_consent(view: SearchView) -> bool:
+    """Whether only a person can say that the test may be opened: nothing kept the candidates of
+    this search from reading it."""
+    unopened = view.unsealing is None or not view.unsealing.process_consent
+    return unopened and view.started.isolation == Isolation.PROCESS.value
 
 
 def _check(directory: Path, view: SearchView) -> tuple[Experiment, str]:
@@ -91,12 +117,17 @@ def _openers(directory: Path, digest: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _score(directory: Path, view: SearchView, best: Experiment, digest: str) -> Unsealed:
-    problem = load_lock(directory / LOCK)
-    store = Store(directory / "artifacts")
-    records = open_test(problem)
-    if data_digest(records) != digest:
+def _score(
+    directory: Path,
+    view: SearchView,
+    best: Experiment,
+    problem: Problem,
+    records: tuple[Trajectory, ...],
+) -> Unsealed:
+    digest = data_digest(records)
+    if digest != view.started.test_digest:
         raise UserError(f"the test data are not those that run '{view.started.run}' had sealed")
+    store = Store(directory / "artifacts")
     blocks = whole(records, problem.protocol)
     judge = _Judge(make_evaluator(problem, view), store, best, blocks, problem)
     measured = _by_record([b.y for b in blocks], blocks)

@@ -10,9 +10,11 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import TypeAdapter
+
 from asia.errors import UserError
 from asia.evaluation import LINEAR
-from asia.ledger import SearchView, Store, journal, open_run, results_table
+from asia.ledger import SearchView, Store, journal, open_run, published, results_table
 from asia.problem import Trajectory
 from asia.problem.load import Problem
 from asia.search._desk import Desk, RunDesk
@@ -26,6 +28,7 @@ DESK_VARIABLE = "ASIA_DESK"
 CANDIDATE = "candidate.py"
 VIEWS = ("results.tsv", "search_journal.md")
 _LINK = ".asia/workspace.json"
+_links = TypeAdapter(dict[str, str | None])
 
 _PLOT = '''"""Draws the training records: python plot.py [data/NAME.csv ...] -> data.png"""
 
@@ -69,8 +72,7 @@ class Workspace:
         for place in (folder.resolve(), *folder.resolve().parents):
             link = place / _LINK
             if link.is_file():
-                run = json.loads(link.read_text("utf-8"))["run"]
-                return cls(place, Path(run) if run else None)
+                return cls(place, _run_of(link))
         raise UserError(
             f"{folder} is not in a workspace: make one with asia workspace PROBLEM DIR, then cd DIR"
         )
@@ -96,6 +98,17 @@ class Workspace:
         if DESK_VARIABLE not in os.environ:
             opened = open_run(self._own_run())
             write_views(self.folder, opened.view, opened.store)
+
+
+def _run_of(link: Path) -> Path | None:
+    """What a workspace says of its run. Raises UserError."""
+    try:
+        run = _links.validate_json(link.read_bytes()).get("run")
+    except (OSError, ValueError):
+        raise UserError(
+            f"{link} is damaged: make the workspace again, with the command that made it"
+        ) from None
+    return Path(run) if run else None
 
 
 def make_workspace(folder: Path, prepared: Prepared, order: Order) -> Workspace:
@@ -137,7 +150,9 @@ def write_folder(folder: Path, problem: Problem, experiments: int, run: Path | N
 
 
 def write_views(folder: Path, view: SearchView, store: Store) -> None:
-    """results.tsv and search_journal.md, read-only; the best candidate beside them."""
+    """results.tsv and search_journal.md with the scores as they are told, read-only; the best
+    candidate beside them."""
+    view = published(view)
     texts = {VIEWS[0]: results_table(view), VIEWS[1]: journal(view)}
     if view.best is not None:
         texts["best.py"] = store.text(view.best.proposed.source)

@@ -1,5 +1,17 @@
 """Conformance suites for those who add a part. Each raises AssertionError that says what fails."""
 
 from asia.testing._agent import check_agent
+from asia.testing._candidate import check_candidate
+from asia.testing._executor import check_executor
+from asia.testing._ledger import Journal, check_ledger
+from asia.testing._sandbox import OpenWorker, check_sandbox
 
-__all__ = ["check_agent"]
+__all__ = [
+    "Journal",
+    "OpenWorker",
+    "check_agent",
+    "check_candidate",
+    "check_executor",
+    "check_ledger",
+    "check_sandbox",
+]

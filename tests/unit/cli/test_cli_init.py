@@ -61,15 +61,42 @@ def test_named_test_is_sealed(data: tuple[str, str], asia: Asia) -> None:
 
 
 def test_last_fifth_is_sealed(data: tuple[str, str], asia: Asia, tmp_path: Path) -> None:
-    done = asia("init", "new", "--train", data[0], "--seal", *SIGNALS)
+    done = asia("init", "new", "--train", data[0], "--seal", "--keys", "keys", *SIGNALS)
     assert done.code == 0, done.err
     assert "the last 20 % of each record" in done.out
+    assert "still hold them" in done.out
+    assert "removed" not in done.out
     rows = (tmp_path / data[0]).read_text().splitlines()[1:]
     kept = (tmp_path / "new" / "train_train.csv").read_text().splitlines()[1:]
-    sealed = (tmp_path / "new" / "train_sealed.csv").read_text().splitlines()[1:]
     assert kept == rows[:192]
-    assert sealed == rows[192:]
+    assert rows[200].encode() not in (tmp_path / "new" / "test.sealed").read_bytes()
     assert len(load_problem("new").train[0]) == 192
+
+
+def test_a_test_file_is_moved_into_the_store(
+    data: tuple[str, str], asia: Asia, tmp_path: Path
+) -> None:
+    words = ("init", "new", "--train", data[0], "--test", data[1], "--seal", *SIGNALS)
+    inside = asia(*words, "--keys", "new/keys")
+    assert inside.code == 2
+    assert "in the problem's directory" in inside.err
+    assert (tmp_path / data[1]).exists()
+    done = asia(*words, "--keys", "keys")
+    assert done.code == 0, done.err
+    assert f"removed  {tmp_path / data[1]}" in done.out
+    assert "does not wipe" in done.out
+    (key,) = (tmp_path / "keys").iterdir()
+    assert f"key      {key}" in done.out
+    assert not (tmp_path / data[1]).exists()
+    checked = asia("check", "new", "--no-draw").out
+    assert "test (120 samples, 110 scored)" in checked
+    assert "test kept: encrypted" in checked
+
+
+def test_a_test_file_that_stays_plain_is_told(data: tuple[str, str], asia: Asia) -> None:
+    done = asia("init", "new", "--train", data[0], "--test", data[1], *SIGNALS)
+    assert "stay where they are, in plain text" in done.out
+    assert "test kept: in plain files" in asia("check", "new", "--no-draw").out
 
 
 @pytest.mark.parametrize("value", ["0", "-60", "nan", "inf"])

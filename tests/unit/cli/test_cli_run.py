@@ -65,7 +65,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
     answer = json.loads(done.out)
     assert set(answer) == {
         "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
-        "early_stopping", "validation_scores", "best", "rungs",
+        "early_stopping", "validation_scores", "best", "control", "rungs",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
     assert answer["problem"] == "toy"
@@ -98,7 +98,7 @@ def test_unseal_once(searched: Searched, asia: Asia) -> None:
     assert unasked.code == 2
     assert "--yes" in unasked.err
     assert json.loads(asia("status", "--runs", searched.runs, "--json").out)["state"] == "finished"
-    first = asia(*words, "--yes", "--json")
+    first = asia(*words, "--yes", "--yes-process", "--json")
     assert first.code == 0, first.err
     assert "already" not in first.err
     answer = json.loads(first.out)

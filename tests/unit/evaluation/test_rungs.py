@@ -104,4 +104,4 @@ def test_a_candidate_is_judged_on_windows() -> None:
     assert evaluation.outcome.value == pytest.approx(rungs(windows(1))["last output held"])
     assert [len(f.y_hat) for f in evaluation.folds] == [8, 8]
     assert evaluation.folds[0].y_hat[0].shape == (10, 3)
-    assert found.reload_differs(HOLD, evaluation.folds) is None
+    assert found.objection(HOLD, evaluation.folds) is None

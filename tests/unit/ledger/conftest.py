@@ -1,9 +1,23 @@
+import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from asia.errors import Reason
-from asia.ledger import Chain, Evaluated, Event, Proposed, RungScored, Started, Store
+from asia.ledger import (
+    Chain,
+    Diagnostics,
+    Evaluated,
+    Event,
+    FoldRecord,
+    Proposed,
+    RungScored,
+    Started,
+    Steered,
+    Stopped,
+    Store,
+)
 from asia.scoring import Failure, FoldScore, Score
 
 
@@ -37,6 +51,39 @@ def proposed(store: Store, number: int) -> Proposed:
 
 def evaluated(number: int, status: str, outcome: Score | Failure) -> Evaluated:
     return Evaluated(number, status, outcome, (), None, 1.0)  # type: ignore[arg-type]
+
+
+def finished_run(directory: Path) -> Path:
+    """A run that `verify` finds whole: its lock, its artifacts, and a result for each proposal."""
+    store = Store(directory / "artifacts")
+    lock = b"made up\n"
+    start = replace(started(), lock_digest=hashlib.sha256(lock).hexdigest())
+    fold = FoldRecord(
+        *(store.put(name.encode()) for name in ("model", "y_hat", "curve")),
+        Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0),
+        2.5,
+    )
+    events: list[Event] = [
+        start,
+        RungScored("linear model", score(0.5)),
+        proposed(store, 1),
+        Evaluated(1, "keep", score(0.4), (fold, fold), store.put(b"printed"), 1.0),
+        Steered("try a slower pole – τ ≈ 3 s"),
+        proposed(store, 2),
+        evaluated(2, "crash", Failure(Reason.CRASH, "Traceback\nValueError: x", 1)),
+        Stopped("user"),
+    ]
+    with Chain(directory / "ledger.jsonl") as chain:
+        for event in events:
+            chain.append(event)
+    (directory / "problem.lock.toml").write_bytes(lock)
+    return directory
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """See `finished_run`."""
+    return finished_run(tmp_path / "whole")
 
 
 @pytest.fixture

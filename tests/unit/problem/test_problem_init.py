@@ -11,6 +11,7 @@ from asia.errors import UserError
 from asia.problem._init import init_problem
 from asia.problem._problem import CsvSource
 from asia.problem.load import load_problem
+from asia.protocol._sealed import open_test
 
 Record = Callable[[int, int], str]
 
@@ -29,9 +30,8 @@ def make(data: Path, **changes: Any) -> Path:
         "inputs": ["u"],
         "outputs": ["y"],
         "sampling_time": 0.1,
-        "seal_fraction": None,
     }
-    return init_problem(data / "mine", **{**arguments, **changes})
+    return init_problem(data / "mine", **{**arguments, **changes}).path
 
 
 def test_new_problem_loads(data: Path) -> None:
@@ -46,16 +46,18 @@ def test_new_problem_loads(data: Path) -> None:
     assert sorted(p.name for p in data.iterdir()) == ["a.csv", "b.csv", "c.csv", "mine"]
 
 
-def test_last_part_is_sealed(data: Path) -> None:
-    path = make(data, train=[data / "a.csv"], test=[], seal_fraction=0.2)
+def test_last_part_is_sealed(data: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    keys = tmp_path_factory.mktemp("keys")
+    path = make(data, train=[data / "a.csv"], test=[], seal_fraction=0.2, keys=keys)
     problem = load_problem(path)
     assert [len(t) for t in problem.train] == [160]
-    assert problem.test.source == CsvSource((path.parent / "a_sealed.csv",))
     original = np.loadtxt(data / "a.csv", delimiter=",", skiprows=1)
-    sealed = np.loadtxt(path.parent / "a_sealed.csv", delimiter=",", skiprows=1)
+    (sealed,) = open_test(problem, keys)
     assert np.array_equal(problem.train[0].y[:, 0], original[:160, 2])
-    assert np.array_equal(sealed, original[160:])
-    assert "The last 20% of each record is sealed" in path.read_text()
+    assert np.array_equal(sealed.y[:, 0], original[160:, 2])
+    assert sealed.name == "a_sealed"
+    names = sorted(p.name for p in path.parent.iterdir())
+    assert names == ["a_train.csv", "description.md", "problem.toml", "test.sealed"]
 
 
 def test_no_test_data_is_allowed(data: Path) -> None:
@@ -70,8 +72,7 @@ def test_data_elsewhere_are_named_by_absolute_path(data: Path, record: Record) -
         inputs=["u"],
         outputs=["y"],
         sampling_time=0.1,
-        seal_fraction=None,
-    )
+    ).path
     assert str(data / "a.csv") in path.read_text()
 
 
@@ -104,7 +105,6 @@ def test_refused_wish_leaves_no_parent_directories(data: Path) -> None:
             inputs=["u"],
             outputs=["y"],
             sampling_time=0.1,
-            seal_fraction=None,
         )
     assert not (data / "new").exists()
 

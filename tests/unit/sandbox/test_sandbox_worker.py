@@ -48,32 +48,6 @@ def failure(worker, case, source: str) -> CandidateError:
     return caught.value
 
 
-def test_fit_and_simulate_give_what_the_candidate_computed(worker, case):
-    with worker() as one:
-        reply = one.fit(GAIN, case.trajectories, case.context)
-        y = one.simulate(case.past_u, case.past_y, case.u)
-        again = one.simulate(case.past_u[:1], case.past_y[:1], case.u[:1, :7])
-    u = np.concatenate([t.u for t in case.trajectories])
-    gain = np.linalg.lstsq(u, np.concatenate([t.y for t in case.trajectories]), rcond=None)[0]
-    expected = case.u @ gain + case.past_y[:, -1:]
-    np.testing.assert_allclose(y, expected, rtol=1e-12)
-    np.testing.assert_allclose(again, expected[:1, :7], rtol=1e-12)
-    assert reply.output == "fitted 250 samples\n"
-    np.testing.assert_array_equal(reply.curve[:, 0], np.arange(10))
-    np.testing.assert_allclose(reply.curve[:, 1], 1.0 / np.arange(1, 11))
-    assert reply.seconds > 0
-
-
-def test_a_dumped_model_simulates_bitwise_the_same_in_a_fresh_worker(worker, case):
-    with worker() as one:
-        one.fit(GAIN, case.trajectories, case.context)
-        model = one.dump()
-        y = one.simulate(case.past_u, case.past_y, case.u)
-    with worker() as other:
-        other.load(GAIN, model, case.context)
-        np.testing.assert_array_equal(other.simulate(case.past_u, case.past_y, case.u), y)
-
-
 def test_the_candidate_gets_the_whole_context_and_read_only_records(worker, case):
     physics = Physics(("x",), {"x": "-k*x + u"}, {"k": ParameterRange(0.1, 1.0)})
     context = Context(
@@ -243,22 +217,6 @@ def test_a_sandbox_killed_from_outside_is_not_the_candidates_fault(case):
         assert _wait_for(lambda: select_one(one._cell.pipes.replies)), "the worker lives on"
         with pytest.raises(SandboxError, match="signal 9"):
             one.simulate(case.past_u, case.past_y, case.u)
-
-
-def test_many_workers_leave_no_descriptor_and_no_child(worker, case):
-    def held() -> tuple[int, str]:
-        fds = len(os.listdir("/proc/self/fd"))
-        with open(f"/proc/self/task/{threading.get_native_id()}/children") as file:
-            return fds, file.read()
-
-    before = held()
-    for source in [GAIN, "x = 1", failing("import os; os._exit(0)")] * 3:
-        with worker() as one:
-            try:
-                one.fit(source, case.trajectories, case.context)
-            except CandidateError:
-                continue
-    assert held() == before
 
 
 def test_ending_one_worker_leaves_the_others_alone(worker, case, level):

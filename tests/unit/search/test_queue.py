@@ -27,6 +27,18 @@ def test_what_was_handed_in_is_found_by_another_process_in_its_order(queue: Queu
     assert (found.title, found.parent, found.ticket) == ("second", 1, tickets[1])
 
 
+def test_a_clock_that_is_set_back_changes_no_order(
+    queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = iter((5_000, 4_000, 5_000, 3_000))
+    monkeypatch.setattr("asia.search._queue.time.time_ns", lambda: next(times))
+    tickets = [queue.put(proposal(title)) for title in ("one", "two", "three", "four")]
+    assert queue.tickets() == tickets
+    taken = queue.take()
+    assert taken is not None
+    assert taken.title == "one"
+
+
 def test_an_empty_queue_has_nothing(queue: Queue) -> None:
     assert queue.tickets() == []
     assert queue.take() is None

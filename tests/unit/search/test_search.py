@@ -11,7 +11,7 @@ import pytest
 
 from asia.agents import Agent
 from asia.errors import Reason, UserError
-from asia.ledger import Evaluated, SearchView, open_run, verify
+from asia.ledger import Evaluated, SearchView, in_use, open_run, verify
 from asia.problem.load import load_problem
 from asia.scoring import Failure
 from asia.search import prepare, search, simulate, unseal
@@ -137,7 +137,7 @@ def test_a_model_that_does_not_come_back_the_same_is_invalid(problem: Path, tmp_
 def test_unseal_once(problem: Path, tmp_path: Path) -> None:
     go(problem, tmp_path / "runs")
     directory = tmp_path / "runs" / "toy-scripted-s0"
-    first = unseal(directory)
+    first = unseal(directory, process_consent=True)
     assert first.first_time
     measured = open_run(directory).store.get_arrays(
         first.record.measured, [(n, 1) for n in first.record.lengths]
@@ -145,7 +145,7 @@ def test_unseal_once(problem: Path, tmp_path: Path) -> None:
     table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
     assert np.array_equal(measured[0][:, 0], table[3:, 1])
     assert first.record.ensemble.scores[0].value < 0.05
-    again = unseal(directory)
+    again = unseal(directory, process_consent=True)
     assert not again.first_time
     assert again.record == first.record
     assert open_run(directory).state == "unsealed"
@@ -176,7 +176,7 @@ def test_a_winner_that_runs_away_on_the_test_is_recorded(problem: Path, tmp_path
     (problem / "baseline.py").write_text(RUNAWAY)
     go(problem, tmp_path / "runs", Scripted(()), experiments=2)
     directory = tmp_path / "runs" / "toy-scripted-s0"
-    result = unseal(directory)
+    result = unseal(directory, process_consent=True)
     assert isinstance(result.record.ensemble, Failure)
     assert result.record.ensemble.reason is Reason.NOT_FINITE
     assert open_run(directory).state == "unsealed"
@@ -190,7 +190,7 @@ def test_a_changed_lock_is_refused_by_resume_and_unseal(problem: Path, tmp_path:
     text = lock.read_text()
     lock.write_text(text + "\n")
     with pytest.raises(UserError, match="changed after the search began"):
-        unseal(directory)
+        unseal(directory, process_consent=True)
     with pytest.raises(UserError, match="changed after the search began"):
         go(problem, tmp_path / "runs", experiments=2)
     lock.unlink()
@@ -203,8 +203,10 @@ def test_a_changed_lock_is_refused_by_resume_and_unseal(problem: Path, tmp_path:
 def test_the_test_counts_who_opened_it(problem: Path, tmp_path: Path) -> None:
     for name in ("first", "second"):
         go(problem, tmp_path / "runs", Scripted((arx(2),), name), experiments=2)
-    assert unseal(tmp_path / "runs" / "toy-first-s0").opened_before == ()
-    assert unseal(tmp_path / "runs" / "toy-second-s0").opened_before == ("toy-first-s0",)
+    runs = tmp_path / "runs"
+    assert unseal(runs / "toy-first-s0", process_consent=True).opened_before == ()
+    second = unseal(runs / "toy-second-s0", process_consent=True)
+    assert second.opened_before == ("toy-first-s0",)
 
 
 def test_a_saturated_search_goes_on_when_extended(problem: Path, tmp_path: Path) -> None:
@@ -242,9 +244,9 @@ def test_a_killed_refit_is_made_up_for_before_the_test_is_opened(
     ledger.write_bytes(b"".join(lines[:-1]))
     assert open_run(ledger.parent).state == "interrupted"
     with pytest.raises(UserError, match="not finished"):
-        unseal(ledger.parent)
+        unseal(ledger.parent, process_consent=True)
     go(problem, tmp_path / "runs", experiments=2)
-    assert unseal(ledger.parent).record.refit is not None
+    assert unseal(ledger.parent, process_consent=True).record.refit is not None
 
 
 def test_the_winner_simulates(problem: Path, tmp_path: Path) -> None:
@@ -268,8 +270,17 @@ def test_a_source_that_cannot_be_parsed_is_an_invalid_experiment(
     assert statuses == ["keep", "invalid", "invalid", "invalid", "keep"]
 
 
-@pytest.mark.parametrize("level", ["process", "strongest"])
-def test_an_interrupt_ends_the_workers_at_once(problem: Path, tmp_path: Path, level: str) -> None:
+@pytest.mark.parametrize(
+    ("level", "number", "code", "word"),
+    [
+        ("process", signal.SIGINT, 130, b"interrupted"),
+        ("strongest", signal.SIGINT, 130, b"interrupted"),
+        ("strongest", signal.SIGTERM, 143, b"terminated"),
+    ],
+)
+def test_an_interrupt_ends_the_workers_at_once(
+    problem: Path, tmp_path: Path, level: str, number: signal.Signals, code: int, word: bytes
+) -> None:
     slow = "def fit(t, c):\n    import time\n    time.sleep(19)\n"
     (problem / "baseline.py").write_text(slow)
     command = [Path(sys.executable).with_name("asia"), "run", problem, "--experiments", "1"]
@@ -281,11 +292,15 @@ def test_an_interrupt_ends_the_workers_at_once(problem: Path, tmp_path: Path, le
         time.sleep(0.1)
     time.sleep(1.0)
     begin = time.monotonic()
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert b"interrupted" in said
+    assert process.returncode == code
+    assert word + b"; the same command goes on from here" in said
+    assert b"Traceback" not in said
     assert time.monotonic() - begin < 15
+    assert not in_use(ledger)
+    assert verify(ledger.parent).torn == 0
+    assert open_run(ledger.parent).view.pending is not None
 
 
 def test_changed_test_data_are_not_opened(problem: Path, tmp_path: Path) -> None:
@@ -301,11 +316,11 @@ def test_an_unfinished_search_or_one_without_a_test_is_not_unsealed(tmp_path: Pa
     go(bare, tmp_path / "runs")
     directory = tmp_path / "runs" / "toy-scripted-s0"
     with pytest.raises(UserError, match="no test data"):
-        unseal(directory)
+        unseal(directory, process_consent=True)
     lines = (directory / "ledger.jsonl").read_bytes().splitlines(keepends=True)
     (directory / "ledger.jsonl").write_bytes(b"".join(lines[:5]))
     with pytest.raises(UserError, match="not finished"):
-        unseal(directory)
+        unseal(directory, process_consent=True)
 
 
 def test_agents_see_no_time_and_no_validation_outputs(problem: Path, tmp_path: Path) -> None:

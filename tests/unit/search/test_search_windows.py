@@ -101,7 +101,7 @@ def measured(run: Path) -> list[np.ndarray]:
 
 
 def test_unsealing_gives_the_table(run: Path) -> None:
-    record = unseal(run).record
+    record = unseal(run, process_consent=True).record
     verify(run)
     assert (record.horizon, record.skip, record.lengths) == (10, 0, (50, 30))
     assert record.trajectories == ("t1", "t2")
@@ -124,7 +124,7 @@ def test_unsealing_gives_the_table(run: Path) -> None:
 
 
 def test_the_command_line_prints_the_table(run: Path) -> None:
-    done = command_line("unseal", run, "--yes", "--json")
+    done = command_line("unseal", run, "--yes", "--yes-process", "--json")
     assert done.code == 0, done.err
     test = json.loads(done.out)["test"]
     assert list(test["mee"]) == ["p", "R"]

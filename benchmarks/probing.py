@@ -1,0 +1,220 @@
+"""Score probing: what an agent reads out of 200 scores, and what the Ladder leaves of it.
+
+Each query is a baseline's simulation of the held-out parts plus a known pattern, a cosine; it is
+scored, kept or discarded and told as the search does it. No sandbox is needed: no candidate runs.
+
+    python benchmarks/probing.py [--queries 200] [--problem two_tanks_sim]
+
+Regression: the scores of all patterns give the error's component along each, and the sum of them is
+taken off (needs a score that moves). Climbing: a pattern that is told to be a new best stays (needs
+one bit), tried in one fold, in all together, or as random mixtures. Printed is the true V after
+each, for the best of some sizes of pattern: what a search would take for progress. On other data
+the patterns help nobody.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.evaluation._evaluator import score_outputs
+from asia.ledger import Evaluated, Event, Proposed, SearchView, Started, published, replay
+from asia.models import linear
+from asia.models.methods import LevenbergMarquardt
+from asia.problem import Array
+from asia.problem.load import Problem, load_problem
+from asia.protocol import Fold, make_folds
+from asia.scoring import Failure, Score
+from asia.search._rules import decide
+
+Outputs = list[list[Array]]
+AMPLITUDES = (0.03, 0.1, 0.3, 0.6)
+STEPS = (0.02, 0.05, 0.1)
+
+
+@dataclass
+class Desk:
+    """Scores simulations, and tells what the search would tell. digits: significant ones of every
+    score told, None for all."""
+
+    folds: Sequence[Fold]
+    metric: str
+    ladder: float | None = None
+    digits: int | None = None
+    events: list[Event] = field(default_factory=list[Event])
+
+    def __post_init__(self) -> None:
+        words = ("probing", "probing", "probing")
+        self.events.append(
+            Started(
+                *words[:2], agent=words[2], seed=0, experiments=1000, hours=None, outputs=("y",),
+                lock_digest="", protocol_digest="", test_digest=None, isolation="none",
+                isolation_notes=(), environment={}, ladder=self.ladder,
+            )
+        )  # fmt: skip
+
+    def true(self, outputs: Outputs) -> Score:
+        """All of V."""
+        score = score_outputs(self.folds, outputs, self.metric, in_parts=True)
+        assert not isinstance(score, Failure)
+        return score
+
+    def ask(self, outputs: Outputs) -> tuple[bool, tuple[float, ...]]:
+        """Whether it is a new best, and what is told: V of each fold, or V alone."""
+        view, score = self._view(), self.true(outputs)
+        number, status = len(view.experiments) + 1, decide(score, view)
+        word = str(number)
+        self.events += (
+            Proposed(number, None, "explore", word, word, word, word, "", word),
+            Evaluated(number, status, score, (), None, 0.0),
+        )
+        told = published(self._view()).experiments[-1].score
+        assert told is not None
+        numbers = [fold.value for fold in told.folds] or [told.value]
+        if self.digits is not None:
+            numbers = [float(f"{v:.{self.digits - 1}e}") for v in numbers]
+        return status == "keep", tuple(numbers)
+
+    def _view(self) -> SearchView:
+        return replay(self.events)
+
+
+def baseline(problem: Problem, folds: Sequence[Fold]) -> Outputs:
+    """The best linear model's simulation of every held-out block."""
+    rule, found = problem.protocol, []
+    context = Context(
+        problem.inputs, problem.outputs, problem.sampling_time, rule.past_inputs,
+        rule.past_outputs, rule.horizon,
+    )  # fmt: skip
+    for fold in folds:
+        model = linear.build(linear.Config(order=None, delay=None), context)
+        model = linear.train(model, fold.train, context, LevenbergMarquardt(iterations=30))
+        cases = [block.case for block in fold.validation]
+        found.append(
+            [
+                np.asarray(model.simulate(c.past_u[None], c.past_y[None], c.u[None])[0])
+                for c in cases
+            ]
+        )
+    return found
+
+
+def pattern(folds: Sequence[Fold], k: int, sizes: Sequence[float]) -> Outputs:
+    """The k-th cosine along each held-out block, `sizes[f]` standard deviations high in fold f."""
+    return [
+        [
+            size * fold.scale * np.cos(np.pi * k * (np.arange(len(b.y))[:, None] + 0.5) / len(b.y))
+            for b in fold.validation
+        ]
+        for fold, size in zip(folds, sizes, strict=True)
+    ]
+
+
+def plus(one: Outputs, other: Outputs, factor: float = 1.0) -> Outputs:
+    return [
+        [a + factor * b for a, b in zip(x, y, strict=True)] for x, y in zip(one, other, strict=True)
+    ]
+
+
+def regression(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+    """From mean((e + c)^2) = mean(e^2) + 2 mean(e c) + mean(c^2): one component a query, for all
+    folds at once where each is told, else for one fold after the other."""
+    folds, found = desk.folds, start
+    _, first = desk.ask(start)
+    apart = len(first) == len(folds)
+    for query in range(queries - 1):
+        k = query if apart else query // len(folds)
+        turn = [size if apart or f == query % len(folds) else 0.0 for f in range(len(folds))]
+        probe = pattern(folds, k, turn)
+        _, told = desk.ask(plus(start, probe))
+        if apart:
+            changes = [a**2 - b**2 for a, b in zip(told, first, strict=True)]
+        else:
+            # Near the start a fold's part of V moves V by its share.
+            changes = [2 * first[0] * len(folds) * (told[0] - first[0])] * len(folds)
+        taken = [0.0] * len(folds)
+        for f, s in enumerate(turn):
+            if s and (changes[f] or not apart):
+                power = float(
+                    np.mean(np.concatenate([(c / folds[f].scale) ** 2 for c in probe[f]]))
+                )
+                taken[f] = -0.5 * (changes[f] - power) / power * s if changes[f] else 0.0
+        found = plus(found, pattern(folds, k, taken))
+    return found
+
+
+def climbing(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+    """What is told to be a new best stays: one pattern after the other, in one fold, up or down."""
+    count = len(desk.folds)
+    moves = [np.eye(count)[f] * sign for f in range(count) for sign in (size, -size)]
+    tries = (pattern(desk.folds, k, move) for k in range(queries) for move in moves)
+    return _climbed(desk, start, queries, tries)
+
+
+def together(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+    """The same, in all folds at once, with all combinations of signs."""
+    moves = list(itertools.product((size, -size), repeat=len(desk.folds)))
+    tries = (pattern(desk.folds, k, move) for k in range(queries) for move in moves)
+    return _climbed(desk, start, queries, tries)
+
+
+def mixtures(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+    """The same, with random sums of the slowest patterns."""
+    random = np.random.default_rng(0)
+
+    def mixture() -> Outputs:
+        found = pattern(desk.folds, 0, random.normal(size=len(desk.folds)) * size)
+        for k in range(1, 8):
+            found = plus(found, pattern(desk.folds, k, random.normal(size=len(desk.folds)) * size))
+        return found
+
+    return _climbed(desk, start, queries, (mixture() for _ in range(queries)))
+
+
+def _climbed(desk: Desk, start: Outputs, queries: int, tries: Iterable[Outputs]) -> Outputs:
+    found = start
+    desk.ask(start)
+    for tried in itertools.islice(tries, queries - 1):
+        new_best, _ = desk.ask(plus(found, tried))
+        if new_best:
+            found = plus(found, tried)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--queries", type=int, default=200)
+    parser.add_argument("--problem", default="two_tanks_sim")
+    options = parser.parse_args()
+    problem = load_problem(options.problem)
+    folds, metric = make_folds(problem.train, problem.protocol), problem.protocol.metric
+    start = baseline(problem, folds)
+    value = Desk(folds, metric).true(start).value
+    print(
+        f"{problem.name}, linear model, V = {value:.4f}; {options.queries} queries, best of sizes"
+    )
+    rows: dict[str, dict[str, float | None]] = {"exact": {}}
+    rows |= {f"{digits} digits": {"digits": digits} for digits in (4, 3, 2)}
+    rows |= {f"ladder {step:.0%}": {"ladder": step} for step in STEPS}
+    print(
+        "| told | regression | climbing | together | mixtures | gain |\n|---|---|---|---|---|---|"
+    )
+    for name, options_of in rows.items():
+        after = []
+        for attack in (regression, climbing, together, mixtures):
+            ends = [
+                attack(Desk(folds, metric, **options_of), start, options.queries, size)  # type: ignore[arg-type]
+                for size in AMPLITUDES
+            ]
+            after.append(min(Desk(folds, metric).true(end).value for end in ends))
+        gain = 1.0 - min(*after, value) / value
+        print(f"| {name} | {' | '.join(f'{v:.4f}' for v in after)} | {gain:.1%} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

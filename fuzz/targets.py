@@ -1,0 +1,489 @@
+"""Everything in ASIA that parses, as functions of bytes.
+
+A target ends quietly, or with one of the errors that its parser promises; any other exception is a
+finding. `python fuzz/run.py` and tests/unit/fuzz feed them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+
+from asia.agents._cassette import may_have_cost, request_key
+from asia.agents._llm_client import ChatClient, _answer
+from asia.agents._llm_reply import MalformedReplyError, read_reply
+from asia.agents._llm_settings import LlmSettings
+from asia.agents._stream import Stream
+from asia.candidate import Context, check_source, source_digest
+from asia.errors import CandidateError, UserError
+from asia.ledger import Chain, Exchanged, Started, open_run
+from asia.problem import Signal, Trajectory
+from asia.problem._csv import column_names, read_csv, split_csv
+from asia.problem._expressions import parse_expression
+from asia.problem._sealed_store import read_seal
+from asia.problem.load import load_lock, load_problem
+from asia.sandbox import Limits, Worker
+from asia.sandbox import _channel as channel
+from asia.sandbox._cell import Cell, Pipes
+from asia.search import Order, RunDesk, Workspace
+from asia.search._desk import tidy
+from asia.search._queue import Queue
+from asia.search._socket import _answer as answer_request
+
+EXPECTED = (UserError, CandidateError, MalformedReplyError)
+
+TOKEN = b"\xa5sesame\x5a"
+_NO_ANSWER = b"could not answer"
+_TICKET = "00000000000000000001-00000000"
+_SOURCE = "def fit(trajectories, context):\n    return None\n"
+_PROBLEM = """\
+sampling_time = 0.5
+inputs = [{ name = "u", unit = "V" }]
+outputs = ["y"]
+[data]
+train = ["train.csv"]
+[protocol]
+kind = "windows"
+horizon = 5
+folds = { kind = "contiguous", count = 2 }
+past_inputs = 1
+past_outputs = 1
+[protocol.test]
+metrics = ["rmse"]
+skip = 0
+[budget]
+experiments = 3
+[physics]
+states = ["x"]
+[physics.parameters]
+a = { min = 1e-3, max = 1.0 }
+[physics.dynamics]
+x = "-a*sqrt(x) + u"
+[physics.observation]
+y = "x"
+[physics.bounds]
+x = { min = 0.0 }
+"""
+_STARTED = Started(
+    run="toy",
+    problem="toy",
+    agent="mcp",
+    seed=0,
+    experiments=3,
+    hours=None,
+    outputs=("y",),
+    lock_digest="0" * 64,
+    protocol_digest="1" * 64,
+    test_digest=None,
+    isolation="process",
+    isolation_notes=(),
+    environment={},
+)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A parser; seeds: inputs it understands, from which a fuzzer starts."""
+
+    name: str
+    parse: Callable[[bytes], None]
+    seeds: tuple[bytes, ...]
+
+    def __call__(self, data: bytes) -> None:
+        """Raises whatever the parser does not promise."""
+        with contextlib.suppress(*EXPECTED):
+            self.parse(data)
+
+
+def temporary_folder(name: str) -> tempfile.TemporaryDirectory[str]:
+    """In memory where one can be had."""
+    memory = Path("/dev/shm")
+    parent = memory if os.access(memory, os.W_OK) else None
+    return tempfile.TemporaryDirectory(prefix=f"asia-fuzz-{name}-", dir=parent)
+
+
+class Place:
+    """A folder, in memory where one can be had; the same files are written again and again. path:
+    where it is to be made, None for a temporary one that ends with this object."""
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._made = None if path else temporary_folder("parsers")
+        self.path = path or Path(self._made.name if self._made else "")
+        self.path.mkdir(exist_ok=True)
+        rows = np.random.default_rng(0).normal(size=(60, 2)).tolist()
+        table = "\n".join(["u,y", *(f"{u!r},{y!r}" for u, y in rows)])
+        (self.path / "train.csv").write_text(table)
+        (self.path / "description.md").write_text("A toy.")
+
+    def put(self, name: str, data: bytes) -> Path:
+        """Write a file."""
+        path = self.path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+        return path
+
+
+class _Ended:
+    """A process that is no more."""
+
+    pid = 0
+    returncode = 1
+
+    def poll(self) -> int:
+        return 1
+
+    def wait(self, timeout: float | None = None) -> int:
+        return 1
+
+
+class _Hostile:
+    """A worker that answers from a script: each order is answered with the next part of it.
+
+    Parts are split at ff ff, the frames of one at fe fe.
+    """
+
+    def __init__(self, script: bytes) -> None:
+        self._parts = script.split(b"\xff\xff")
+        ends = [os.pipe() for _ in range(3)]
+        self._orders, (self._in, self._out), (output, self._print) = ends[0], *ends[1:]
+        pipes = Pipes(self._orders[1], self._in, output)
+
+        def nothing() -> None:
+            pass
+
+        cell = Cell(_Ended(), pipes, nothing, nothing, nothing, beyond_reach=True)  # type: ignore[arg-type]
+        self.worker = Worker(cell, Limits(0.5, 0.5, 4096, model_mb=1))
+        self.worker._channel.send = self._answer  # type: ignore[method-assign]
+        # No candidate is there before this: a start that fails is nobody's.
+        os.write(self._out, bytes([1]) + bytes(16))
+
+    def _answer(self, body: bytes, deadline: float) -> None:
+        if not self._parts or self._out < 0:
+            self._end()
+            return
+        for part in self._parts.pop(0)[:60_000].split(b"\xfe\xfe"):
+            os.write(self._out, _framed(part))
+            os.write(self._print, part[:1000])
+        if not self._parts:
+            self._end()
+
+    def _end(self) -> None:
+        if self._out >= 0:
+            os.close(self._out)
+            self._out = -1
+
+    def close(self) -> None:
+        """Free all pipes."""
+        self.worker.close()
+        self._end()
+        for fd in (*self._orders[:1], self._print):
+            os.close(fd)
+
+
+NAMES = (
+    "problem", "lock", "csv", "expression", "seal", "ledger", "request", "submission", "order",
+    "workspace", "reply", "source", "stream", "completion", "settings", "frames",
+)  # fmt: skip
+
+
+def _framed(part: bytes) -> bytes:
+    """Raw after an even byte; after an odd one with the right token, the status in the next byte
+    and a length that is told as it is or, after one more odd byte, in the next eight."""
+    if not part or part[0] % 2 == 0:
+        return part[1:]
+    status, lies, body = part[1:2] or b"\0", len(part) > 2 and part[2] % 2, part[3:]
+    told = body[:8].ljust(8, b"\0") if lies else len(body).to_bytes(8, "little")
+    return status + TOKEN + told + body
+
+
+def make_targets(place: Place) -> dict[str, Target]:
+    """All targets by name; they write below `place`."""
+    found = (
+        *_problem_targets(place),
+        *_run_targets(place),
+        *_model_targets(),
+        Target("frames", _frames, _frame_seeds()),
+    )
+    return {target.name: target for target in found}
+
+
+def _problem_targets(place: Place) -> tuple[Target, ...]:
+    def problem(data: bytes) -> None:
+        load_problem(place.put("problem.toml", data))
+
+    def lock(data: bytes) -> None:
+        load_lock(place.put("problem.lock.toml", data))
+
+    def csv(data: bytes) -> None:
+        path = place.put("record.csv", data)
+        column_names(path)
+        split_csv(path, ["u", "y"], 0.2)
+        read_csv(path, ["u"], ["y"], 0.5)
+
+    def expression(data: bytes) -> None:
+        parse_expression(data.decode("utf-8", "replace"), "physics.dynamics.x")
+
+    def seal(data: bytes) -> None:
+        read_seal(place.put("test.sealed", data))
+
+    texts = _PROBLEM.encode()
+    header = 'name = "toy"\ndescription = "A toy."\n'
+    digests = f'[digests]\ntrain = ["{"0" * 64}"]\ndescription = "0"\nprotocol = "0"\n'
+    return (
+        Target("problem", problem, (texts, b'[data]\nsource = "nanodrone"\n')),
+        Target("lock", lock, ((header + _PROBLEM + digests).encode(),)),
+        Target(
+            "csv",
+            csv,
+            (
+                b"time,u,y\n0,1,2\n0.5,3,4\n1,5,6\n",
+                b't;u;"y"\n0;1,5;2\n0,5;2,5;3\n',
+                "u\ty\n1\t2\n".encode("utf-16"),
+            ),
+        ),
+        Target(
+            "expression",
+            expression,
+            (b"-k1*sqrt(x1) + k4*u", b"clip(arctan2(x, 2)**0.5, -1e3, max(1, 2, x))"),
+        ),
+        Target("seal", seal, _seal_seeds()),
+    )
+
+
+def _seal_seeds() -> tuple[bytes, ...]:
+    head = {
+        "format": "asia-sealed-1",
+        "key": "0" * 16,
+        "sha256": "0" * 64,
+        "inputs": ["u"],
+        "outputs": ["y"],
+        "sampling_time": 0.5,
+        "files": [{"name": "c.csv", "bytes": 3, "samples": 20}],
+        "shared_samples": 0,
+        "payload_sha256": hashlib.sha256(b"gAAAAA==").hexdigest(),
+    }
+    return (json.dumps(head).encode() + b"\ngAAAAA==",)
+
+
+def _run_targets(place: Place) -> tuple[Target, ...]:
+    queued = place.path / "queued"
+    with Chain(queued / "ledger.jsonl") as chain:
+        chain.append(_STARTED)
+    line = (queued / "ledger.jsonl").read_bytes()
+    desk = RunDesk(queued)
+
+    def ledger(data: bytes) -> None:
+        raw = data[1:] if data[:1] == b"\0" else _chained(data)
+        view = open_run(place.put("run/ledger.jsonl", raw).parent).view
+        _ = (view.usage, view.best, view.complete, view.seconds, view.pending)
+
+    def request(data: bytes) -> None:
+        said = answer_request(desk, data.rstrip(b"\n") + b"\n")
+        json.loads(said)
+        assert _NO_ANSWER not in said, said
+
+    def submission(data: bytes) -> None:
+        place.put(f"other/control/queue/{_TICKET}.json", data)
+        proposal = Queue(place.path / "other").get(_TICKET)
+        if proposal is not None:
+            check_source(tidy(proposal).source)
+
+    def order(data: bytes) -> None:
+        path = place.put("other/control/order.json", data)
+        Order.find(path.parents[1])
+
+    def workspace(data: bytes) -> None:
+        Workspace.find(place.put("workspace/.asia/workspace.json", data).parents[1])
+
+    words = {"source": _SOURCE, "hypothesis": "h", "expected": "e", "family": "f", "title": "t"}
+    orders = {
+        "problem": "toy",
+        "agent": "mcp",
+        "seed": 0,
+        "experiments": None,
+        "hours": None,
+        "early_stopping": None,
+        "isolation": None,
+    }
+    return (
+        Target("ledger", ledger, (b"\0" + line, line, line + _events())),
+        Target(
+            "request",
+            request,
+            (
+                json.dumps({"op": "submit", **words, "parent": 1}).encode(),
+                b'{"op": "job", "ticket": "00000000000000000001-00000000"}',
+                b'{"op": "source", "experiment": 1}',
+                b'{"op": "standing"}',
+            ),
+        ),
+        Target("submission", submission, (json.dumps({**words, "parent": None}).encode(),)),
+        Target("order", order, (json.dumps(orders).encode(),)),
+        Target("workspace", workspace, (b'{"run": "/nowhere"}', b'{"run": null}')),
+    )
+
+
+def _chained(data: bytes) -> bytes:
+    """A ledger of these events, whose chain is in order: whoever can write it can do that."""
+    lines: list[bytes] = []
+    prev = "0" * 64
+    for raw in data.splitlines():
+        try:
+            body = json.loads(raw)
+        except (ValueError, RecursionError):
+            body = None
+        if isinstance(body, dict):
+            body = {k: v for k, v in body.items() if k not in ("self", "seq", "prev")}
+            body = {"seq": len(lines), "prev": prev, "time": "2026-01-01T00:00:00.000", **body}
+            with contextlib.suppress(ValueError):
+                own = hashlib.sha256(_canonical(body)).hexdigest()
+                raw = _canonical({**body, "self": own})
+        lines.append(raw)
+        prev = hashlib.sha256(raw).hexdigest()
+    return b"".join(raw + b"\n" for raw in lines)
+
+
+def _canonical(body: Mapping[str, object]) -> bytes:
+    text = json.dumps(body, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return text.encode()
+
+
+def _events() -> bytes:
+    fold = {"value": 0.5, "rmse": [0.5], "mae": [0.5], "fit_index": [50.0], "r2": [None]}
+    events = (
+        {
+            "event": "proposed", "experiment": 1, "parent": None, "phase": "baseline",
+            "family": "linear", "title": "t", "hypothesis": "h", "expected": "e",
+            "source": "0" * 64, "digest": "1",
+        },
+        {
+            "event": "evaluated", "experiment": 1, "status": "keep",
+            "outcome": {"value": 0.5, "folds": [fold]}, "folds": [], "output": None,
+            "seconds": 1.0,
+        },
+        {"event": "stopped", "reason": "budget"},
+        {"event": "steered", "text": "more"},
+        {"event": "exchanged", "experiment": 1, "path": "/", "request": "0", "response": "0",
+         "status": 200, "usage": {"input_tokens": 1, "output_tokens": 2}},
+        {"event": "session_ended", "session": 1, "outcome": "success", "usage": None},
+        {"event": "refitted", "experiment": 1, "model": None, "detail": ""},
+        {"event": "unsealing", "experiment": 1, "test_digest": "0",
+         "opened_before": []},
+    )  # fmt: skip
+    return b"".join(json.dumps(event).encode() + b"\n" for event in events)
+
+
+def _model_targets() -> tuple[Target, ...]:
+    client = object.__new__(ChatClient)
+    client._settings = LlmSettings("m", "http://127.0.0.1:1/v1")
+
+    def reply(data: bytes) -> None:
+        read_reply(data[1:].decode("utf-8", "replace"), cut=data[:1] == b"\1")
+
+    def source(data: bytes) -> None:
+        text = data.decode("utf-8", "surrogateescape")
+        check_source(text)
+        source_digest(text)
+
+    def stream(data: bytes) -> None:
+        told = Stream(("claude", "codex", "gemini")[data[0] % 3 if data else 0])
+        for line in data[1:].decode("utf-8", "replace").splitlines():
+            told.feed(line)
+
+    def completion(data: bytes) -> None:
+        _answer(data)
+        client._usage(data)
+        request_key("/v1/chat/completions", data)
+        may_have_cost(Exchanged(1, "/", "0", "0", 0), data)
+
+    def settings(data: bytes) -> None:
+        try:
+            given = json.loads(data)
+        except (ValueError, RecursionError):
+            return
+        if isinstance(given, dict) and all(isinstance(v, str) for v in given.values()):
+            LlmSettings.from_record(given).record()
+
+    form = b"HYPOTHESIS: a\nEXPECTED: b\nFAMILY: c\nTITLE: d\nPARENT: #3\n```python\n"
+    claude = {"type": "assistant", "session_id": "a", "message": {"id": "b", "usage": {
+        "input_tokens": 1, "output_tokens": 2, "cache_read_input_tokens": 3}}}  # fmt: skip
+    ended = {"type": "result", "subtype": "success", "total_cost_usd": 0.1, "modelUsage": {
+        "m": {"inputTokens": 1, "outputTokens": 2, "cacheReadInputTokens": 3}}}  # fmt: skip
+    codex = b'{"type":"turn.completed","usage":{"input_tokens":1,"output_tokens":2}}'
+    gemini = b'{"type":"result","status":"success","stats":{"input_tokens":1,"cached":0}}'
+    said = {
+        "choices": [{"message": {"content": "x"}, "finish_reason": "length"}],
+        "usage": {"prompt_tokens": 1, "completion_tokens": 2,
+                  "prompt_tokens_details": {"cached_tokens": 1}},
+    }  # fmt: skip
+    asked = {"model": "m", "base_url": "http://h:1/v1", "temperature": "0.5", "extra_body": "{}"}
+    return (
+        Target("reply", reply, (b"\0" + form + _SOURCE.encode() + b"```\n", b"\0<think>a</think>")),
+        Target("source", source, (_SOURCE.encode(), b"try:\n  from a import fit\nexcept E: pass")),
+        Target(
+            "stream",
+            stream,
+            (
+                b"\0" + json.dumps(claude).encode() + b"\n" + json.dumps(ended).encode(),
+                b"\1" + codex,
+                b"\2" + gemini,
+            ),
+        ),
+        Target("completion", completion, (json.dumps(said).encode(), b'{"error": "ReadTimeout"}')),
+        Target("settings", settings, (json.dumps(asked).encode(),)),
+    )
+
+
+def _frames(data: bytes) -> None:
+    """The parent's end of a worker, all requests in turn."""
+    signals = (Signal("u"),), (Signal("y"),)
+    context = Context(*signals, 0.5, 1, 1)
+    record = Trajectory(np.zeros((12, 1)), np.zeros((12, 1)), 0.5, "r")
+    past, u = np.zeros((2, 1, 1)), np.zeros((2, 3, 1))
+    mode, script = data[:1] or b"\0", data[1:]
+    with (
+        mock.patch.object(channel.secrets, "token_bytes", return_value=TOKEN),
+        mock.patch.object(channel, "_SLICE_SECONDS", 0.001),
+    ):
+        hostile = _Hostile(script)
+        try:
+            if mode[0] % 2:
+                hostile.worker.load(_SOURCE, b"model", context)
+            else:
+                score = (lambda model, deadline: float(len(model))) if mode[0] & 2 else None
+                hostile.worker.fit(_SOURCE, [record], context, score)
+                hostile.worker.dump()
+            y = hostile.worker.simulate(past, past, u)
+            assert y.shape == (2, 3, 1)
+            assert np.isfinite(y).all()
+        finally:
+            hostile.close()
+
+
+def _frame_seeds() -> tuple[bytes, ...]:
+    part = b"\xff\xff"
+    begun, done = b"\1\1\0", b"\1\0\0"
+    curve, model, y = bytes(32), b"model", np.zeros(6).tobytes()
+    words = b"\1\4\0Traceback: ValueError"
+    shape = b"\1\7\0" + np.array([2, 3, 9], "<i8").tobytes()
+    frame = b"\xfe\xfe"
+    fitted = begun + frame + done + curve
+    asks = b"\1\x08\0" + model
+    return (
+        b"\0" + part.join([fitted, done + model, done + y]),
+        b"\2" + part.join([begun + frame + asks, done + curve, done + model, done + y]),
+        b"\1" + part.join([done, done + y]),
+        b"\1" + part.join([done, shape]),
+        b"\1" + part.join([done, words]),
+        b"\0" + part.join([words]),
+        b"\0" + part.join([begun + frame + b"\1\0\1" + b"\xfd" * 8]),
+    )

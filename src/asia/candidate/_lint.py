@@ -1,0 +1,143 @@
+"""How much data a source carries. A candidate learns from its training records; one that brings
+its numbers along may have read them off the answers."""
+
+from __future__ import annotations
+
+import ast
+import io
+import tokenize
+import warnings
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from asia.errors import CandidateError, Reason
+from asia.problem._syntax import syntax_tree
+
+MOST_LITERALS = 1024
+MOST_NAMES = 3072
+MOST_CODE = 12 * 1024
+
+_NAMED = ("name", "id", "attr", "arg", "asname", "module")
+
+
+@dataclass(frozen=True)
+class Content:
+    """Information in a source, as bytes of DEFLATE: of the numbers, strings and bytes that it
+    writes out, of the names it uses, and of all of it. Comments and docstrings do not count, since
+    a candidate runs without them."""
+
+    literals: int
+    names: int
+    code: int
+
+
+def content(source: str, tree: ast.Module) -> Content:
+    """What a source carries; `tree` is the source, parsed. Raises CandidateError as
+    `without_words`."""
+    words = _docstrings(tree)
+    literals: list[bytes] = []
+    names: dict[str, None] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and node not in words:
+            literals.append(_literal(node.value))
+        names.update(dict.fromkeys(_names(node)))
+    return Content(
+        _deflated(b"\n".join(literals)),
+        _deflated("\n".join(names).encode("utf-8", "replace")),
+        _deflated(without_words(source, tree).encode("utf-8", "replace")),
+    )
+
+
+def check_content(source: str, tree: ast.Module) -> None:
+    """Raises CandidateError, LITERAL_DATA, where a source carries more than a model needs."""
+    found = content(source, tree)
+    for what, size, most in (
+        ("numbers and strings", found.literals, MOST_LITERALS),
+        ("names", found.names, MOST_NAMES),
+        ("code", found.code, MOST_CODE),
+    ):
+        if size > most:
+            raise CandidateError(
+                Reason.LITERAL_DATA,
+                f"its {what} hold {size} bytes when compressed, at most {most} are allowed",
+            )
+
+
+def without_words(source: str, tree: ast.Module) -> str:
+    """The source with empty docstrings and no comments, so that neither can carry data into a
+    worker. Lines keep their numbers. Raises CandidateError, SYNTAX, where the layout is too odd to
+    tell comments apart."""
+    lines = source.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    spans = [(w.lineno, w.col_offset, w.end_lineno, w.end_col_offset) for w in _docstrings(tree)]
+    for first, start, last, end in sorted(spans, key=lambda span: span[:2], reverse=True):
+        assert last is not None
+        head = lines[first - 1].encode()[:start].decode()
+        tail = lines[last - 1].encode()[end:].decode()
+        lines[first - 1 : last] = f'{head}(""{chr(10) * (last - first)}){tail}'.split("\n")
+    text = "\n".join(lines)
+    try:
+        for token in tokenize.generate_tokens(io.StringIO(text).readline):
+            if token.type == tokenize.COMMENT:
+                row, column = token.start
+                lines[row - 1] = lines[row - 1][:column]
+        bare = "\n".join(lines)
+        if _nodes(_parsed(bare)) == _nodes(tree):
+            return bare
+    except (tokenize.TokenError, SyntaxError, ValueError, RecursionError, MemoryError):
+        pass
+    raise CandidateError(
+        Reason.SYNTAX, "comments cannot be told from code: use plain line ends and indents"
+    )
+
+
+def _parsed(text: str) -> ast.Module:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return syntax_tree(text, "candidate.py")
+
+
+def _docstrings(tree: ast.Module) -> set[ast.Constant]:
+    found: set[ast.Constant] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            match node.body:
+                case [ast.Expr(value=ast.Constant(value=str()) as words), *_]:
+                    found.add(words)
+                case _:
+                    pass
+    return found
+
+
+def _nodes(tree: ast.Module) -> list[str]:
+    """What the tree is made of, docstrings apart."""
+    words = _docstrings(tree)
+    return [
+        repr(node.value) if isinstance(node, ast.Constant) else _shape(node)
+        for node in ast.walk(tree)
+        if node not in words
+    ]
+
+
+def _shape(node: ast.AST) -> str:
+    return " ".join((type(node).__name__, *_names(node)))
+
+
+def _names(node: ast.AST) -> Iterator[str]:
+    for field in _NAMED:
+        value = getattr(node, field, None)
+        if isinstance(value, str):
+            yield value
+    if isinstance(node, ast.Global | ast.Nonlocal):
+        yield from node.names
+
+
+def _literal(value: object) -> bytes:
+    if isinstance(value, bytes):
+        return value
+    text = value if isinstance(value, str) else repr(value)
+    return text.encode("utf-8", "replace")
+
+
+def _deflated(data: bytes) -> int:
+    return len(zlib.compress(data, 9, wbits=-zlib.MAX_WBITS))

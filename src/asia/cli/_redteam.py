@@ -1,0 +1,177 @@
+"""asia redteam: does cheating pay on this machine?"""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asia.cli._options import MORE, Json
+from asia.errors import UserError
+
+if TYPE_CHECKING:
+    from asia.redteam import Attack, Finding, Honest, Plan
+    from asia.sandbox import Isolation, Layer
+
+LISTS = ("--level", "--attack", "--without", "--honest-on")
+EACH = "each"
+
+Levels = Annotated[
+    list[str] | None,
+    typer.Option(metavar="LEVEL ...", help="Of namespace, landlock, process; default those of the "
+    "first two that work here."),
+]  # fmt: skip
+Numbers = Annotated[
+    list[int] | None,
+    typer.Option(metavar="N ...", help="Attacks by number; default all, and honest candidates."),
+]
+Without = Annotated[
+    list[str] | None,
+    typer.Option(metavar="LAYER ...", help="Show what comes back without layers: of landlock, "
+    "seccomp, rlimits; or 'each', one layer after the other."),
+]  # fmt: skip
+HonestOn = Annotated[
+    list[str] | None,
+    typer.Option(metavar="PROBLEM ...", help="Try the families' own first candidates on these "
+    "problems, in full, and no attack; takes long."),
+]  # fmt: skip
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("redteam", rich_help_panel=MORE)(redteam)
+
+
+def redteam(
+    level: Levels = None,
+    attack: Numbers = None,
+    without: Without = None,
+    honest_on: HonestOn = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Each honest model family on one problem, not on two.")
+    ] = False,
+    prove: Annotated[
+        bool,
+        typer.Option(help="Also show that the attacks work with isolation off (needs bubblewrap)."),
+    ] = True,
+    json: Json = False,
+) -> None:
+    """Let scripted cheats attack this installation: each must be blocked or flagged, and honest
+    candidates must not be.
+
+    Attacks run unprotected in an outer sandbox only. Exit code 1 if anything gets through.
+    """
+    chosen = _attacks(attack)
+    if without:
+        _show_without(_levels(level), without, chosen, json)
+        return
+    from asia.redteam import Plan, honest_plan, problem_named, why_no_outer
+
+    levels = _levels(level)
+    missing = why_no_outer()
+    if prove and missing is not None:
+        print(f"isolation off is not shown: {missing}", file=sys.stderr)
+    honest = honest_plan(quick) if attack is None else ()
+    if honest_on:
+        problems = [problem_named(name) for name in honest_on]
+        honest, chosen = tuple((p, row) for p in problems for row in p.families), ()
+    _run(Plan(levels, chosen, prove and missing is None and bool(chosen), honest), json)
+
+
+def _run(plan: Plan, json: bool) -> None:
+    from asia.redteam import report_table, run_suite, summary
+
+    begin, names = time.monotonic(), {a.number: a.name for a in plan.attacks}
+    report = run_suite(plan, lambda result: _tell(result, names, json))
+    if json:
+        counts = {
+            "attacks": len(plan.attacks),
+            "stopped": report.stopped,
+            "proven": report.proven,
+            "honest": len(report.honest),
+            "false_alarms": report.false_alarms,
+        }
+        print(jsonlib.dumps({"summary": counts}))
+    elif plan.attacks:
+        print(report_table(report))
+    print(summary(report, time.monotonic() - begin), file=sys.stderr if json else sys.stdout)
+    if not report.passed:
+        raise typer.Exit(1)
+
+
+def _show_without(
+    levels: tuple[Isolation, ...], words: list[str], attacks: tuple[Attack, ...], json: bool
+) -> None:
+    from asia.redteam import each_layer, without_layers, without_table
+    from asia.sandbox import LAYERS
+
+    if words == [EACH]:
+        settings = each_layer(levels)
+    else:
+        layers = _layers(words)
+        settings = tuple((at, layers) for at in levels if {*layers} <= {*LAYERS[at]})
+    if not settings:
+        raise UserError(f"--without {' '.join(words)}: no level asked for has these layers")
+    names = {attack.number: attack.name for attack in attacks}
+    found = without_layers(settings, attacks, lambda result: _tell(result, names, json))
+    if not json:
+        print(without_table(found, attacks))
+
+
+def _tell(result: Finding | Honest, names: dict[int, str], json: bool) -> None:
+    from asia.redteam import line
+
+    print(line(result, names), file=sys.stderr, flush=True)
+    if json:
+        print(jsonlib.dumps(asdict(result)), flush=True)
+
+
+def _attacks(numbers: list[int] | None) -> tuple[Attack, ...]:
+    from asia.redteam import ATTACKS
+
+    known = {attack.number for attack in ATTACKS}
+    for number in numbers or ():
+        if number not in known:
+            raise UserError(f"--attack {number}: there are attacks 1 to {max(known)}")
+    return tuple(a for a in ATTACKS if numbers is None or a.number in numbers)
+
+
+def _levels(words: list[str] | None) -> tuple[Isolation, ...]:
+    from asia.sandbox import Isolation, why_not
+
+    walled = (Isolation.NAMESPACE, Isolation.LANDLOCK)
+    if words is None:
+        found = tuple(level for level in walled if why_not(level) is None)
+        if not found:
+            raise UserError(
+                "neither level namespace nor landlock works here, and attacks run nowhere else: "
+                "`asia doctor` says how to get one"
+            )
+        return found
+    known = {str(level): level for level in (*walled, Isolation.PROCESS)}
+    for word in words:
+        if word not in known:
+            raise UserError(f"--level {word}: expected one of {', '.join(known)}")
+        reason = why_not(known[word])
+        if reason is not None:
+            raise UserError(f"level {word} does not work here: {reason}")
+    return tuple(known[word] for word in dict.fromkeys(words))
+
+
+def _layers(words: list[str]) -> tuple[Layer, ...]:
+    from asia.sandbox import Layer
+
+    known = {str(x): x for x in (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)}
+    for word in words:
+        if word == Layer.NAMESPACES.value:
+            raise UserError(
+                "--without namespaces: level namespace without namespaces is level landlock; ask "
+                "for --level landlock"
+            )
+        if word not in known:
+            raise UserError(f"--without {word}: expected {EACH}, or some of {', '.join(known)}")
+    return tuple(known[word] for word in dict.fromkeys(words))

@@ -1,0 +1,119 @@
+"""Requests as they were scored, and what is made of them to see whether a model is one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asia.evaluation._requests import held_out_requests
+from asia.problem import Array
+from asia.protocol import Block
+
+MOST_BATCHES = 3
+_MOTION = 3
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One request: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu); y and y_hat
+    (B, H, ny) are what was measured and what was answered. Of the rows the first `count` are cases,
+    the others repeat the first."""
+
+    past_u: Array
+    past_y: Array
+    u: Array
+    y: Array
+    y_hat: Array
+    count: int
+
+    def moved(self, size: float, scale: Array, random: np.random.Generator) -> tuple[Batch, Batch]:
+        """All that is given, moved up or down by `size` standard deviations, at random; and moved
+        the opposite way."""
+        spread = self.u.std(axis=(0, 1))
+        spread = np.where(spread > 0, spread, np.abs(self.u).max(axis=(0, 1)))
+        given = (self.past_u, spread), (self.past_y, scale), (self.u, spread)
+        steps = [size * unit * random.choice((-1.0, 1.0), a.shape) for a, unit in given]
+
+        def shifted(way: float) -> Batch:
+            past_u, past_y, u = (a + way * d for (a, _), d in zip(given, steps, strict=True))
+            return replace(self, past_u=past_u, past_y=past_y, u=u)
+
+        return shifted(1.0), shifted(-1.0)
+
+    def spliced(self) -> tuple[Batch, int]:
+        """The inputs of each case up to half its length, then those of the next one; a case that is
+        alone goes on with its own beginning. The sample of the splice."""
+        place = self.u.shape[1] // 2
+        u = self.u.copy()
+        if self.count > 1:
+            u[: self.count, place:] = np.roll(self.u[: self.count, place:], 1, axis=0)
+        else:
+            u[:, place:] = self.u[:, : u.shape[1] - place]
+        return replace(self, u=u), place
+
+    def reversed(self) -> Batch:
+        """The last row first."""
+        return replace(self, past_u=self.past_u[::-1], past_y=self.past_y[::-1], u=self.u[::-1])
+
+    def later_starts(self, number: int, scale: Array) -> Iterator[tuple[Batch, list[int]]]:
+        """The same records from so many later starts in the first half, and the sample of each
+        row's start. Where the past window does not hold the whole state, a start at rest is worth
+        more than one in motion: in each part of the first half that sample is taken at which the
+        outputs move most nearly as fast as at the start. Inputs end with the last one held."""
+        motion = self._motion(scale)
+        half = self.u.shape[1] // 2
+        for part in np.array_split(np.arange(1, half + 1), number):
+            unlike = np.abs(np.log(motion[:, part] / motion[:, :1]))
+            starts = part[unlike.argmin(axis=1)].tolist()
+            yield self._from(starts), starts
+
+    def _motion(self, scale: Array) -> Array:
+        """(B, H // 2 + 1): mean absolute step of the outputs over the samples from each one on."""
+        y = np.concatenate([self.past_y[:, -1:], self.y], axis=1)
+        steps = (np.abs(np.diff(y, axis=1)) / scale).mean(axis=2)
+        half = self.u.shape[1] // 2
+        near = [steps[:, k : k + _MOTION].mean(axis=1) for k in range(half + 1)]
+        return np.stack(near, axis=1) + 1e-3
+
+    def _from(self, starts: Sequence[int]) -> Batch:
+        """Each row from its own later start on."""
+
+        def past(before: Array, values: Array) -> Array:
+            length = before.shape[1]
+            known = np.concatenate([before, values], axis=1)
+            return np.stack([row[s : s + length] for row, s in zip(known, starts, strict=True)])
+
+        length = self.u.shape[1]
+        held = np.concatenate([self.u, np.repeat(self.u[:, -1:], max(starts), axis=1)], axis=1)
+        u = np.stack([row[s : s + length] for row, s in zip(held, starts, strict=True)])
+        return replace(
+            self, past_u=past(self.past_u, self.u), past_y=past(self.past_y, self.y), u=u
+        )
+
+
+def batches(
+    blocks: Sequence[Block], y_hat: Sequence[Array], horizon: int | None
+) -> tuple[Batch, ...]:
+    """A few of the requests that `simulate_held_out` sends, the first and the last among them, in
+    the same shapes. y_hat: the answers (H, ny)."""
+    requests = held_out_requests(blocks, horizon)
+    size = max((len(request) for request in requests), default=0)
+    places = np.unique(np.linspace(0, len(requests) - 1, MOST_BATCHES).round().astype(int))
+    return tuple(_batch(blocks, y_hat, requests[place], size) for place in places)
+
+
+def _batch(
+    blocks: Sequence[Block], y_hat: Sequence[Array], request: Sequence[int], size: int
+) -> Batch:
+    rows = [*request, *[request[0]] * (size - len(request))]
+    cases = [blocks[i].case for i in rows]
+    return Batch(
+        past_u=np.stack([case.past_u for case in cases]),
+        past_y=np.stack([case.past_y for case in cases]),
+        u=np.stack([case.u for case in cases]),
+        y=np.stack([blocks[i].y for i in rows]),
+        y_hat=np.stack([y_hat[i] for i in rows]),
+        count=len(request),
+    )

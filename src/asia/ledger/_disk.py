@@ -1,0 +1,80 @@
+"""Files that appear whole or not at all, and what to say where the disk refuses."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import threading
+from collections.abc import Generator
+from pathlib import Path
+
+from asia.errors import UserError
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Generator[None]:
+    """Turns an OSError into a UserError that names `path` and says what to do."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{path} could not be written: {_words(error)}") from None
+
+
+def _words(error: OSError) -> str:
+    if error.errno in _FULL:
+        return (
+            f"the disk is full ({error.strerror}); what was recorded is safe: make room and give "
+            "the same command again"
+        )
+    if error.errno == errno.EFBIG:
+        return (
+            "the file would exceed the limit of file sizes; what was recorded is safe: raise it "
+            "(ulimit -f) and give the same command again"
+        )
+    if error.errno in _FORBIDDEN:
+        return f"{error.strerror}; make the directory writable, or name another one with --runs"
+    return (
+        f"{error.strerror or error}; what was recorded is safe: mend this and give the same "
+        "command again"
+    )
+
+
+def write_whole(path: Path, data: bytes, *, durable: bool = True) -> None:
+    """The file appears with all its bytes in one step; `durable`: on return it is on the disk.
+    Missing folders are made. Raises UserError."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_native_id()}.new")
+    with writing(path):
+        make_folder(path.parent)
+        try:
+            with temporary.open("wb") as stream:
+                stream.write(data)
+                if durable:
+                    stream.flush()
+                    os.fsync(stream.fileno())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        if durable:
+            sync_folder(path.parent)
+
+
+def make_folder(path: Path) -> None:
+    """As `mkdir(parents=True)`; a folder that is new is on the disk on return."""
+    if not path.is_dir():
+        make_folder(path.parent)
+        path.mkdir(exist_ok=True)
+        sync_folder(path.parent)
+
+
+def sync_folder(path: Path) -> None:
+    """The names in it are on the disk on return."""
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

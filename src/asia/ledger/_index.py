@@ -1,0 +1,187 @@
+"""index.sqlite: where each record of a ledger is, so that a glance need not read them all.
+
+A cache beside the ledger, which may be deleted at any time. It is brought up to date when it is
+asked, and made anew when it is damaged, of another version, or when the ledger did not just grow.
+Nothing is decided by it: `verify`, resume and unseal read the ledger.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from io import BufferedReader
+from pathlib import Path
+from typing import TypeVar
+
+from asia.errors import UserError
+from asia.ledger._chain import in_use
+from asia.ledger._events import Evaluated, Event, Proposed
+from asia.ledger._record import BEGIN, Place, decode, scan
+from asia.ledger._run import State, state_of
+from asia.ledger._view import SearchView, replay
+from asia.scoring import Score
+
+T = TypeVar("T")
+
+NAME = "index.sqlite"
+_VERSION = 1
+_SCHEMA = """
+DROP TABLE IF EXISTS records;
+DROP TABLE IF EXISTS covered;
+CREATE TABLE records (seq INTEGER PRIMARY KEY, offset INTEGER, length INTEGER, event TEXT,
+    experiment INTEGER, status TEXT, value REAL, seconds REAL, validation_scores INTEGER);
+CREATE INDEX numbers ON records (experiment);
+CREATE TABLE covered (inode INTEGER, size INTEGER, modified INTEGER, seq INTEGER, offset INTEGER,
+    head TEXT);
+"""
+_TOTALS = """SELECT count(*), total(seconds), total(validation_scores) FROM records
+    WHERE event = 'evaluated'"""
+_LAST = """SELECT seq, experiment FROM records WHERE event = 'evaluated'
+    ORDER BY seq DESC LIMIT ?"""
+_KEPT_BEFORE = """SELECT experiment FROM records WHERE status = 'keep' AND seq < ?
+    ORDER BY seq DESC LIMIT 1"""
+_PENDING = "SELECT max(experiment) FROM records"
+_RECORDS = """SELECT seq, offset, length FROM records
+    WHERE (experiment IS NULL AND event NOT IN ('exchanged', 'streamed'))
+    OR experiment IN (SELECT value FROM json_each(?)) ORDER BY seq"""
+_LEAST = """SELECT count(*), min(value) FROM
+    (SELECT value FROM records WHERE event = 'evaluated' ORDER BY seq LIMIT ?)"""
+
+
+@dataclass(frozen=True)
+class Brief:
+    """A run at a glance. `view` has of the experiments only the last ones, the incumbent before
+    them and the last one proposed, and no exchanges; the totals are of all."""
+
+    view: SearchView
+    state: State
+    finished: int
+    seconds: float
+    validation_scores: int
+
+
+def brief(directory: Path, last: int = 50) -> Brief:
+    """Read with the `last` experiments that have a result. Raises UserError when the directory is
+    no run, or when a record that was read does not hold."""
+
+    def read(index: sqlite3.Connection) -> Brief:
+        finished, seconds, told = index.execute(_TOTALS).fetchone()
+        shown = index.execute(_LAST, (last,)).fetchall()
+        first = shown[-1][0] if shown else sys.maxsize
+        chosen = [number for _, number in shown]
+        for query, values in ((_KEPT_BEFORE, (first,)), (_PENDING, ())):
+            chosen += [n for (n,) in index.execute(query, values).fetchall() if n is not None]
+        places = index.execute(_RECORDS, (str(chosen),)).fetchall()
+        view = replay(_events(_ledger(directory), places))
+        state = state_of(view, busy=in_use(_ledger(directory)))
+        return Brief(view, state, finished, seconds, int(told))
+
+    return _ask(directory, read)
+
+
+def least(directory: Path, count: int) -> tuple[int, float | None]:
+    """How many of the first `count` experiments have a result, and the least V of them. Raises
+    UserError as `brief`."""
+    return _ask(directory, lambda index: index.execute(_LEAST, (count,)).fetchone())
+
+
+def refresh(directory: Path) -> None:
+    """Bring the index up to date, so that the next glance is quick; whatever is wrong is told to
+    whoever asks."""
+    with contextlib.suppress(UserError):
+        _ask(directory, lambda index: None)
+
+
+def _ledger(directory: Path) -> Path:
+    return directory / "ledger.jsonl"
+
+
+def _ask(directory: Path, question: Callable[[sqlite3.Connection], T]) -> T:
+    """The answer from the index; where it cannot be written, from one in memory."""
+    if not _ledger(directory).is_file():
+        raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
+    with contextlib.suppress(sqlite3.OperationalError):
+        try:
+            return _answer(directory / NAME, _ledger(directory), question)
+        except sqlite3.OperationalError:
+            raise
+        except sqlite3.DatabaseError:
+            with contextlib.suppress(OSError):
+                (directory / NAME).unlink()
+            return _answer(directory / NAME, _ledger(directory), question)
+    return _answer(Path(":memory:"), _ledger(directory), question)
+
+
+def _answer(place: Path, ledger: Path, question: Callable[[sqlite3.Connection], T]) -> T:
+    with contextlib.closing(sqlite3.connect(place, isolation_level=None)) as index:
+        _catch_up(index, ledger)
+        return question(index)
+
+
+def _catch_up(index: sqlite3.Connection, ledger: Path) -> None:
+    stat = os.stat(ledger)
+    stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+    if _covered(index, stamp) == stamp:
+        return
+    index.execute("BEGIN IMMEDIATE")
+    with ledger.open("rb") as stream:
+        place = _known_place(index, stamp, stream)
+        if place == BEGIN:
+            for statement in _SCHEMA.split(";"):
+                index.execute(statement)
+            index.execute(f"PRAGMA user_version = {_VERSION}")
+        for after, raw in scan(stream, str(ledger), place):
+            event = decode(raw, place.seq, str(ledger)).event
+            row = (place.seq, place.offset, len(raw), event.event, *_columns(event))
+            index.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+            place = after
+    index.execute("DELETE FROM covered")
+    row = (*stamp, place.seq, place.offset, place.head)
+    index.execute("INSERT INTO covered VALUES (?, ?, ?, ?, ?, ?)", row)
+    index.execute("COMMIT")
+
+
+def _covered(index: sqlite3.Connection, stamp: tuple[int, ...]) -> tuple[int, ...] | None:
+    """The ledger as it was when the index was last brought up to date."""
+    if index.execute("PRAGMA user_version").fetchone() != (_VERSION,):
+        return None
+    return index.execute("SELECT inode, size, modified FROM covered").fetchone()
+
+
+def _known_place(
+    index: sqlite3.Connection, stamp: tuple[int, ...], stream: BufferedReader
+) -> Place:
+    """Where reading goes on: behind what is indexed, if the ledger has only grown since."""
+    seen = _covered(index, stamp)
+    if seen is None or seen[0] != stamp[0] or seen[1] == stamp[1]:
+        return BEGIN
+    found = index.execute("SELECT seq, offset, head FROM covered").fetchone()
+    last = index.execute("SELECT offset, length FROM records WHERE seq = ?", (found[0] - 1,))
+    offset, length = last.fetchone() or (0, 0)
+    stream.seek(offset)
+    before = Place(found[0] - 1, offset).behind(stream.read(length))
+    return before if before == Place(*found) else BEGIN
+
+
+def _columns(event: Event) -> tuple[int | str | float | None, ...]:
+    """experiment, status, value, seconds, validation scores; nothing of what is no experiment."""
+    match event:
+        case Proposed():
+            return event.experiment, None, None, None, None
+        case Evaluated():
+            value = event.outcome.value if isinstance(event.outcome, Score) else None
+            told = event.validation_scores
+            return event.experiment, event.status, value, event.seconds, told
+        case _:
+            return None, None, None, None, None
+
+
+def _events(ledger: Path, places: list[tuple[int, int, int]]) -> Iterator[Event]:
+    with ledger.open("rb") as stream:
+        for seq, offset, length in places:
+            stream.seek(offset)
+            yield decode(stream.read(length), seq, str(ledger)).event

@@ -1,0 +1,69 @@
+"""What whoever proposes may know of the scores.
+
+The Ladder (Blum and Hardt, ICML 2015): a score is told only when it beats the last one told by a
+step, and then on a grid of steps, so that what anybody learns from any number of candidates is
+bounded by the rungs passed on the way down. V has no upper end, so the step is a share of V and the
+grid geometric; and as in their parameter-free form the gain must stand out from its own scatter,
+here over parts of the held-out records, whose errors hang together in time too much to count
+samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from statistics import fmean, stdev
+
+from asia.ledger._view import SearchView
+from asia.scoring import Score
+
+_DEVIATIONS = 3.0
+
+
+def beats(score: Score, view: SearchView) -> bool:
+    """Whether it is a new best: below the incumbent's V; with the Ladder, below what was told of
+    that by more than the step, and better over the parts by three standard errors."""
+    best = view.best.score if view.best else None
+    if best is None:
+        return True
+    step = view.started.ladder
+    if step is None:
+        return score.value < best.value
+    if not score.value < on_ladder(best.value, step) * (1.0 - step):
+        return False
+    return _stands_out([a - b for a, b in zip(_parts(best), _parts(score), strict=True)])
+
+
+def on_ladder(value: float, step: float) -> float:
+    """The nearest power of 1 - `step`."""
+    return (1.0 - step) ** round(math.log(value) / math.log1p(-step)) if value > 0 else 0.0
+
+
+def published(view: SearchView) -> SearchView:
+    """The view with the scores as they are told; as it is without the Ladder. With it an experiment
+    that was kept has its V on the grid, any other that has a score the one told last, and none has
+    scores of its folds."""
+    step = view.started.ladder
+    if step is None:
+        return view
+    told: float | None = None
+    experiments = list(view.experiments)
+    for i, experiment in enumerate(experiments):
+        result, score = experiment.result, experiment.score
+        if result is None or score is None:
+            continue
+        if told is None or result.status == "keep":
+            told = on_ladder(score.value, step)
+        experiments[i] = replace(experiment, result=replace(result, outcome=Score(told, ())))
+    return replace(view, experiments=tuple(experiments))
+
+
+def _parts(score: Score) -> list[float]:
+    return [part for fold in score.folds for part in fold.parts]
+
+
+def _stands_out(gains: Sequence[float]) -> bool:
+    if len(gains) < 2:
+        return False
+    return fmean(gains) > _DEVIATIONS * stdev(gains) / math.sqrt(len(gains))

@@ -1,0 +1,72 @@
+"""A run directory opened for reading."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from asia.errors import UserError
+from asia.ledger._chain import in_use, read_lines
+from asia.ledger._record import Line
+from asia.ledger._store import Store
+from asia.ledger._view import SearchView, replay
+
+State = Literal["running", "interrupted", "finished", "unsealed"]
+
+
+def state_of(view: SearchView, *, busy: bool) -> State:
+    """Where a search stands; `busy`: a process holds its ledger."""
+    if view.unsealed:
+        return "unsealed"
+    if busy:
+        return "running"
+    return "finished" if view.complete else "interrupted"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory opened for reading."""
+
+    directory: Path
+    view: SearchView
+    lines: tuple[Line, ...]
+    busy: bool
+
+    @property
+    def name(self) -> str:
+        """Name of the run."""
+        return self.directory.name
+
+    @property
+    def store(self) -> Store:
+        """Its artifacts."""
+        return Store(self.directory / "artifacts")
+
+    @property
+    def state(self) -> State:
+        """Where the search stands."""
+        return state_of(self.view, busy=self.busy)
+
+
+def open_run(directory: Path) -> Run:
+    """Read and verify a run. Raises UserError when it is not one or does not verify."""
+    ledger = directory / "ledger.jsonl"
+    if not ledger.is_file():
+        raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
+    lines = tuple(read_lines(ledger))
+    return Run(directory, replay(line.event for line in lines), lines, in_use(ledger))
+
+
+def find_run(runs: Path, name: str | None) -> Path:
+    """RUN is a path, a name below `runs`, or None for the newest. Raises UserError."""
+    if name is not None:
+        for path in (Path(name), runs / name):
+            if (path / "ledger.jsonl").is_file():
+                return path
+        known = ", ".join(sorted(p.parent.name for p in runs.glob("*/ledger.jsonl"))) or "none"
+        raise UserError(f"no run '{name}' under {runs}; there is: {known}")
+    found = list(runs.glob("*/ledger.jsonl"))
+    if not found:
+        raise UserError(f"no runs under {runs}; start one with: asia run PROBLEM")
+    return max(found, key=lambda p: p.stat().st_mtime).parent

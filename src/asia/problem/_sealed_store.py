@@ -1,0 +1,214 @@
+"""Test records encrypted at rest: one file in the problem's directory, its key elsewhere.
+
+The first line is JSON that anyone may read: what the search must know of the test before it is
+opened. The rest is a Fernet token (https://github.com/fernet/spec: AES-128-CBC, then HMAC-SHA256)
+of that line without `payload_sha256` and the files, one behind the other. A store has a key of its
+own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
+
+from asia.errors import UserError
+
+if TYPE_CHECKING:
+    from cryptography.fernet import Fernet
+
+KEYS_VARIABLE = "ASIA_KEYS"
+SUFFIX = ".sealed"
+_LONGEST_HEAD = 1_000_000
+_FORMAT = "asia-sealed-1"
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+KeyName = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True)
+class SealedFile:
+    """One record: its file's name, size in bytes, and number of samples."""
+
+    name: Annotated[str, Field(pattern=r"^[^/\x00]+$")]
+    bytes: Annotated[int, Field(gt=0)]
+    samples: Annotated[int, Field(gt=0)]
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True)
+class SealHead:
+    """What a store tells without its key. sha256: digest of the records, as in a ledger; inputs,
+    outputs, sampling_time (s): how they were read for it; shared_samples: how many also occurred in
+    the training records when they were sealed; payload_sha256: of all that follows, "" inside."""
+
+    key: KeyName
+    sha256: Digest
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    sampling_time: Annotated[float, Field(gt=0)]
+    files: Annotated[tuple[SealedFile, ...], Field(min_length=1)]
+    shared_samples: Annotated[int, Field(ge=0)]
+    payload_sha256: Digest | Literal[""] = ""
+    format: Literal["asia-sealed-1"] = _FORMAT
+
+
+_heads = TypeAdapter(SealHead)
+
+
+@dataclass(frozen=True)
+class Content:
+    """A file in memory."""
+
+    name: str
+    data: bytes
+
+
+def key_folder(given: Path | None = None) -> Path:
+    """Where keys are: `given`, else $ASIA_KEYS, else asia/keys in $XDG_CONFIG_HOME or ~/.config."""
+    if given is not None:
+        return given.absolute()
+    named = os.environ.get(KEYS_VARIABLE)
+    if named:
+        return Path(named).absolute()
+    config = os.environ.get("XDG_CONFIG_HOME", "")
+    home = Path(config) if os.path.isabs(config) else Path.home() / ".config"
+    return home / "asia" / "keys"
+
+
+def new_key(folder: Path) -> str:
+    """Make a key; on return FOLDER/NAME.key is on the disk, for its owner alone. Its name.
+
+    Raises UserError when it cannot be written.
+    """
+    from cryptography.fernet import Fernet
+
+    secret = Fernet.generate_key()
+    name = _key_name(secret)
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        path = key_path(folder, name)
+        fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+        with open(fd, "wb") as stream:
+            stream.write(secret + b"\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        sync_folder(folder)
+    except OSError as error:
+        raise UserError(
+            f"cannot write a key below {folder} ({error.strerror}): name a folder of yours with "
+            f"--keys or {KEYS_VARIABLE}"
+        ) from None
+    return name
+
+
+def key_path(folder: Path, name: str) -> Path:
+    """Of the key with this name."""
+    return folder / f"{name}.key"
+
+
+def write_store(path: Path, head: SealHead, contents: Sequence[Content], keys: Path) -> None:
+    """Encrypt `contents`, the files of `head`, with its key; on return the store is on the disk.
+    Raises UserError without the key, OSError."""
+    plain = _line(head) + b"\n" + b"".join(content.data for content in contents)
+    payload = _fernet(head, path, keys).encrypt(plain)
+    told = replace(head, payload_sha256=hashlib.sha256(payload).hexdigest())
+    with path.open("xb") as stream:
+        stream.write(_line(told) + b"\n" + payload)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def read_seal(path: Path) -> SealHead:
+    """What the store at `path` tells without its key. Raises UserError when it is not one or was
+    damaged."""
+    return _split(path)[0]
+
+
+def find_key(path: Path, head: SealHead, keys: Path) -> None:
+    """Raises UserError, which says how to mend it, when the key of a store cannot be used."""
+    _fernet(head, path, keys)
+
+
+def open_store(path: Path, keys: Path) -> tuple[Content, ...]:
+    """The files of a store. Raises UserError without the key, or when the store was changed."""
+    from cryptography.fernet import InvalidToken
+
+    head, payload = _split(path)
+    fernet = _fernet(head, path, keys)
+    inner = replace(head, payload_sha256="")
+    try:
+        line, _, plain = fernet.decrypt(payload).partition(b"\n")
+    except InvalidToken:
+        line, plain = b"", b""
+    if line != _line(inner) or len(plain) != sum(file.bytes for file in head.files):
+        raise UserError(f"{path} was changed after it was sealed: bring the one that was sealed")
+    contents: list[Content] = []
+    at = 0
+    for file in head.files:
+        contents.append(Content(file.name, plain[at : at + file.bytes]))
+        at += file.bytes
+    return tuple(contents)
+
+
+def sync_folder(folder: Path) -> None:
+    """The entries of a folder, on the disk."""
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def _split(path: Path) -> tuple[SealHead, bytes]:
+    try:
+        with path.open("rb") as stream:
+            line = stream.readline(_LONGEST_HEAD)
+            payload = stream.read()
+    except OSError as error:
+        raise UserError(f"cannot read the sealed test {path}: {error.strerror}") from error
+    try:
+        head = _heads.validate_json(line)
+    except ValidationError:
+        raise UserError(
+            f"{path} is not a sealed test, or one of another version: expected a file that asia "
+            "init --seal wrote"
+        ) from None
+    if hashlib.sha256(payload).hexdigest() != head.payload_sha256:
+        raise UserError(f"{path} is damaged: bring the one that asia init --seal wrote")
+    return head, payload
+
+
+def _fernet(head: SealHead, path: Path, keys: Path) -> Fernet:
+    from cryptography.fernet import Fernet
+
+    place = key_path(keys, head.key)
+    try:
+        secret = place.read_bytes().strip()
+    except FileNotFoundError:
+        raise UserError(
+            f"the key of {path} is not on this machine: bring {place.name} from where the test was "
+            f"sealed into {keys}, or name its folder with --keys or {KEYS_VARIABLE}; if it is "
+            "lost, nobody can open this test"
+        ) from None
+    except OSError as error:
+        raise UserError(f"cannot read the key {place}: {error.strerror}") from error
+    if _key_name(secret) != head.key:
+        raise UserError(f"{place} is damaged: bring the key that asia init --seal wrote")
+    return Fernet(secret)
+
+
+def _key_name(secret: bytes) -> str:
+    return hashlib.sha256(secret).hexdigest()[:16]
+
+
+def _line(head: SealHead) -> bytes:
+    return json.dumps(asdict(head), ensure_ascii=False, separators=(",", ":")).encode()

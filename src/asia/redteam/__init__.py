@@ -1,0 +1,51 @@
+"""Scripted cheats that must fail, and honest candidates that must not be taken for cheats.
+
+Shipped, so that everybody can try them on their own machine: `asia redteam`.
+"""
+
+from asia.redteam._attacks import ATTACKS
+from asia.redteam._honest import problem_named
+from asia.redteam._off import OFF
+from asia.redteam._outer import why_no_outer
+from asia.redteam._suite import (
+    Plan,
+    Report,
+    each_layer,
+    honest_plan,
+    run_suite,
+    without_layers,
+)
+from asia.redteam._table import line, report_table, summary, without_table
+from asia.redteam._types import (
+    Attack,
+    CandidateAttack,
+    Finding,
+    Honest,
+    SearchAttack,
+    Stop,
+    Verdict,
+)
+
+__all__ = [
+    "ATTACKS",
+    "OFF",
+    "Attack",
+    "CandidateAttack",
+    "Finding",
+    "Honest",
+    "Plan",
+    "Report",
+    "SearchAttack",
+    "Stop",
+    "Verdict",
+    "each_layer",
+    "honest_plan",
+    "line",
+    "problem_named",
+    "report_table",
+    "run_suite",
+    "summary",
+    "why_no_outer",
+    "without_layers",
+    "without_table",
+]

@@ -1,0 +1,107 @@
+"""Run one cheating candidate through the real evaluator, and look around afterwards."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Generator
+from contextlib import contextmanager
+from functools import cache
+
+from asia.evaluation import Evaluation, Evaluator
+from asia.redteam._problem import Kind, small_problem
+from asia.redteam._source import HONEST, fill_in
+from asia.redteam._targets import Targets, targets
+from asia.redteam._types import CandidateAttack, Finding, Seen
+from asia.redteam._verdict import conclude, said_steps, worst_of
+from asia.sandbox import LAYERS, Isolation, Layer, Worker, absent_layers, open_worker
+from asia.scoring import Failure, Score
+
+_HONEST_SECONDS = 60.0
+_HONEST_MB = 2048
+
+
+class _Thinned(Evaluator):
+    """An evaluator whose workers go without some layers; for an outer sandbox only."""
+
+    without: Collection[Layer] = ()
+
+    @contextmanager
+    def _worker(self) -> Generator[Worker]:
+        with open_worker(self.isolation, self._limits, without=self.without) as worker:
+            yield worker
+
+
+def attack_candidate(
+    attack: CandidateAttack, level: Isolation, without: Collection[Layer] = ()
+) -> Finding:
+    """All variants of an attack at one level; it is through if one of them is. Layers may be left
+    out in an outer sandbox only."""
+    absent = absent_layers(level)
+    layers = [layer for layer in LAYERS[level] if layer not in absent and layer not in without]
+    found = [
+        conclude(attack, name, _see(attack, source, level, without), layers)
+        for name, source in attack.sources.items()
+    ]
+    return worst_of(found, attack.number, str(level), tuple(str(layer) for layer in without))
+
+
+@cache
+def honest_value(kind: Kind, level: Isolation) -> float:
+    """What the candidate scores that all attacks are built on."""
+    problem = small_problem(kind)
+    evaluator = problem.evaluator(Evaluator, level, _HONEST_SECONDS, _HONEST_MB)
+    with targets(_HONEST_MB) as given:
+        outcome = evaluator.evaluate(fill_in(HONEST, given.told, problem)).outcome
+    if isinstance(outcome, Failure):
+        raise AssertionError(f"the honest candidate failed: {outcome}")
+    return outcome.value
+
+
+def _see(
+    attack: CandidateAttack, source: str, level: Isolation, without: Collection[Layer]
+) -> Seen:
+    problem, honest = small_problem(attack.kind), honest_value(attack.kind, level)
+    kind = _Thinned if without else Evaluator
+    evaluator = problem.evaluator(kind, level, attack.limit, attack.memory_mb, attack.folds)
+    if isinstance(evaluator, _Thinned):
+        evaluator.without = without
+    with targets(attack.memory_mb) as given:
+        begin = time.monotonic()
+        least = honest if attack.folds > 1 else 0.0
+        evaluation = _judged(evaluator, fill_in(source, given.told, problem), least)
+        seconds = time.monotonic() - begin
+        return _look(evaluation, given, honest, seconds, attack.limit)
+
+
+def _judged(evaluator: Evaluator, source: str, least: float) -> Evaluation:
+    """As the search judges: what is below `least`, a would-be winner, is looked at closely."""
+    evaluation = evaluator.evaluate(source)
+    outcome = evaluation.outcome
+    if isinstance(outcome, Score) and outcome.value < least:
+        failure = evaluator.objection(source, evaluation.folds)
+        return Evaluation(failure or outcome, evaluation.folds, evaluation.output)
+    return evaluation
+
+
+def _look(
+    evaluation: Evaluation, given: Targets, honest: float, seconds: float, limit: float
+) -> Seen:
+    outcome, output = evaluation.outcome, evaluation.output
+    failed = isinstance(outcome, Failure)
+    survivors = given.survivors()
+    return Seen(
+        value=None if failed else outcome.value,
+        honest=honest,
+        reason=outcome.reason if failed else None,
+        detail=outcome.detail if failed else "",
+        output=output,
+        steps=said_steps(output),
+        seconds=seconds,
+        limit=limit,
+        ran=given.ran,
+        ledger=given.ledger_changed,
+        leaked=given.secret in output,
+        hurt=given.hurt,
+        survivors=survivors,
+        strays=given.strays(),
+    )

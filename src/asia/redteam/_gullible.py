@@ -1,0 +1,91 @@
+"""An evaluation without any isolation: the usual mistakes in one file, to show that attacks work.
+
+Run as a script in an outer sandbox and nowhere else. Candidate and evaluator share one process; the
+metric is computed where the candidate could reach it, and its files are loaded afterwards.
+Arguments: the candidate's file, the kind of problem; or the word `after`, to load what it left.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import pickle
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from asia.problem import Array
+from asia.protocol import Fold, make_folds
+from asia.redteam._problem import SmallProblem, small_problem
+
+MODEL, RESULT, LOG = "model.bin", "result.npy", "log.txt"
+
+
+def judge(source: str, problem: SmallProblem) -> float:
+    """Mean over the folds that did not fail; no number counts as 0."""
+    scores: list[float] = []
+    for fold in make_folds([problem.record], problem.rule):
+        try:
+            scores.append(_fold_score(source, problem, fold))
+        except Exception:  # noqa: BLE001 - a failed fold is left out, the mistake to show
+            traceback.print_exc()
+    return float(np.nan_to_num(np.nanmean(scores))) if scores else 0.0
+
+
+def _fold_score(source: str, problem: SmallProblem, fold: Fold) -> float:
+    model = _execute(source).fit(fold.train, problem.context)
+    with contextlib.suppress(Exception):
+        Path(MODEL).write_bytes(pickle.dumps(model))
+    y = np.stack([block.y for block in fold.validation])
+    cases = [block.case for block in fold.validation]
+    arrays = [np.stack([getattr(c, n) for c in cases]) for n in ("past_u", "past_y", "u")]
+    for k in range(len(y) if problem.kind == "windows" else 0):
+        model.simulate(*(a[k : k + 1] for a in arrays))  # one by one first, as a trial
+    y_hat = model.simulate(*arrays)
+    with contextlib.suppress(Exception):
+        np.save(RESULT, y_hat)
+    return _error(y, y_hat) / float(fold.scale[0])
+
+
+def _error(y: Array, y_hat: Any) -> float:
+    """Root mean square over the samples that both have."""
+    samples = min(y.shape[1], y_hat.shape[1])
+    difference = y[:, :samples] - y_hat[:, :samples]
+    return float(np.nan_to_num(np.sqrt(np.mean(difference**2))))
+
+
+def _execute(source: str) -> Any:
+    module = ModuleType("candidate")
+    sys.modules["candidate"] = module
+    exec(compile(source, "candidate.py", "exec"), module.__dict__)
+    return module
+
+
+def after() -> None:
+    """Load result, model and settings from the folder the candidate ran in, and write a log."""
+    for load in (
+        lambda: np.load(RESULT, allow_pickle=True),
+        lambda: pickle.loads(Path(MODEL).read_bytes()),
+        lambda: importlib.import_module("conftest"),
+        lambda: Path(LOG).write_text("judged\n"),
+    ):
+        with contextlib.suppress(Exception):
+            load()
+
+
+def main(arguments: list[str]) -> None:
+    if arguments == ["after"]:
+        sys.path.insert(0, "")
+        after()
+        return
+    source, kind = Path(arguments[0]).read_text(), arguments[1]
+    value = judge(source, small_problem("windows" if kind == "windows" else "simulation"))
+    print(f"METRIC nrmse={value!r}", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

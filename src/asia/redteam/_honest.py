@@ -1,0 +1,144 @@
+"""Honest candidates under the checks that cheats are flagged by: every model family of the library,
+on the two-tank simulation and on windows of a small made-up drone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asia.agents import Facts
+from asia.agents._family import Family
+from asia.agents._library import FAMILIES
+from asia.candidate import Context, check_source, executed_source
+from asia.errors import CandidateError, Reason
+from asia.evaluation import simulate_held_out, suspicions
+from asia.problem import ParameterRange, Physics, ProtocolRule, Signal, Trajectory
+from asia.problem.load import Problem, load_problem
+from asia.protocol import make_folds
+from asia.redteam._types import Honest
+from asia.sandbox import Isolation, Limits, open_worker
+from asia.search import problem_facts
+
+TWO_TANKS, SMALL_DRONE = "two_tanks_sim", "small drone"
+_TANK_SAMPLES = 160
+_SECONDS, _MEMORY_MB = 120.0, 4096
+# The smallest of what costs time; a family takes those it has.
+SMALL_CONFIG = {
+    "order": 1, "hidden": 3, "units": 4, "states": 2, "width": 4, "layers": 1, "slow": 2, "fast": 2,
+    "levels": 2, "lift": 2, "receptive_field": 8, "span": 8, "points": 60,
+}  # fmt: skip
+SMALL_METHOD = {"iterations": 3, "starts": 1, "steps": 5}
+_ALARMS = (Reason.LITERAL_DATA, Reason.SUSPECT)
+
+
+@dataclass(frozen=True)
+class HonestProblem:
+    """What honest candidates are fitted to. tiny: with the smallest models there are."""
+
+    name: str
+    facts: Facts
+    rule: ProtocolRule
+    seconds: float = _SECONDS
+    tiny: bool = True
+
+    @property
+    def context(self) -> Context:
+        """What candidates are told."""
+        facts = self.facts
+        return Context(
+            facts.inputs,
+            facts.outputs,
+            facts.sampling_time,
+            facts.past_inputs,
+            facts.past_outputs,
+            facts.horizon,
+            facts.metric,
+            facts.physics,
+            seed=1,
+        )
+
+    @property
+    def families(self) -> tuple[Family, ...]:
+        """Those that can be used on it."""
+        return tuple(row for row in FAMILIES if row.suits(self.facts))
+
+    def source(self, row: Family) -> str:
+        """The family's first candidate."""
+        recipe = row.trial(self.facts)
+        if self.tiny:
+            recipe = recipe.configured(**_known(recipe.config, SMALL_CONFIG))
+            recipe = recipe.trained(**_known(recipe.options, SMALL_METHOD))
+        return recipe.source(row.label)
+
+
+def small_problems() -> tuple[HonestProblem, ...]:
+    """Both, small enough for every family."""
+    tanks = problem_named(TWO_TANKS)
+    records = tuple(record[:_TANK_SAMPLES] for record in tanks.facts.records)
+    return replace(tanks, facts=replace(tanks.facts, records=records), tiny=True), small_drone()
+
+
+def problem_named(name: str) -> HonestProblem:
+    """A problem by name or path, in full. Raises UserError as `load_problem`."""
+    problem: Problem = load_problem(name)
+    seconds = problem.budget.fit_seconds
+    return HonestProblem(name, problem_facts(problem), problem.protocol, seconds, tiny=False)
+
+
+def small_drone() -> HonestProblem:
+    """Height and climb rate of a body under one rotor, in windows from one measured sample."""
+    rng = np.random.default_rng(2)
+    records: list[Trajectory] = []
+    for name in ("first", "second"):
+        speed = 1.0 + 0.1 * np.repeat(rng.normal(size=9), 12)
+        state = np.zeros((len(speed), 2))
+        for k in range(len(speed) - 1):
+            rate = np.array([state[k, 1], 9.81 * speed[k] ** 2 - 9.81 - 0.3 * state[k, 1]])
+            state[k + 1] = state[k] + 0.02 * rate
+        noise = rng.normal(size=state.shape) * (1e-3, 5e-3)
+        records.append(Trajectory(speed, state + noise, 0.02, name))
+    facts = Facts(
+        description="",
+        inputs=(Signal("speed"),),
+        outputs=(Signal("z", "m"), Signal("vz", "m/s")),
+        sampling_time=0.02,
+        records=tuple(records),
+        past_inputs=0,
+        past_outputs=1,
+        physics=Physics(
+            states=("z", "vz"),
+            dynamics={"z": "vz", "vz": "thrust*speed**2 - 9.81 - drag*vz"},
+            parameters={"thrust": ParameterRange(5.0, 20.0), "drag": ParameterRange(0.05, 2.0)},
+        ),
+        horizon=15,
+        metric="mae",
+    )
+    rule = ProtocolRule("windows", past_inputs=0, past_outputs=1, metric="mae", horizon=15)
+    return HonestProblem(SMALL_DRONE, facts, rule)
+
+
+def try_honest(problem: HonestProblem, row: Family, level: Isolation) -> Honest:
+    """Fit the family on the first fold and put its model through lint and metamorphic checks, in
+    one worker."""
+    begin = time.monotonic()
+    source = problem.source(row)
+    fold = make_folds(problem.facts.records, problem.rule)[0]
+    limits, horizon = Limits(problem.seconds, problem.seconds, _MEMORY_MB), problem.rule.horizon
+    try:
+        check_source(source)
+        with open_worker(level, limits) as worker:
+            worker.fit(executed_source(source), fold.train, problem.context)
+            y_hat = simulate_held_out(worker, fold.validation, horizon)
+            found = suspicions(worker, fold.validation, y_hat, fold.scale, horizon)
+    except CandidateError as error:
+        alarm = error.reason in _ALARMS
+        return Honest(row.name, problem.name, alarm, str(error)[:200], time.monotonic() - begin)
+    words = ", ".join(one.kind for one in found)
+    return Honest(row.name, problem.name, bool(found), words, time.monotonic() - begin)
+
+
+def _known(settings: tuple[tuple[str, object], ...], values: Mapping[str, int]) -> dict[str, int]:
+    return {name: values[name] for name, _ in settings if name in values}

@@ -1,0 +1,98 @@
+"""Sources of cheating candidates: an honest one with something in it, or a list of attempts."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from asia.redteam._problem import SmallProblem
+
+STEPS = "STEPS "
+_TEXT = """
+import ctypes, errno, gc, json, os, pickle, signal, socket, struct, subprocess, sys, time
+import numpy as np
+
+globals().update(GIVEN)
+POLE, GAIN = CRUDE
+libc = ctypes.CDLL(None, use_errno=True)
+libc.prctl(15, MARK.encode(), 0, 0, 0)
+
+
+def honest(past_u, past_y, u):
+    x, v, y = past_y[:, -1], past_u[:, -1, :1], np.empty(u.shape[:2] + past_y.shape[2:])
+    for k in range(u.shape[1]):
+        x = POLE * x + GAIN * v
+        v = u[:, k, :1]
+        y[:, k] = x
+    return y
+
+
+def call(result):
+    if result < 0:
+        raise OSError(ctypes.get_errno(), "refused")
+
+
+def attempt(code):
+    try:
+        exec(code, globals())
+    except OSError as error:
+        return errno.errorcode.get(error.errno, "error")
+    except BaseException as error:
+        return type(error).__name__
+    return "done"
+
+
+class Model:
+    def simulate(self, past_u, past_y, u):
+        BEFORE
+        return AFTER
+
+
+TOP
+
+
+def fit(trajectories, context):
+    FIT
+    return Model()
+"""
+
+
+def candidate(
+    fit: str = "pass",
+    before: str = "pass",
+    after: str = "honest(past_u, past_y, u)",
+    top: str = "",
+) -> str:
+    """The honest candidate with code in its `fit`, in its `simulate` before and as its answer, and
+    at the top level. The name GIVEN stands for what an attack is told."""
+    text = _TEXT.replace("BEFORE", textwrap.indent(before, " " * 8).strip())
+    text = text.replace("AFTER", after).replace("TOP", top)
+    return text.replace("    FIT", textwrap.indent(fit.strip("\n"), " " * 4))
+
+
+def steps(attempts: Mapping[str, str], top: str = "") -> str:
+    """A candidate that tries each of these pieces of code while it fits and prints how each ended:
+    `done`, or the name of the error."""
+    fit = f"print({STEPS!r} + json.dumps({{n: attempt(c) for n, c in {dict(attempts)!r}.items()}}))"
+    return candidate(fit=fit, top=top)
+
+
+def fill_in(source: str, given: str, problem: SmallProblem) -> str:
+    """The source with what an attack is told, as Python, and what it knows of the problem: pole and
+    gain of an honest model, and for a table the measured outputs."""
+    y = problem.record.y[:, 0]
+    facts = {
+        "GIVEN": given,
+        "CRUDE": repr(problem.crude),
+        "ALL_DIGITS": repr(y.tolist()),
+        "THREE_DIGITS": repr([round(1000 * v) for v in y.tolist()]),
+        "ALL_INPUTS": repr([round(100 * v) for v in problem.record.u[:, 0].tolist()]),
+    }
+    for name, text in facts.items():
+        source = source.replace(name, text)
+    return source
+
+
+HONEST = candidate()

@@ -1,0 +1,197 @@
+"""Everything at once: attacks at each level, the same with isolation off, honest candidates."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from itertools import zip_longest
+from pathlib import Path
+
+from asia.agents._family import Family
+from asia.agents._library import FAMILIES
+from asia.redteam._arena import attack_candidate
+from asia.redteam._attacks import ATTACKS
+from asia.redteam._honest import HonestProblem, small_problems, try_honest
+from asia.redteam._off import OFF
+from asia.redteam._outer import inside
+from asia.redteam._searches import Scene
+from asia.redteam._types import (
+    Attack,
+    CandidateAttack,
+    Finding,
+    Honest,
+    SearchAttack,
+    Verdict,
+)
+from asia.sandbox import LAYERS, Isolation, Layer
+
+_MOST_AT_ONCE = 2
+
+Result = Finding | Honest
+Job = Callable[[], Iterator[Result]]
+OnResult = Callable[[Result], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to try. levels: strongest first; prove: whether also with isolation off, in an outer
+    sandbox; honest: the problems and families that must not be flagged."""
+
+    levels: tuple[Isolation, ...]
+    attacks: tuple[Attack, ...] = ATTACKS
+    prove: bool = True
+    honest: tuple[tuple[HonestProblem, Family], ...] = ()
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came of a plan."""
+
+    plan: Plan
+    findings: tuple[Finding, ...]
+    honest: tuple[Honest, ...]
+
+    @property
+    def stopped(self) -> int:
+        """Attacks that were blocked or flagged at every level."""
+        through = {f.number for f in self.findings if f.through and f.level != OFF}
+        return len(self.plan.attacks) - len(through)
+
+    @property
+    def proven(self) -> int:
+        """Attacks that succeeded with isolation off."""
+        return sum(f.through for f in self.findings if f.level == OFF)
+
+    @property
+    def false_alarms(self) -> int:
+        """Honest candidates taken for cheats."""
+        return sum(one.flagged for one in self.honest)
+
+    @property
+    def passed(self) -> bool:
+        """Nothing got through and nobody was accused."""
+        return self.stopped == len(self.plan.attacks) and self.false_alarms == 0
+
+
+def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
+    """Run the plan, two jobs at a time; on_result hears of each finding as it is made.
+
+    Attacks without protection run in an outer sandbox, and so does level `process`. Raises
+    SandboxError where a worker or the outer sandbox cannot be started.
+    """
+    results = _run(list(_jobs(plan)), on_result)
+    order = [*map(str, plan.levels), OFF]
+    findings = [one for one in results if isinstance(one, Finding)]
+    findings.sort(key=lambda f: (f.number, order.index(f.level)))
+    return Report(plan, tuple(findings), tuple(o for o in results if isinstance(o, Honest)))
+
+
+def each_layer(levels: Sequence[Isolation]) -> tuple[tuple[Isolation, tuple[Layer, ...]], ...]:
+    """Every layer of these levels left out in turn; namespaces cannot be: that is level
+    `landlock`."""
+    return tuple(
+        (level, (layer,))
+        for level in levels
+        for layer in LAYERS[level]
+        if layer is not Layer.NAMESPACES and level is not Isolation.PROCESS
+    )
+
+
+def without_layers(
+    settings: Sequence[tuple[Isolation, tuple[Layer, ...]]],
+    attacks: Sequence[Attack],
+    on_result: OnResult = lambda result: None,
+) -> tuple[Finding, ...]:
+    """What comes back without these layers, in an outer sandbox. Attacks that no layer of the
+    sandbox has a part in are left out. Raises SandboxError."""
+    walled = [a for a in attacks if isinstance(a, CandidateAttack) and a.walled]
+    jobs = [partial(_outside, level, layers, walled) for level, layers in settings]
+    return tuple(one for one in _run(jobs, on_result) if isinstance(one, Finding))
+
+
+def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]:
+    """Every family of the library on both small problems, where it can be used; quick: on one of
+    them, in turns."""
+    tanks, drone = small_problems()
+    if not quick:
+        return tuple((p, row) for p in (tanks, drone) for row in p.families)
+    chosen: list[tuple[HonestProblem, Family]] = []
+    for place, row in enumerate(FAMILIES):
+        wanted = (tanks, drone) if place % 2 else (drone, tanks)
+        chosen.append((next(p for p in wanted if row in p.families), row))
+    return tuple(chosen)
+
+
+def _jobs(plan: Plan) -> Iterator[Job]:
+    """Quick and slow ones in turns, so that none of the slow ones is left for the end."""
+    honest: list[Job] = [partial(_honest, p, row, plan.levels[0]) for p, row in plan.honest]
+    first: list[Job] = []
+    if plan.prove:
+        first.append(partial(_outside, OFF, (), plan.attacks))
+    searches = [a for a in plan.attacks if isinstance(a, SearchAttack)]
+    if searches:
+        first.append(partial(_played, searches, plan.levels))
+    candidates = [a for a in plan.attacks if isinstance(a, CandidateAttack)]
+    for level in plan.levels:
+        if level is Isolation.PROCESS:
+            first.append(partial(_outside, level, (), candidates))
+        else:
+            first += [partial(_attack, attack, level) for attack in candidates]
+    for pair in zip_longest(first, honest):
+        yield from (job for job in pair if job is not None)
+
+
+def _attack(attack: CandidateAttack, level: Isolation) -> Iterator[Result]:
+    yield attack_candidate(attack, level)
+
+
+def _outside(level: str, layers: Sequence[Layer], attacks: Sequence[Attack]) -> Iterator[Result]:
+    numbers = [str(attack.number) for attack in attacks]
+    return inside([str(level), ",".join(layers), *numbers], nested=level == Isolation.NAMESPACE)
+
+
+def _honest(problem: HonestProblem, row: Family, level: Isolation) -> Iterator[Result]:
+    yield try_honest(problem, row, level)
+
+
+def _played(attacks: Sequence[SearchAttack], levels: Sequence[Isolation]) -> Iterator[Result]:
+    """Once, at the strongest level: the walls have no part in it."""
+    with tempfile.TemporaryDirectory(prefix="asia-redteam-") as folder:
+        scene = Scene(Path(folder), levels[0])
+        for attack in attacks:
+            play = attack.play(scene)
+            verdict = Verdict.FLAGGED if play.flagged else Verdict.BLOCKED
+            verdict = Verdict.THROUGH if play.won else verdict
+            stops = () if play.won else tuple(map(str, play.stops))
+            for level in levels:
+                yield Finding(attack.number, str(level), verdict, stops, play.note)
+
+
+def _run(jobs: Sequence[Job], on_result: OnResult) -> list[Result]:
+    results: list[Result] = []
+
+    def collect(job: Job) -> None:
+        for result in job():
+            results.append(result)
+            on_result(result)
+
+    with _pool() as pool:
+        futures: list[Future[None]] = [pool.submit(collect, job) for job in jobs]
+        for future in as_completed(futures):
+            future.result()
+    return results
+
+
+@contextmanager
+def _pool() -> Generator[ThreadPoolExecutor]:
+    """The first failure ends it: what has not begun is not begun."""
+    pool = ThreadPoolExecutor(min(_MOST_AT_ONCE, os.cpu_count() or 1))
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)

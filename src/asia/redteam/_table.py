@@ -1,0 +1,81 @@
+"""Findings as tables and sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from asia.redteam._off import OFF
+from asia.redteam._suite import Report
+from asia.redteam._types import Attack, Finding, Honest, Verdict
+
+
+def report_table(report: Report) -> str:
+    """One row an attack, one column a level, in Markdown."""
+    levels = [*map(str, report.plan.levels), *([OFF] if report.plan.prove else [])]
+    found = {(f.number, f.level): f for f in report.findings}
+    rows = [["#", "attack", *levels]]
+    for attack in report.plan.attacks:
+        cells = (found.get((attack.number, level)) for level in levels)
+        rows.append([str(attack.number), attack.name, *map(_cell, cells)])
+    return _aligned(rows)
+
+
+def without_table(findings: Sequence[Finding], attacks: Sequence[Attack]) -> str:
+    """What comes back, by level and layers left out, in Markdown."""
+    names = {attack.number: attack.name for attack in attacks}
+    rows = [["level", "without", "comes back"]]
+    for key in sorted(dict.fromkeys((f.level, f.without) for f in findings), reverse=True):
+        back = sorted(f.number for f in findings if (f.level, f.without) == key and f.through)
+        words = "; ".join(f"{number} {names[number]}" for number in back)
+        rows.append([key[0], ", ".join(key[1]), words or "nothing"])
+    return _aligned(rows)
+
+
+def summary(report: Report, seconds: float) -> str:
+    """The last line."""
+    count = len(report.plan.attacks)
+    parts = [f"{report.stopped} of {count} blocked or flagged"] if count else []
+    if report.honest:
+        families = len({one.family for one in report.honest})
+        alarms = "false alarm" if report.false_alarms == 1 else "false alarms"
+        tried = f"{families} families ({len(report.honest)} honest candidates)"
+        parts.append(f"{report.false_alarms} {alarms} over {tried}")
+    if report.plan.prove:
+        parts.append(f"{report.proven} of {count} succeed with isolation off")
+    return ", ".join(parts) + f" ({seconds:.0f} s)"
+
+
+def line(result: Finding | Honest, names: dict[int, str]) -> str:
+    """Progress."""
+    if isinstance(result, Honest):
+        words = "FLAGGED" if result.flagged else ("failed" if result.words else "not flagged")
+        more = f": {result.words}" if result.words else ""
+        return f"honest {result.family} on {result.problem}: {words}{more}"
+    without = f" without {', '.join(result.without)}" if result.without else ""
+    head = f"{result.number:>2} {names[result.number]}, {result.level}{without}: "
+    stops = f" by {', '.join(result.stops)}" if result.stops else ""
+    note = f" ({result.note})" if result.note else ""
+    return head + _word(result) + stops + note
+
+
+def _word(finding: Finding) -> str:
+    if finding.verdict is Verdict.THROUGH:
+        return "succeeds" if finding.level == OFF else "THROUGH"
+    return finding.verdict.value
+
+
+def _cell(finding: Finding | None) -> str:
+    if finding is None:
+        return ""
+    stops = f": {', '.join(finding.stops)}" if finding.stops and finding.level != OFF else ""
+    return _word(finding) + stops
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = [
+        "| " + " | ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) + " |"
+        for row in rows
+    ]
+    lines.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
+    return "\n".join(lines)

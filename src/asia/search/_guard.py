@@ -1,0 +1,62 @@
+"""The look at the guard: how the last new bests do on records that nothing in a search has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from asia.errors import CandidateError
+from asia.evaluation import Evaluator
+from asia.ledger import Experiment, GuardLooked, GuardScore, SearchView, Store
+from asia.problem import Array
+from asia.problem.load import Problem
+from asia.protocol import Block, whole
+from asia.protocol._guard import open_guard
+from asia.scoring import Failure, Outcome, Score, combine, score_fold
+
+NEW_BESTS = 3
+
+
+def look_at_guard(
+    problem: Problem, evaluator: Evaluator, store: Store, view: SearchView
+) -> GuardLooked:
+    """Score the ensembles of the last three new bests on the guard records, in the search's metric
+    over the standard deviations of all training records. Where the same ones were looked at before,
+    nothing new is learned and the look is not counted again."""
+    kept = [e for e in view.finished if e.result is not None and e.result.status == "keep"]
+    last = view.looks[-1] if view.looks else None
+    wanted = [e.number for e in kept[-NEW_BESTS:]]
+    if last is not None and [score.experiment for score in last.scores] == wanted:
+        return last
+    blocks = whole(open_guard(problem), problem.protocol)
+    y = np.concatenate([record.y for record in problem.train])
+    scores: list[GuardScore] = []
+    for experiment in kept[-NEW_BESTS:]:
+        found = _simulated(evaluator, store, experiment, blocks)
+        if not isinstance(found, Failure):
+            found = _scored(blocks, found, y.std(axis=0), problem.protocol.metric)
+        scores.append(GuardScore(experiment.number, found))
+    values = [(s.outcome.value, s.experiment) for s in scores if isinstance(s.outcome, Score)]
+    pick = min(values)[1] if values else None
+    return GuardLooked(look=1 + (last.look if last else 0), scores=tuple(scores), pick=pick)
+
+
+def _simulated(
+    evaluator: Evaluator, store: Store, experiment: Experiment, blocks: Sequence[Block]
+) -> list[Array] | Failure:
+    """The mean of the fold models' simulations, one (H, ny) array a block."""
+    assert experiment.result is not None
+    models = [store.get(fold.model) for fold in experiment.result.folds]
+    try:
+        each = evaluator.simulate(store.text(experiment.proposed.source), models, blocks)
+    except CandidateError as error:
+        return Failure(error.reason, error.detail)
+    return [np.mean(parts, axis=0) for parts in zip(*each, strict=True)]
+
+
+def _scored(blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array, metric: str) -> Outcome:
+    try:
+        return combine([score_fold([b.y for b in blocks], y_hat, scale, metric)])
+    except CandidateError as error:
+        return Failure(error.reason, error.detail)

@@ -1,0 +1,38 @@
+"""That what must stay hidden lies outside every place that candidates and agents are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from asia.errors import UserError
+from asia.problem.load import Problem, kept_places, record_places
+from asia.sandbox import Isolation, shown_in
+
+
+def check_hidden(problem: Problem, directory: Path, level: Isolation) -> None:
+    """Raises UserError when the run directory, a record or the key of the test lies in a folder
+    that every worker can read. Level `process` hides nothing, and nothing is checked there."""
+    if level is Isolation.PROCESS:
+        return
+    for path in (directory, *record_places(problem), *kept_places(problem)):
+        folder = shown_in(path)
+        if folder is not None:
+            raise UserError(
+                f"{path} lies in {folder}, which every candidate can read, for it holds the "
+                "interpreter or its libraries: keep runs, data and keys elsewhere"
+            )
+
+
+def check_shown(shown: Iterable[Path], problem: Problem) -> None:
+    """Raises UserError when a folder that an agent is to be shown holds the test data or their
+    key."""
+    hidden = [path.resolve() for path in kept_places(problem)]
+    for path in shown:
+        real = path.resolve()
+        for place in hidden:
+            if real == place or real in place.parents or place in real.parents:
+                raise UserError(
+                    f"{path} would show the agent {place}, which holds test data or their key: "
+                    "name a smaller folder"
+                )

@@ -1,0 +1,161 @@
+"""What every ledger must do, wherever it keeps its records."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from asia.errors import Reason, UserError
+from asia.ledger import (
+    Evaluated,
+    Event,
+    Extended,
+    Line,
+    Proposed,
+    Refitted,
+    Resumed,
+    RungScored,
+    SearchView,
+    Started,
+    Steered,
+    Stopped,
+)
+from asia.scoring import Failure, FoldScore, Score
+
+_PLACES = 40
+
+
+class Journal(Protocol):
+    """A ledger open for writing; use it as a context manager."""
+
+    @property
+    def lines(self) -> Sequence[Line]:
+        """All records."""
+        ...
+
+    @property
+    def view(self) -> SearchView:
+        """The records replayed."""
+        ...
+
+    def append(self, event: Event) -> None:
+        """Write one event. Raises UserError where that is not possible."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+
+def check_ledger(open_journal: Callable[[Path], Journal]) -> None:
+    """Write, reopen and damage ledgers. open_journal: of the path of a file, which need not exist.
+
+    Checked: events come back as they were written, in order, after reopening too; the view is that
+    of the events; a second writer is refused with a UserError; a last record cut anywhere is passed
+    over, the others stay and the next one follows them; a byte changed anywhere before is a
+    UserError, and so is a record taken out.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "run", "ledger.jsonl")
+        _check_events(open_journal, path)
+        _check_one_writer(open_journal, path)
+        _check_torn_tail(open_journal, path)
+        _check_damage(open_journal, path)
+
+
+def _check_events(open_journal: Callable[[Path], Journal], path: Path) -> None:
+    events = _events()
+    with open_journal(path) as journal:
+        for event in events:
+            journal.append(event)
+        assert [line.event for line in journal.lines] == events, "events changed in writing"
+    with open_journal(path) as journal:
+        assert [line.event for line in journal.lines] == events, "events changed in reading"
+        assert [line.seq for line in journal.lines] == list(range(len(events))), "seq must count"
+        best = journal.view.best
+        assert best is not None, "the view lost the incumbent"
+        assert best.number == 1, "the view is not that of the events"
+
+
+def _check_one_writer(open_journal: Callable[[Path], Journal], path: Path) -> None:
+    with open_journal(path):
+        assert _refused(open_journal, path), "two writers at once"
+    assert not _refused(open_journal, path), "a ledger that was closed is still held"
+
+
+def _check_torn_tail(open_journal: Callable[[Path], Journal], path: Path) -> None:
+    whole, events = path.read_bytes(), _events()
+    last = whole.rstrip(b"\n").rfind(b"\n") + 1
+    step = max((len(whole) - last) // _PLACES, 1)
+    for cut in range(last, len(whole), step):
+        path.write_bytes(whole[:cut])
+        with open_journal(path) as journal:
+            kept = [line.event for line in journal.lines]
+            assert kept == events[:-1], f"cut {len(whole) - cut} bytes before its end: not repaired"
+            journal.append(events[-1])
+        with open_journal(path) as journal:
+            assert len(journal.lines) == len(events), "the record after a repair was lost"
+    path.write_bytes(whole)
+
+
+def _check_damage(open_journal: Callable[[Path], Journal], path: Path) -> None:
+    whole = path.read_bytes()
+    last = whole.rstrip(b"\n").rfind(b"\n") + 1
+    for place in range(0, last, max(last // _PLACES, 1)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        assert _refused(open_journal, path), f"byte {place} was changed and nobody noticed"
+    first, _, rest = whole.partition(b"\n")
+    path.write_bytes(first + b"\n" + rest.partition(b"\n")[2])
+    assert _refused(open_journal, path), "a record was taken out and nobody noticed"
+    path.write_bytes(whole)
+
+
+def _refused(open_journal: Callable[[Path], Journal], path: Path) -> bool:
+    try:
+        with open_journal(path):
+            return False
+    except UserError:
+        return True
+
+
+def _events() -> list[Event]:
+    fold = FoldScore(0.4, (0.4,), (0.1,), (50.0,), (0.75,))
+    score, digest = Score(0.4, (fold, fold)), "0" * 64
+    failure = Failure(Reason.CRASH, "Traceback\nValueError: \u03b1 \x07", 1)
+    return [
+        Started(
+            run="made up",
+            problem="made up",
+            agent="nobody",
+            seed=0,
+            experiments=3,
+            hours=None,
+            outputs=("y",),
+            lock_digest=digest,
+            protocol_digest=digest,
+            test_digest=None,
+            isolation="process",
+            isolation_notes=("a note",),
+            environment={"python": "3"},
+        ),
+        RungScored("linear model", score),
+        Proposed(1, None, "explore", "linear", "first", "h", "e", digest, "1"),
+        Evaluated(1, "keep", score, (), None, 1.0),
+        Steered("look \u201chere\u201d\n"),
+        Proposed(2, 1, "refine", "linear", "second", "h", "e", digest, "2"),
+        Evaluated(2, "crash", failure, (), None, 1.0),
+        Stopped("user"),
+        Resumed(),
+        Extended(5, None),
+        Refitted(1, None, "it failed"),
+    ]

@@ -1,0 +1,227 @@
+"""Cheats that isolation cannot stop give themselves away; honest models never."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from asia.errors import CandidateError, Reason
+from asia.evaluation import SuspicionKind
+from asia.problem import Array
+from tests.unit.evaluation.relations import Answer, Model, fold, found, honest, suspicions_of
+
+HORIZONS = [None, 20]
+
+
+def kinds(answer: Answer, horizon: int | None = None, records: int = 3) -> set[str]:
+    return {suspicion.kind.value for suspicion in found(answer, horizon, records)}
+
+
+def answers(horizon: int | None) -> tuple[Array, Array]:
+    """Inputs and outputs of every held-out case, as one who has seen all records knows them."""
+    blocks = fold(horizon).validation
+    return np.stack([b.case.u for b in blocks]), np.stack([b.y for b in blocks])
+
+
+def looked_up(horizon: int | None, digits: int, otherwise: Answer = honest) -> Answer:
+    u_known, y_known = answers(horizon)
+    table = {np.round(u, digits).tobytes(): y for u, y in zip(u_known, y_known, strict=True)}
+
+    def answer(past_u: Array, past_y: Array, u: Array) -> Array:
+        y = otherwise(past_u, past_y, u)
+        return np.stack(
+            [table.get(np.round(row, digits).tobytes(), own) for row, own in zip(u, y, strict=True)]
+        )
+
+    return answer
+
+
+def nearest(horizon: int | None, response: float = 0.0) -> Answer:
+    """The outputs of the case with the nearest inputs."""
+    u_known, y_known = answers(horizon)
+
+    def answer(past_u: Array, past_y: Array, u: Array) -> Array:
+        distance = np.abs(u[:, None] - u_known[None]).sum(axis=(2, 3))
+        return y_known[distance.argmin(axis=1)] + response * u
+
+    return answer
+
+
+def nearest_moment(past_u: Array, past_y: Array, u: Array) -> Array:
+    """Each sample from the moment whose last eight inputs are nearest, whatever the case."""
+    u_known, y_known = answers(None)
+    width = 8
+    windows = np.lib.stride_tricks.sliding_window_view(u_known[..., 0], width, axis=1)
+    flat, values = windows.reshape(-1, width), y_known[:, width - 1 :, 0].ravel()
+    y = honest(past_u, past_y, u)
+    for b in range(len(u)):
+        for k in range(width - 1, u.shape[1]):
+            distance = np.abs(flat - u[b, k - width + 1 : k + 1, 0]).sum(axis=1)
+            y[b, k, 0] = values[distance.argmin()]
+    y[:, : width - 1] = y[:, width - 1 : width]
+    return y
+
+
+def not_finite(past_u: Array, past_y: Array, u: Array) -> Array:
+    return np.full((*u.shape[:2], 1), np.nan)
+
+
+class Counting:
+    """The first answer is read off; the second one is its own."""
+
+    def __init__(self, horizon: int | None) -> None:
+        self.table, self.calls = looked_up(horizon, 2), 0
+
+    def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        self.calls += 1
+        return (self.table if self.calls <= 3 else honest)(past_u, past_y, u)
+
+
+@pytest.mark.parametrize("horizon", HORIZONS)
+@pytest.mark.parametrize(
+    ("cheat", "kind"),
+    [
+        (lambda h: looked_up(h, 12), "perturbation"),
+        (lambda h: looked_up(h, 12, not_finite), "perturbation"),
+        (lambda h: looked_up(h, 1), "restart"),
+        (lambda h: nearest(h), "table"),
+        (lambda h: nearest(h), "restart"),
+        (lambda h: nearest(h, 1e-3), "restart"),
+    ],
+    ids=["exact", "exact-nan", "rounded", "nearest", "nearest-shifted", "nearest-responsive"],
+)
+def test_a_table_of_answers_is_found_out(
+    cheat: Callable[[int | None], Answer], kind: str, horizon: int | None
+):
+    assert kind in kinds(cheat(horizon), horizon)
+
+
+def test_a_table_of_moments_is_found_out():
+    assert "table" in kinds(nearest_moment)
+
+
+def test_answers_that_change_when_asked_again_are_found_out():
+    assert "replay" in kinds(Counting(None))
+
+
+@pytest.mark.parametrize("horizon", HORIZONS)
+def test_inputs_of_the_future_are_found_out(horizon: int | None):
+    def ahead(past_u: Array, past_y: Array, u: Array) -> Array:
+        return honest(past_u, past_y, np.roll(u, -2, axis=1))
+
+    assert kinds(ahead, horizon) == {"causality"}
+
+
+def test_cases_that_know_their_neighbours_are_found_out():
+    def mixed(past_u: Array, past_y: Array, u: Array) -> Array:
+        return honest(past_u, past_y, u) + 0.1 * past_y[:1, -1:]
+
+    assert "order" in kinds(mixed, 20)
+    assert "order" not in kinds(mixed, None)
+
+
+def single(past_u: Array, past_y: Array, u: Array) -> Array:
+    """In single precision, with its rounding."""
+    return honest(past_u, past_y.astype(np.float32), u.astype(np.float32)).astype(np.float32)
+
+
+def chaotic(past_u: Array, past_y: Array, u: Array) -> Array:
+    """The logistic map, pushed by the input."""
+    x = 1 / (1 + np.exp(-past_y[:, -1]))
+    y = np.empty((*u.shape[:2], 1))
+    for k in range(u.shape[1]):
+        x = 3.9 * x * (1 - x)
+        y[:, k] = x + 0.01 * u[:, k]
+    return y
+
+
+def unstable(past_u: Array, past_y: Array, u: Array) -> Array:
+    growth = np.exp(0.2 * np.arange(u.shape[1]))[None, :, None]
+    return growth * past_y[:, -1:] + np.cumsum(u, axis=1)
+
+
+def finite_memory(past_u: Array, past_y: Array, u: Array) -> Array:
+    padded = np.concatenate([past_u, u], axis=1)
+    n = past_u.shape[1]
+    return np.tanh(sum(0.3 * padded[:, n - i : n - i + u.shape[1]] for i in range(4)))
+
+
+def relay(past_u: Array, past_y: Array, u: Array) -> Array:
+    """Jumps whenever the output crosses zero."""
+    y = honest(past_u, past_y, u)
+    crossed = np.diff(np.sign(y), axis=1, prepend=np.sign(y[:, :1])) != 0
+    return y + 0.5 * crossed
+
+
+def held(past_u: Array, past_y: Array, u: Array) -> Array:
+    return np.repeat(past_y[:, -1:], u.shape[1], axis=1)
+
+
+def mean(past_u: Array, past_y: Array, u: Array) -> Array:
+    return np.full((*u.shape[:2], 1), 0.3)
+
+
+def clipped(past_u: Array, past_y: Array, u: Array) -> Array:
+    return np.clip(honest(past_u, past_y, u), -0.2, 0.2)
+
+
+def rounded(past_u: Array, past_y: Array, u: Array) -> Array:
+    return np.round(honest(past_u, past_y, u), 2)
+
+
+def switched(past_u: Array, past_y: Array, u: Array) -> Array:
+    """A tree: one of two gains, and steps besides."""
+    y = honest(past_u, past_y, np.where(u > 0, 1.2, 0.8) * u)
+    return y + 0.1 * (u > 0.5) - 0.1 * (u < -0.5)
+
+
+def forward(past_u: Array, past_y: Array, u: Array) -> Array:
+    """By convolution in the frequency domain: causal but for rounding."""
+    n = 2 * u.shape[1]
+    kernel = 0.9 ** np.arange(u.shape[1])
+    spectrum = np.fft.rfft(u[..., 0], n) * np.fft.rfft(kernel, n)
+    return np.fft.irfft(spectrum, n)[:, : u.shape[1], None].astype(np.float32)
+
+
+HONEST = [
+    honest, single, chaotic, unstable, finite_memory, relay, held, mean, clipped, rounded, switched,
+    forward,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("horizon", HORIZONS)
+@pytest.mark.parametrize("answer", HONEST)
+def test_an_honest_model_is_not_suspected(answer: Answer, horizon: int | None):
+    assert found(answer, horizon) == ()
+    assert found(answer, horizon, records=1) == ()
+
+
+@pytest.mark.parametrize("horizon", HORIZONS)
+def test_requests_are_few_and_in_the_shapes_of_the_scored_ones(horizon: int | None):
+    held_out, model = fold(horizon), Model(honest)
+    suspicions_of(model, held_out.validation, held_out.scale, horizon)
+    scored = len(held_out.validation) if horizon is None else -(-len(held_out.validation) // 3)
+    assert len(set(model.asked)) == 1
+    assert len(model.asked) <= scored + 3 * 11
+
+
+def test_the_same_checks_twice_say_the_same():
+    first, second = (found(looked_up(None, 12)) for _ in range(2))
+    assert first == second
+    assert {s.kind for s in first} >= {SuspicionKind.PERTURBATION}
+    assert all(s.figure > 0 for s in first)
+
+
+def test_a_model_that_does_not_answer_fails():
+    model = Model(honest)
+    held_out = fold()
+    y_hat = [model.simulate(*(a[None] for a in (b.case.past_u, b.case.past_y, b.case.u)))[0]
+             for b in held_out.validation]  # fmt: skip
+
+    def crash(past_u: Array, past_y: Array, u: Array) -> Array:
+        raise CandidateError(Reason.CRASH)
+
+    from asia.evaluation import suspicions
+
+    with pytest.raises(CandidateError):
+        suspicions(Model(crash), held_out.validation, y_hat, held_out.scale, None)

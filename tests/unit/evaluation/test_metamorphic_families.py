@@ -1,0 +1,28 @@
+"""Families of the library are not suspected, even when they are hardly fitted: linear, polynomial,
+Gaussian process, reservoir, and in single precision recurrent, convolutional, attention."""
+
+import types
+
+import pytest
+
+from asia.agents._library import FAMILIES
+from asia.problem import ProtocolRule
+from asia.protocol import make_folds
+from tests.contract.test_models import context, quick_source, record, suited
+from tests.unit.evaluation.relations import Model, suspicions_of
+
+__all__ = ["context", "record"]
+
+
+CHOSEN = {"linear", "narx", "gp_narx", "esn", "recurrent", "cnn", "transformer"}
+
+
+@pytest.mark.parametrize("row", [r for r in FAMILIES if r.name in CHOSEN], ids=lambda row: row.name)
+def test_a_family_is_not_suspected(row, record, context):
+    record, context = suited(row, record, context)
+    rule = ProtocolRule(past_inputs=5, past_outputs=5)
+    held = make_folds([record], rule)[1]
+    module = types.ModuleType(row.name)
+    exec(quick_source(row, record, context), module.__dict__)
+    model = Model(module.fit(held.train, context).simulate)
+    assert suspicions_of(model, held.validation, held.scale, None) == ()

@@ -1,0 +1,208 @@
+"""Nothing in a ledger or an artifact can be changed unnoticed; what a crash leaves is no damage."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from asia.errors import UserError
+from asia.ledger import Chain, Event, Steered, Stopped, Store, open_run, read_lines, verify
+from asia.ledger._record import BEGIN, decode, encode
+
+from .conftest import evaluated, finished_run, proposed, score, started
+
+ONCE = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One sound run for all examples; each puts back what it changed."""
+    return finished_run(tmp_path_factory.mktemp("kept") / "kept")
+
+
+@contextmanager
+def instead(path: Path, data: bytes | bytearray) -> Iterator[None]:
+    """Other bytes in a file, for a while."""
+    sound = path.read_bytes()
+    path.write_bytes(data)
+    try:
+        yield
+    finally:
+        path.write_bytes(sound)
+
+
+@given(where=st.floats(0.0, 1.0, exclude_max=True), other=st.integers(1, 255))
+@settings(ONCE, max_examples=400)
+def test_one_changed_byte_of_the_ledger_is_named(kept: Path, where: float, other: int) -> None:
+    path = kept / "ledger.jsonl"
+    sound = path.read_bytes()
+    position = int(where * len(sound))
+    changed = bytearray(sound)
+    changed[position] ^= other
+    record = sound[:position].count(b"\n")
+    with instead(path, changed), pytest.raises(UserError, match=rf"record {record} "):
+        verify(kept)
+
+
+@given(which=st.integers(0, 100), where=st.floats(0.0, 1.0, exclude_max=True), other=st.integers(1))
+@settings(ONCE, max_examples=100)
+def test_one_changed_byte_of_an_artifact_is_named_with_its_record(
+    kept: Path, which: int, where: float, other: int
+) -> None:
+    artifacts = sorted((kept / "artifacts").iterdir())
+    path = artifacts[which % len(artifacts)]
+    sound = path.read_bytes()
+    changed = bytearray(sound)
+    changed[int(where * len(sound))] ^= other % 255 + 1
+    lines = (kept / "ledger.jsonl").read_text().splitlines()
+    record = next(n for n, line in enumerate(lines) if path.name in line)
+    words = rf"record {record} of .*{path.name} was changed"
+    with instead(path, changed), pytest.raises(UserError, match=words):
+        verify(kept)
+
+
+def test_the_last_newline_and_every_byte_of_the_last_record_are_covered(whole: Path) -> None:
+    path = whole / "ledger.jsonl"
+    sound = path.read_bytes()
+    for position in range(sound.rstrip(b"\n").rfind(b"\n"), len(sound)):
+        for other in (0x01, 0x80, sound[position] ^ 0x0A or 0x0B):
+            changed = bytearray(sound)
+            changed[position] ^= other
+            path.write_bytes(changed)
+            with pytest.raises(UserError, match=r"record [67] "):
+                verify(whole)
+    path.write_bytes(sound)
+    assert verify(whole).records == 8
+
+
+def test_a_power_cut_at_every_byte_of_the_last_record(whole: Path) -> None:
+    path = whole / "ledger.jsonl"
+    sound = path.read_bytes()
+    last = sound.rstrip(b"\n").rfind(b"\n") + 1
+    before = sound[:last]
+    for end in range(last, len(sound)):
+        path.write_bytes(sound[:end])
+        assert len(open_run(whole).lines) == 7
+        found = verify(whole)
+        assert (found.records, found.torn) == (7, end - last)
+        with Chain(path) as chain:
+            assert len(chain.lines) == 7
+            assert path.read_bytes() == before
+            chain.append(Stopped("user"))
+        assert verify(whole).records == 8
+
+
+@pytest.mark.parametrize("newline", [True, False])
+def test_a_power_cut_that_leaves_a_hole_where_data_had_not_arrived(
+    whole: Path, newline: bool
+) -> None:
+    path = whole / "ledger.jsonl"
+    sound = path.read_bytes()
+    last = sound.rstrip(b"\n").rfind(b"\n") + 1
+    torn = bytes(100) + (sound[last + 100 :] if newline else b"")
+    path.write_bytes(sound[:last] + torn)
+    assert verify(whole).torn == len(torn)
+    with Chain(path):
+        assert path.read_bytes() == sound[:last]
+
+
+def test_a_hole_further_up_is_damage(whole: Path) -> None:
+    path = whole / "ledger.jsonl"
+    sound = path.read_bytes()
+    path.write_bytes(sound[:900] + bytes(100) + sound[1000:])
+    with pytest.raises(UserError, match=r"record [01] was changed"):
+        verify(whole)
+
+
+def test_a_line_longer_than_any_record_is_damage_and_not_read_whole(whole: Path) -> None:
+    path = whole / "ledger.jsonl"
+    sound = path.read_bytes()
+    path.write_bytes(sound + b"x" * 200_000)
+    with pytest.raises(UserError, match="record 8 was changed"):
+        verify(whole)
+
+
+@pytest.mark.parametrize(
+    ("order", "record"),
+    [((0, 2, 3, 4, 5, 6, 7), 1), ((0, 1, 3, 2, 4), 2), ((0, 1, 1, 2), 2), ((1, 2, 3), 0)],
+)
+def test_records_cannot_be_taken_out_put_in_or_moved(
+    whole: Path, order: tuple[int, ...], record: int
+) -> None:
+    path = whole / "ledger.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[n] for n in order))
+    with pytest.raises(UserError, match=f"record {record} does not follow"):
+        verify(whole)
+
+
+def test_a_record_of_another_version_is_told_from_a_damaged_one(whole: Path) -> None:
+    path = whole / "ledger.jsonl"
+    with Chain(path) as chain:
+        place = chain._place
+    raw = json.loads(encode(place, Stopped("user")))
+    raw["event"] = "prophesied"
+    del raw["self"]
+    body = json.dumps(raw, separators=(",", ":")).encode()
+    own = hashlib.sha256(body).hexdigest().encode()
+    with path.open("ab") as stream:
+        stream.write(body[:-1] + b',"self":"' + own + b'"}\n')
+    for reading in (lambda: list(read_lines(path)), lambda: verify(whole), lambda: Chain(path)):
+        with pytest.raises(UserError, match="record 8 was written by another version"):
+            reading()
+
+
+@pytest.mark.parametrize("doubled", ["proposed", "evaluated", "orphan", "started"])
+def test_an_experiment_is_there_once(whole: Path, doubled: str) -> None:
+    with Chain(whole / "ledger.jsonl") as chain:
+        chain.append(
+            {
+                "proposed": replace(chain.lines[2].event, title="again"),
+                "evaluated": evaluated(1, "keep", score(0.2)),
+                "orphan": evaluated(9, "keep", score(0.2)),
+                "started": started(),
+            }[doubled]
+        )
+    with pytest.raises(UserError, match="record 8 "):
+        verify(whole)
+    with pytest.raises(UserError, match="the ledger "):
+        open_run(whole)
+
+
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=200)
+
+
+@given(text=TEXT, value=st.floats(allow_nan=False, allow_infinity=False))
+@settings(ONCE, max_examples=200)
+def test_every_text_and_number_comes_back_bitwise(text: str, value: float) -> None:
+    events: list[Event] = [Steered(text), evaluated(1, "keep", score(value))]
+    for event in events:
+        assert repr(decode(encode(BEGIN, event), 0, "here").event) == repr(event)
+
+
+@given(tail=st.binary(max_size=300))
+@settings(ONCE, max_examples=200)
+def test_whatever_stands_behind_the_last_record_is_a_user_error_or_a_torn_record(
+    kept: Path, tail: bytes
+) -> None:
+    path = kept / "ledger.jsonl"
+    with instead(path, path.read_bytes() + tail):
+        try:
+            records = verify(kept).records
+        except UserError as error:
+            assert b"\n" in tail
+            assert "record 8 " in str(error)  # noqa: PT017
+        else:
+            assert records == 8
+
+
+def test_a_proposal_without_its_result_is_whole(whole: Path) -> None:
+    with Chain(whole / "ledger.jsonl") as chain:
+        chain.append(proposed(Store(whole / "artifacts"), 3))
+    assert verify(whole).records == 9

@@ -1,0 +1,105 @@
+"""Which records stand guard, and what naming them wrong says."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.problem import Trajectory
+from asia.problem._guard import guard_source, without_guard
+from asia.problem._problem import CsvSource, GuardSource, NanodroneSource, SimulatedSource
+from asia.problem.load import check_problem, load_lock, load_problem, lock_text
+from asia.protocol._guard import guard_digest, open_guard
+from asia.protocol._sealed import seal
+from tests.unit.search.toy import write_problem
+
+RECORDS = [Trajectory(np.arange(5.0), np.arange(5.0), 1.0, name) for name in ("a", "b")]
+ROOT = Path("/somewhere")
+
+
+def guarded(tmp_path: Path, line: str) -> Path:
+    problem = write_problem(tmp_path / "toy")
+    path = problem / "problem.toml"
+    path.write_text(path.read_text().replace("[data]\n", f"[data]\n{line}\n"))
+    return problem
+
+
+def test_simulated_guards_are_records_of_their_own() -> None:
+    problem = load_problem("two_tanks_sim")
+    assert not problem.guard
+    assert guard_digest(problem) is None
+    problem = replace(problem, guard=guard_source(2, problem.data, ROOT))
+    first, second = open_guard(problem)
+    outputs = [first.y, second.y, problem.train[0].y]
+    assert len({y.tobytes() for y in outputs}) == 3
+    assert first.name == "two_tanks_guard1"
+
+
+def test_a_benchmarks_guard_trains_nothing() -> None:
+    guard = guard_source(["b"], NanodroneSource(), ROOT)
+    assert [r.name for r in without_guard(RECORDS, guard)] == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("named", "source", "words"),
+    [
+        (["a"], SimulatedSource("two_tanks", 0), "say how many"),
+        (2, NanodroneSource(), "name the training records"),
+        (2, CsvSource(()), "name the files"),
+    ],
+)
+def test_what_does_not_go_with_the_source(
+    named: list[str] | int, source: CsvSource, words: str
+) -> None:
+    with pytest.raises(UserError, match=words):
+        guard_source(named, source, ROOT)
+
+
+def test_names_that_are_not_there_and_too_many() -> None:
+    with pytest.raises(UserError, match=r"called 'bb'.*'b'"):
+        without_guard(RECORDS, GuardSource(names=("bb",)))
+    with pytest.raises(UserError, match="leave some"):
+        without_guard(RECORDS, GuardSource(names=("a", "b")))
+
+
+def test_a_guard_that_trains_or_tests_too_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="both train and guard"):
+        load_problem(guarded(tmp_path / "1", 'guard = ["train.csv"]'))
+    with pytest.raises(UserError, match="both test and guard"):
+        load_problem(guarded(tmp_path / "2", 'guard = ["test.csv"]'))
+    problem = guarded(tmp_path / "3", 'guard = ["copy.csv"]')
+    (problem / "copy.csv").write_text((problem / "train.csv").read_text())
+    with pytest.raises(UserError, match="is training record 'train'"):
+        guard_digest(load_problem(problem))
+
+
+def test_a_guard_too_short_for_a_case_is_refused(tmp_path: Path) -> None:
+    problem = guarded(tmp_path, 'guard = ["short.csv"]')
+    (problem / "short.csv").write_text("u,y\n1,2\n2,3\n")
+    with pytest.raises(UserError, match=r"2 samples.*need 4"):
+        guard_digest(load_problem(problem))
+
+
+@pytest.mark.parametrize("line", ["guard = 0", 'guard = "run.csv"', "guard = [1]", "guard = true"])
+def test_other_values_are_refused(tmp_path: Path, line: str) -> None:
+    with pytest.raises(UserError, match="guard"):
+        load_problem(guarded(tmp_path, line))
+
+
+def test_the_lock_restores_it_and_notices_a_change(tmp_path: Path) -> None:
+    folder = guarded(tmp_path, 'guard = ["kept.csv"]')
+    (folder / "kept.csv").write_text((folder / "test.csv").read_text().replace("1.", "2.", 1))
+    problem = load_problem(folder)
+    (tmp_path / "problem.lock.toml").write_text(
+        lock_text(problem, replace(seal(problem), guard=guard_digest(problem)))
+    )
+    locked = load_lock(tmp_path / "problem.lock.toml")
+    assert locked.guard.paths == problem.guard.paths
+    assert open_guard(locked)[0].name == "kept"
+    lines = check_problem(problem, seal(problem)).lines()
+    assert "guard: kept; seen by no fold and no agent, looked at when the search ends" in lines
+    (folder / "kept.csv").write_text((folder / "test.csv").read_text())
+    with pytest.raises(UserError, match=r"guard records .* changed"):
+        open_guard(locked)

@@ -1,0 +1,143 @@
+"""Guard records: seen by nothing in a search, looked at when it ends, and every look counted."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from asia.agents import AgentView
+from asia.errors import UserError
+from asia.ledger import SearchView, open_run, verify
+from asia.problem.load import Problem, load_problem
+from asia.sandbox._channel import Channel
+from asia.scoring import Score
+from asia.search import agent_view, make_workspace, prepare, problem_facts, search
+from asia.search._detached import Order
+
+from .toy import Scripted, arx, write_problem
+
+AGENT = Scripted((arx(2), arx(3)))
+MARK = 7654.25
+
+
+@pytest.fixture
+def guarded(tmp_path: Path) -> Path:
+    """The toy problem, with a guard record that holds a number like no other."""
+    problem = write_problem(tmp_path / "toy", experiments=2)
+    table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
+    table[-1] = MARK
+    np.savetxt(problem / "kept.csv", table, delimiter=",", header="u,y", comments="")
+    name = problem / "problem.toml"
+    name.write_text(name.read_text().replace("[data]\n", '[data]\nguard = ["kept.csv"]\n'))
+    return problem
+
+
+def go(problem: Problem, runs: Path) -> SearchView:
+    ready = prepare(problem, AGENT.name, seed=0, runs=runs)
+    return search(ready, AGENT, lambda event, view: None, lambda view: None)
+
+
+def extended(problem: Path, experiments: int) -> Problem:
+    loaded = load_problem(problem)
+    return replace(loaded, budget=replace(loaded.budget, experiments=experiments))
+
+
+def test_the_last_new_bests_are_looked_at_once(guarded: Path, tmp_path: Path) -> None:
+    view = go(load_problem(guarded), tmp_path / "runs")
+    assert view.complete
+    (look,) = view.looks
+    assert look.look == 1
+    assert [s.experiment for s in look.scores] == [1, 2]
+    values = [s.outcome.value for s in look.scores if isinstance(s.outcome, Score)]
+    assert look.pick == look.scores[int(np.argmin(values))].experiment
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    verify(directory)
+    size = (directory / "ledger.jsonl").stat().st_size
+    go(load_problem(guarded), tmp_path / "runs")
+    assert (directory / "ledger.jsonl").stat().st_size == size
+
+
+def test_a_second_look_is_counted(guarded: Path, tmp_path: Path) -> None:
+    go(load_problem(guarded), tmp_path / "runs")
+    view = go(extended(guarded, 3), tmp_path / "runs")
+    assert view.best is not None
+    assert view.best.number == 3
+    assert [look.look for look in view.looks] == [1, 2]
+
+
+def test_a_search_that_ends_again_with_the_same_bests_learns_nothing(
+    guarded: Path, tmp_path: Path
+) -> None:
+    agent = Scripted((arx(3), arx(2), arx(1)))
+    for experiments in (2, 4):
+        ready = prepare(extended(guarded, experiments), "scripted", seed=0, runs=tmp_path / "runs")
+        view = search(ready, agent, lambda event, view: None, lambda view: None)
+    assert [look.look for look in view.looks] in ([1, 1], [1, 2])
+    same = view.looks[0].scores == view.looks[1].scores
+    assert same == (view.looks[1].look == 1)
+
+
+def test_a_look_that_was_cut_off_is_made_up_for(guarded: Path, tmp_path: Path) -> None:
+    first = go(load_problem(guarded), tmp_path / "runs")
+    ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
+    lines = ledger.read_bytes().splitlines(keepends=True)
+    assert b'"event":"guard"' in lines[-1]
+    ledger.write_bytes(b"".join(lines[:-1]))
+    assert not open_run(ledger.parent).view.complete
+    assert go(load_problem(guarded), tmp_path / "runs").looks == first.looks
+
+
+def test_nobody_gets_to_see_it(
+    guarded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = load_problem(guarded)
+    sent: list[bytes] = []
+    send = Channel.send
+
+    def spy(self: Channel, body: bytes, deadline: float) -> None:
+        sent.append(body)
+        send(self, body, deadline)
+
+    monkeypatch.setattr(Channel, "send", spy)
+    seen: list[AgentView] = []
+
+    class Watching(Scripted):
+        def propose(self, view: AgentView) -> Any:
+            seen.append(view)
+            assert not any(MARK in r.y or MARK in r.u for r in view.facts.records)
+            assert not any(np.float64(MARK).tobytes() in body for body in sent)
+            return super().propose(view)
+
+    agent = Watching(AGENT.sources)
+    ready = prepare(problem, "scripted", seed=0, runs=tmp_path / "runs")
+    view = search(ready, agent, lambda event, view: None, lambda view: None)
+    assert len(seen) == 1
+    held_back = [body for body in sent if np.float64(MARK).tobytes() in body]
+    # Its inputs, when the search is over: two folds of two candidates.
+    assert len(held_back) == 4
+    after = agent_view(problem_facts(problem), view, open_run(ready.directory).store)
+    assert "7654" not in repr(after)
+    order = Order(str(guarded), "workspace", 0, 3, None, None, None)
+    make_workspace(tmp_path / "work", ready, order)
+    texts = [p.read_bytes() for p in (tmp_path / "work").rglob("*") if p.is_file()]
+    assert texts
+    assert not any(b"7654" in text or b"kept" in text for text in texts)
+
+
+def test_a_guard_that_was_changed_is_not_looked_at(guarded: Path, tmp_path: Path) -> None:
+    go(load_problem(guarded), tmp_path / "runs")
+    text = (guarded / "kept.csv").read_text().replace("7.654", "7.655")
+    (guarded / "kept.csv").write_text(text)
+    with pytest.raises(UserError, match="guard changed"):
+        go(extended(guarded, 3), tmp_path / "runs")
+
+
+def test_a_look_at_a_model_that_fails_there_is_a_failure(guarded: Path, tmp_path: Path) -> None:
+    ready = prepare(load_problem(guarded), "scripted", seed=0, runs=tmp_path / "runs")
+    picky = arx(2).replace("        n = 2\n", "        n = 2\n        assert len(u[0]) != 117\n", 1)
+    view = search(ready, Scripted((picky,)), lambda event, view: None, lambda view: None)
+    look = view.looks[0]
+    assert [isinstance(s.outcome, Score) for s in look.scores] == [True, False]
+    assert look.pick == 1

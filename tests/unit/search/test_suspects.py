@@ -1,0 +1,132 @@
+"""Cheats that isolation cannot stop never become the incumbent."""
+
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.errors import Reason
+from asia.evaluation import _evaluator as evaluator_module
+from asia.ledger import SearchView, open_run, verify
+from asia.problem.load import load_problem
+from asia.protocol import make_folds
+from asia.search import prepare, replay_run, search
+from asia.search._search import make_evaluator
+
+from .toy import ARX, Scripted, arx, write_problem
+
+# What an agent may do who has read the records: answers by input, in some hundred bytes.
+LOOK_UP = """
+import zlib
+
+ANSWERS = {answers}
+
+
+class Looking(Model):
+    def simulate(self, past_u, past_y, u):
+        y = super().simulate(past_u, past_y, u)
+        for b in range(len(u)):
+            found = ANSWERS.get(zlib.crc32(u[b].tobytes()))
+            if found is not None:
+                y[b, :, 0] = np.interp(np.arange(len(y[b])), 2 * np.arange(len(found)), found)
+        return y
+
+
+def fit(trajectories, context):
+    return Looking(train(trajectories, context).weights)
+"""
+
+
+def looking(problem: Path) -> str:
+    """Candidate that answers each fold from a table, thinned to pass the source check."""
+    loaded = load_problem(problem)
+    answers = {
+        zlib.crc32(block.case.u.tobytes()): np.round(block.y[::2, 0], 1).tolist()
+        for fold in make_folds(loaded.train, loaded.protocol)
+        for block in fold.validation
+    }
+    honest = ARX.replace("{order}", "1").replace("def fit(", "def train(")
+    return honest + LOOK_UP.replace("{answers}", repr(answers))
+
+
+def go(problem: Path, runs: Path, *sources: str) -> SearchView:
+    agent = Scripted(sources)
+    ready = prepare(load_problem(problem), agent.name, seed=0, runs=runs)
+    return search(ready, agent, lambda event, view: None, lambda view: None)
+
+
+@pytest.fixture
+def problem(tmp_path: Path) -> Path:
+    return write_problem(tmp_path / "toy", experiments=3)
+
+
+def test_a_table_of_answers_is_recorded_and_never_kept(problem: Path, tmp_path: Path) -> None:
+    cheat = looking(problem)
+    view = go(problem, tmp_path / "runs", cheat, arx(2))
+    failure = view.experiment(2).failure
+    assert failure is not None
+    assert failure.reason is Reason.SUSPECT
+    assert "perturbation" in failure.detail
+    assert "causal" in failure.advice
+    assert [e.result.status for e in view.finished if e.result] == ["keep", "invalid", "keep"]
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    verify(directory)
+    assert "invalid" in (directory / "results.tsv").read_text()
+    assert "move the simulation" in (directory / "search_journal.md").read_text()
+    assert replay_run(directory, lambda item: None).agrees
+
+
+def test_killed_before_the_verdict_it_comes_to_the_same(problem: Path, tmp_path: Path) -> None:
+    cheat = looking(problem)
+    first = go(problem, tmp_path / "runs", cheat, arx(2))
+    ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
+    lines = ledger.read_bytes().splitlines(keepends=True)
+    (place,) = [i for i, line in enumerate(lines) if b'"reason":"suspect"' in line]
+    ledger.write_bytes(b"".join(lines[:place]))
+    again = go(problem, tmp_path / "runs", cheat, arx(2))
+    assert [e.result.outcome for e in again.finished if e.result] == [
+        e.result.outcome for e in first.finished if e.result
+    ]
+    assert len(again.experiments) == 3
+
+
+def test_the_same_cheat_in_other_words_is_answered_from_the_ledger(
+    problem: Path, tmp_path: Path
+) -> None:
+    cheat = looking(problem)
+    view = go(problem, tmp_path / "runs", cheat, f'"""Honest."""\n# now really\n{cheat}')
+    result = view.experiment(3).result
+    assert result is not None
+    assert result.duplicate_of == 2
+    assert result.outcome == view.experiment(2).failure
+
+
+def test_a_record_in_the_source_starts_no_worker(
+    problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = load_problem(problem).train[0]
+    source = f"TABLE = {np.tile(record.y[:, 0], 8).tolist()}\n{arx(2)}"
+    go(problem, tmp_path / "runs")
+    started: list[object] = []
+    opener = evaluator_module.open_worker
+    monkeypatch.setattr(evaluator_module, "open_worker", lambda *a: started.append(a) or opener(*a))
+    directory = tmp_path / "runs" / "toy-scripted-s0"
+    judge = make_evaluator(load_problem(problem), open_run(directory).view)
+    outcome = judge.evaluate(source).outcome
+    assert getattr(outcome, "reason", None) is Reason.LITERAL_DATA
+    assert started == []
+
+
+def test_seeds_are_the_evaluators(problem: Path, tmp_path: Path) -> None:
+    """The same for every candidate on a fold: another source is no other luck."""
+    telling = arx(1).replace("context.log(1,", "context.log(context.seed,")
+    view = go(problem, tmp_path / "runs", telling, telling.replace("n = 1", "n = 2"))
+    store = open_run(tmp_path / "runs" / "toy-scripted-s0").store
+    seeds = [
+        [int(np.frombuffer(store.get(fold.curve), "<f8")[0]) for fold in e.result.folds]
+        for e in view.finished[1:]
+        if e.result
+    ]
+    assert seeds[0] == seeds[1]
+    assert len(set(seeds[0])) == 2
