@@ -107,7 +107,7 @@ def briefing(facts: Facts) -> str:
         "Description": bounded(facts.description, _TEXT),
         "Signals": "\n".join(_signals(facts)),
         "Judgement": "\n".join(_judgement(facts)),
-        "Equations": "" if facts.physics is None else "\n".join(_equations(facts.physics)),
+        "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
         "Training records": "\n".join(_records(facts)),
         "Contract": _contract(facts),
         "A small candidate": fenced(EXAMPLE, _SOURCE),
@@ -150,8 +150,8 @@ def _judgement(facts: Facts) -> Iterator[str]:
     )
 
 
-def _equations(physics: Physics) -> Iterator[str]:
-    """As the person gave them; the library's grey-box families read them from context.physics."""
+def equations(physics: Physics) -> Iterator[str]:
+    """As the person gave them, a line each."""
     yield f"states: {', '.join(physics.states)}"
     ranges = {k: f"{r.min:g} to {r.max:g}" for k, r in physics.parameters.items()}
     bounds = {k: f"{_open(b.min)} to {_open(b.max)}" for k, b in physics.bounds.items()}

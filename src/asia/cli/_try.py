@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -113,6 +113,10 @@ def result_lines(result: Result, standing: Standing) -> list[str]:
         lines = [f"{head}no score: {result.advice} | {tail}"]
         if result.detail:
             lines.append(f"    the candidate's own words: {result.detail}")
+    if result.training is not None:
+        values = zip(fields(result.training), astuple(result.training), strict=True)
+        said = ", ".join(f"{f.name.replace('_', ' ')} {v:.3g}" for f, v in values)
+        lines.append(f"    training side: {said.removeprefix('train ')}")
     if result.duplicate_of is not None:
         lines.append(f"    the same source as #{result.duplicate_of:02d}; its outcome stands")
     lines += [f"note from the person: {note}" for note in standing.notes[-3:]]

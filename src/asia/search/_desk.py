@@ -7,15 +7,15 @@ process of its own, started when it is not there. Whoever asks may die at any ti
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
 from asia.agents import Proposal
 from asia.candidate import check_source
 from asia.errors import CandidateError, UserError
-from asia.ledger import Experiment, Run, Stopped, open_run
+from asia.ledger import Diagnostics, Experiment, Run, Stopped, open_run
 from asia.search._agent_view import digest
 from asia.search._detached import Order, has_begun, runs
 from asia.search._queue import TEXT, TITLE, Queue
@@ -40,7 +40,8 @@ class Job:
 @dataclass(frozen=True)
 class Result:
     """An experiment in few words, safe to show to anyone: no output of the candidate but one
-    bounded line of its own error."""
+    bounded line of its own error. training: residual analysis of the training side, in each figure
+    the worst of the folds."""
 
     experiment: int
     status: str
@@ -53,6 +54,7 @@ class Result:
     parent: int | None
     seconds: float
     duplicate_of: int | None
+    training: Diagnostics | None
 
 
 @dataclass(frozen=True)
@@ -305,7 +307,14 @@ def result_of(experiment: Experiment) -> Result:
         parent=p.parent,
         seconds=round(r.seconds, 1),
         duplicate_of=r.duplicate_of,
+        training=_worst([f.diagnostics for f in r.folds]),
     )
+
+
+def _worst(folds: Sequence[Diagnostics]) -> Diagnostics | None:
+    if not folds:
+        return None
+    return Diagnostics(*(max(values) for values in zip(*map(astuple, folds), strict=True)))
 
 
 def standing_of(run: Run) -> Standing:
