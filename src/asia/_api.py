@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from asia.agents import Agent, SpaceName, make_agent
+from asia.agents import Agent, SpaceName, make_agent, settings_of
 from asia.ledger import Event, Run, SearchView, open_run
 from asia.problem import EarlyStopping
 from asia.problem.load import Problem, load_problem
@@ -35,7 +35,14 @@ def run(
     if early_stopping is not None:
         loaded = with_early_stopping(loaded, early_stopping)
     chosen = make_agent(agent, space) if isinstance(agent, str) else agent
-    ready = prepare(loaded, chosen.name, seed=seed, runs=Path(runs), name=name)
+    ready = prepare(
+        loaded,
+        chosen.name,
+        seed=seed,
+        runs=Path(runs),
+        name=name,
+        agent_settings=settings_of(chosen),
+    )
     search(ready, chosen, _silent, _silent_start)
     return open_run(ready.directory)
 

@@ -8,30 +8,63 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from asia.agents._bayes import BayesAgent
+from asia.agents._driving import (
+    AgentStoppedError,
+    Attached,
+    Closing,
+    DivergedError,
+    InterruptedWaitError,
+    Journal,
+    settings_of,
+)
 from asia.agents._expert import ExpertAgent
+from asia.agents._llm import LlmAgent
+from asia.agents._llm_settings import LlmSettings
+from asia.agents._presets import PRESETS, Preset, filled, make_preset
 from asia.agents._random import SPACES, RandomAgent, SpaceName
+from asia.agents._stream import Stream, StreamFormat
+from asia.agents._submitted import SubmittedAgent
 from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
 from asia.errors import UserError
 
 __all__ = [
     "AGENTS",
+    "PRESETS",
     "SPACES",
     "Agent",
+    "AgentStoppedError",
     "AgentView",
+    "Attached",
+    "BayesAgent",
+    "Closing",
+    "DivergedError",
     "Effort",
     "ExpertAgent",
     "Facts",
+    "InterruptedWaitError",
+    "Journal",
+    "LlmAgent",
+    "LlmSettings",
+    "Preset",
     "Proposal",
     "RandomAgent",
     "SpaceName",
+    "Stream",
+    "StreamFormat",
+    "SubmittedAgent",
     "Trial",
+    "filled",
     "make_agent",
+    "make_preset",
+    "settings_of",
 ]
 
 AGENTS: dict[str, Callable[[], Agent]] = {
     "expert": ExpertAgent,
     "random": RandomAgent,
     "random-paper": partial(RandomAgent, "paper"),
+    "bayes": BayesAgent,
 }
 
 
@@ -45,6 +78,11 @@ def make_agent(name: str, space: str | None = None) -> Agent:
     if space is not None and space not in SPACES:
         raise UserError(f"--space {space}: expected one of {', '.join(SPACES)}")
     full = name if space in (None, "library") else f"{name}-{space}"
+    if name == "llm":
+        raise UserError(
+            "the agent llm needs a model: asia run --agent llm --model NAME, or "
+            "LlmAgent(LlmSettings(model=...))"
+        )
     if full not in AGENTS:
         raise UserError(f"no agent '{name}'; there is: {', '.join(AGENTS)}")
     return AGENTS[full]()

@@ -73,7 +73,7 @@ class Space:
         """What has a meaning in `after` alone."""
 
         def new(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-            return tuple(p for p in parameters if _applies(p, after) and not _applies(p, before))
+            return tuple(p for p in parameters if applies(p, after) and not applies(p, before))
 
         return Space(new(self.config), new(self.options))
 
@@ -82,22 +82,23 @@ class Space:
         return tuple(
             p
             for p in (*self.config, *self.options)
-            if isinstance(p, Span) and _applies(p, recipe) and _is_number(recipe.get(p.name))
+            if isinstance(p, Span) and applies(p, recipe) and _is_number(recipe.get(p.name))
         )
 
 
 def draw(rng: np.random.Generator, recipe: Recipe, space: Space) -> Recipe:
     """The recipe with everything in the space drawn anew."""
     for parameter in space.config:
-        if _applies(parameter, recipe):
+        if applies(parameter, recipe):
             recipe = recipe.configured(**{parameter.name: parameter.draw(rng)})
     for parameter in space.options:
-        if _applies(parameter, recipe):
+        if applies(parameter, recipe):
             recipe = recipe.trained(**{parameter.name: parameter.draw(rng)})
     return recipe
 
 
-def _applies(parameter: Parameter, recipe: Recipe) -> bool:
+def applies(parameter: Parameter, recipe: Recipe) -> bool:
+    """Whether the parameter has a meaning in the recipe."""
     if not parameter.needs:
         return True
     value = recipe.get(parameter.needs)

@@ -29,7 +29,8 @@ class Facts:
     cross-validation each is some fold's answer, which no agent needs to abuse.
 
     past_inputs, past_outputs: samples in the past window; horizon: samples of one window, None
-    where whole records are simulated; groups: names of the records held out together, one tuple a
+    where whole records are simulated; notes, strategies: what the literature says and what to try,
+    in the person's words; groups: names of the records held out together, one tuple a
     fold, () where folds are cut inside the records; early_stopping: `validation` lets a fit ask
     for its score on the held-out part.
     """
@@ -48,6 +49,8 @@ class Facts:
     folds: int = 2
     groups: tuple[tuple[str, ...], ...] = ()
     budget: Effort = Effort()
+    notes: str = ""
+    strategies: str = ""
 
     @property
     def past(self) -> int:
@@ -67,7 +70,9 @@ class Facts:
 
 @dataclass(frozen=True)
 class Trial:
-    """An evaluated experiment. `value` and `folds` are None and () when there is no score."""
+    """An evaluated experiment. `value` and `folds` are None and () when there is no score;
+    `failure` is what happened and what to do, `error` the candidate's own words for it: data, not
+    to be trusted."""
 
     number: int
     parent: int | None
@@ -83,6 +88,7 @@ class Trial:
     failure: str | None
     diagnostics: tuple[Diagnostics, ...]
     curves: tuple[tuple[tuple[float, float], ...], ...] = field(default=(), repr=False)
+    error: str = field(default="", repr=False)
 
     @property
     def train_error(self) -> float | None:
@@ -95,7 +101,7 @@ class Trial:
 @dataclass(frozen=True)
 class AgentView:
     """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
-    normalised source was tried."""
+    normalised source was tried; `notes` are what a person said meanwhile, oldest first."""
 
     facts: Facts
     seed: int
@@ -103,6 +109,7 @@ class AgentView:
     trials: tuple[Trial, ...]
     remaining: int
     is_known: Callable[[str], bool] = field(repr=False)
+    notes: tuple[str, ...] = ()
 
     @property
     def experiments(self) -> int:
@@ -124,7 +131,7 @@ class AgentView:
 @dataclass(frozen=True)
 class Proposal:
     """A candidate with its reasons. `expected` says, before the fact, what should happen;
-    `parent` is the experiment it was made from."""
+    `parent` is the experiment it was made from; `ticket` names a submission."""
 
     source: str
     family: str
@@ -132,10 +139,12 @@ class Proposal:
     hypothesis: str
     expected: str
     parent: int | None = None
+    ticket: str = ""
 
 
 class Agent(Protocol):
-    """Proposes candidates. Must be a function of the view alone, so that a search resumes."""
+    """Proposes candidates. Must be a function of the view, and of its journal where it keeps one,
+    so that a search resumes."""
 
     @property
     def name(self) -> str:

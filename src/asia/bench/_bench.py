@@ -9,6 +9,7 @@ from typing import Protocol
 
 from asia.bench._declaration import declare, require_declared
 from asia.bench._figures import draw
+from asia.bench._paired import paired_table
 from asia.bench._plan import Plan, PlannedRun
 from asia.bench._rows import Comparison, Finished, compare
 from asia.bench._tables import Table, comparison_table
@@ -94,6 +95,9 @@ def _tables(
     runs = tuple(finished)
     done = [compare(setting, runs, plan.paper) for setting in plan.settings]
     shown = [comparison_table(c, plan.paper) for c in done if c.rows]
+    if plan.word == "compare":
+        paired = paired_table(runs)
+        return (*shown, *([paired] if paired is not None else []))
     return (*shown, *test_tables(plan, declared, test))
 
 

@@ -64,11 +64,16 @@ def _sides(plan: Plan, setting: EarlyStopping, runs: Sequence[Finished]) -> Side
     )
     return SidesPicture(
         name=f"arms-{setting}",
-        title=f"{plan.problem.name}: expert against random search, {_WORDS[setting]}",
+        title=f"{plan.problem.name}: {_who(plan)}, {_WORDS[setting]}",
         sides=sides,
         levels=_levels(plan, setting, runs),
         metric=plan.problem.protocol.metric,
     )
+
+
+def _who(plan: Plan) -> str:
+    bench = plan.word == "bench"
+    return "expert against random search" if bench else "agents at equal budgets"
 
 
 def _curve(run: Finished) -> Curve:

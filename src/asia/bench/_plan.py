@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from asia.agents import Agent
 from asia.bench._paper import Paper
@@ -35,7 +36,8 @@ class Arm:
 @dataclass(frozen=True)
 class Plan:
     """A comparison. `paper` is None for problems that the paper does not treat; quick: a few
-    experiments with short fits, to see that everything works."""
+    experiments with short fits, to see that everything works; word: `bench`, or `compare` for
+    agents against each other, where no test is declared."""
 
     problem: Problem
     arms: tuple[Arm, ...]
@@ -45,6 +47,7 @@ class Plan:
     experiments: int | None = None
     paper: Paper | None = None
     quick: bool = False
+    word: Literal["bench", "compare"] = "bench"
 
     def __post_init__(self) -> None:
         for what, given in (
@@ -58,8 +61,8 @@ class Plan:
 
     @property
     def name(self) -> str:
-        """`bench-PROBLEM`, or `bench-PROBLEM-quick`: the directory of the results."""
-        return f"bench-{self.problem.name}" + ("-quick" if self.quick else "")
+        """`bench-PROBLEM`, `compare-PROBLEM`: the directory of the results."""
+        return f"{self.word}-{self.problem.name}" + ("-quick" if self.quick else "")
 
     @property
     def directory(self) -> Path:
@@ -89,7 +92,9 @@ class Plan:
     @property
     def candidate_for_test(self) -> str | None:
         """Name of the run whose test may be opened: the expert's with the first seed, in the
-        honest setting where there is one. None without an expert."""
+        honest setting where there is one. None without an expert and among agents compared."""
+        if self.word == "compare":
+            return None
         experts = (s for s in self.searches if s.arm.name == "expert")
         return next((s.name for s in experts), None)
 

@@ -44,9 +44,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Reached:
-    """Experiments the expert needed to come to the best V of a control with the same seed; None
-    where it did not, or where the control has no score."""
+    """Experiments that `side`, the expert or the first agent compared, needed to come to the best V
+    of a control with the same seed; None where it did not, or where the control has no score."""
 
+    side: str
     control: str
     seeds: tuple[int, ...]
     experiments: tuple[int | None, ...]
@@ -135,25 +136,25 @@ def _row(key: str, model: str, experiments: Iterable[Experiment], runs: int) -> 
 
 
 def _reached(runs: Sequence[Finished]) -> tuple[Reached, ...]:
-    expert = {run.planned.seed: run.view for run in runs if run.planned.arm.name == "expert"}
-    controls = dict.fromkeys(
-        run.planned.arm.name
-        for run in runs
-        if run.planned.arm.fixed is None and run.planned.arm.name != "expert"
-    )
+    names = list(dict.fromkeys(r.planned.arm.name for r in runs if r.planned.arm.fixed is None))
+    if not names:
+        return ()
+    side = "expert" if "expert" in names else names[0]
+    own = {run.planned.seed: run.view for run in runs if run.planned.arm.name == side}
+    controls = [name for name in names if name != side]
     answer: list[Reached] = []
     for control in controls:
         views = {run.planned.seed: run.view for run in runs if run.planned.arm.name == control}
-        seeds = tuple(seed for seed in expert if seed in views)
+        seeds = tuple(seed for seed in own if seed in views)
         if seeds:
-            counts = tuple(_first_as_good(expert[s], views[s]) for s in seeds)
-            answer.append(Reached(control, seeds, counts))
+            counts = tuple(_first_as_good(own[s], views[s]) for s in seeds)
+            answer.append(Reached(side, control, seeds, counts))
     return tuple(answer)
 
 
-def _first_as_good(expert: SearchView, control: SearchView) -> int | None:
+def _first_as_good(side: SearchView, control: SearchView) -> int | None:
     best = control.best
     if best is None or best.score is None:
         return None
     goal = best.score.value
-    return next((e.number for e in expert.finished if e.score and e.score.value <= goal), None)
+    return next((e.number for e in side.finished if e.score and e.score.value <= goal), None)

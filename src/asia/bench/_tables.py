@@ -93,7 +93,10 @@ def _reached_note(reached: Reached) -> str:
     )
     counts = [c for c in reached.experiments if c is not None]
     middle = f"; median {statistics.median(counts):g}" if len(counts) > 1 else ""
-    return f"Experiments the expert needed to reach the best V of {reached.control}: {each}{middle}"
+    return (
+        f"Experiments the {reached.side} needed to reach the best V of {reached.control}: "
+        f"{each}{middle}"
+    )
 
 
 def _not_comparable(paper: Paper) -> str:

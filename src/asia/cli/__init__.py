@@ -1,7 +1,7 @@
 """The command line: parse, call the library, exit code. One file a command.
 
-Exit codes: 0 done; 1 a bug or a broken sandbox; 2 something the user can mend; 3 a search whose
-candidates all failed; 130 interrupted.
+Exit codes: 0 done; 1 a bug, a broken sandbox or a replay that differs; 2 something the user can
+mend; 3 a search whose candidates all failed; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -10,7 +10,24 @@ import sys
 
 import typer
 
-from asia.cli import _bench, _check, _diff, _init, _report, _run, _show, _status, _unseal, _verify
+from asia.cli import (
+    _bench,
+    _check,
+    _compare,
+    _diff,
+    _init,
+    _mcp,
+    _replay,
+    _report,
+    _run,
+    _show,
+    _status,
+    _steer,
+    _try,
+    _unseal,
+    _verify,
+    _workspace,
+)
 from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
@@ -28,7 +45,7 @@ app = typer.Typer(
 )
 for _module in (_init, _check, _run, _status, _show, _unseal, _report):
     _module.register(app)
-for _module in (_diff, _verify, _bench):
+for _module in (_diff, _verify, _replay, _bench, _compare, _workspace, _try, _steer, _mcp):
     _module.register(app)
 
 
@@ -64,7 +81,8 @@ def main() -> None:
 def spread(words: list[str]) -> list[str]:
     """`--train a.csv b.csv` and `--train=a.csv b.csv` with the option before each word, for the
     list options of init and bench."""
-    lists = {"init": _init.LISTS, "bench": _bench.LISTS}.get(words[0] if words else "")
+    known = {"init": _init.LISTS, "bench": _bench.LISTS, "compare": _compare.LISTS}
+    lists = known.get(words[0] if words else "")
     if lists is None:
         return words
     option: str | None = None

@@ -78,18 +78,18 @@ def bench(
     from asia.bench import Plan, chosen
     from asia.bench import bench as compare
 
-    loaded, figures = _load(problem)
+    loaded, figures = load_compared(problem)
     plan = Plan(
         problem=loaded,
         arms=chosen(_sides(figures, quick), arms),
-        seeds=_seeds(seeds, quick),
+        seeds=chosen_seeds(seeds, 1 if quick else DEFAULT_SEEDS),
         runs=runs,
         settings=_settings(early_stopping),
         experiments=experiments,
         paper=figures,
         quick=quick,
     )
-    lines = _Lines(json)
+    lines = Lines(json)
     lines.head(plan)
     result = compare(plan, lines, open_test=unseal)
     if json:
@@ -97,10 +97,10 @@ def bench(
 
         print(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
     else:
-        _print(result)
+        print_result(result)
 
 
-def _load(name: str) -> tuple[Problem, Paper | None]:
+def load_compared(name: str) -> tuple[Problem, Paper | None]:
     """The problem, and the paper's figures when it is one of the two it treats."""
     from asia.bench import paper
     from asia.problem.load import builtin_problems, load_problem
@@ -118,11 +118,12 @@ def _sides(figures: Paper | None, quick: bool) -> tuple[Arm, ...]:
     return tuple(arm for arm in arms(figures) if arm.fixed is None or not quick)
 
 
-def _seeds(given: list[int] | None, quick: bool) -> tuple[int, ...]:
+def chosen_seeds(given: list[int] | None, default: int) -> tuple[int, ...]:
+    """The seeds that a number, or several, stand for."""
     from asia.errors import UserError
 
     if given is None:
-        return tuple(range(1 if quick else DEFAULT_SEEDS))
+        return tuple(range(default))
     if min(given) < 0 or given == [0]:
         raise UserError(
             f"--seeds {' '.join(str(s) for s in given)}: expected how many seeds (3 for 0, 1, 2), "
@@ -145,7 +146,7 @@ def _settings(word: str) -> tuple[EarlyStopping, ...]:
 
 
 @dataclass
-class _Lines:
+class Lines:
     """A line an experiment; with `json` JSON lines on stdout and these lines on stderr."""
 
     json: bool
@@ -156,8 +157,9 @@ class _Lines:
         searches = plan.searches
         total = sum(run.problem.budget.experiments for run in searches)
         self._print(
-            f"bench {plan.problem.name}: {len(searches)} searches, {total} experiments, seeds "
-            f"{', '.join(str(s) for s in plan.seeds)}, early stopping {', '.join(plan.settings)}"
+            f"{plan.word} {plan.problem.name}: {len(searches)} searches, {total} experiments, "
+            f"seeds {', '.join(str(s) for s in plan.seeds)}, early stopping "
+            f"{', '.join(plan.settings)}"
         )
 
     def on_run(self, run: PlannedRun, number: int, total: int) -> None:
@@ -196,7 +198,8 @@ class _Lines:
         print(text, file=sys.stderr if self.json else sys.stdout, flush=True)
 
 
-def _print(result: Result) -> None:
+def print_result(result: Result) -> None:
+    """Tables, then where they and the pictures are."""
     print()
     for table in result.tables:
         print(table.markdown())

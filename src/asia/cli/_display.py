@@ -23,6 +23,7 @@ from asia.cli._format import (
     rung_value,
     stop_words,
     told,
+    usage_words,
 )
 from asia.cli._options import DEFAULT_RUNS
 from asia.evaluation import TRUTH
@@ -33,7 +34,10 @@ from asia.ledger import (
     Refitted,
     RungScored,
     SearchView,
+    control,
+    control_words,
     error_value,
+    open_run,
 )
 from asia.problem.load import Problem
 from asia.scoring import Failure
@@ -172,6 +176,10 @@ class TextDisplay:
         self._print("")
         if view.stopped is not None:
             self._print(f"stopped  {stop_words(view.stopped.reason, view)}")
+            if view.stopped.detail:
+                self._print(f"         {view.stopped.detail}")
+        if view.usage is not None:
+            self._print(f"usage    {usage_words(view.usage)}")
         if best is None or best.score is None:
             self._print("best     none: every candidate failed")
         else:
@@ -183,6 +191,9 @@ class TextDisplay:
             )
             if view.started.early_stopping == "validation":
                 self._print(f"V is     {told(view)}")
+            beside = control(open_run(self.prepared.directory))
+            if beside is not None:
+                self._print(f"control  {control_words(beside, view.started)}")
             rungs = " · ".join(f"{r.name} {rung_value(r)}" for r in view.rungs)
             self._print(f"rungs    {rungs}")
         self._print(f"files    {self.prepared.directory}/results.tsv, search_journal.md")

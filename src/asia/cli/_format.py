@@ -10,6 +10,7 @@ from asia.ledger import (
     Experiment,
     RungScored,
     SearchView,
+    Usage,
     error_value,
     scores_told,
 )
@@ -91,7 +92,22 @@ def stop_words(reason: str, view: SearchView) -> str:
         "saturated": "saturated: the last experiments found nothing better",
         "exhausted": "the agent has nothing left to try",
         "hours": "the wall-clock budget is spent",
+        "user": "on request; the same command goes on",
+        "stuck": "the agent was stuck; the same command goes on",
+        "tokens": "the token budget is spent; the same command with more tokens goes on",
+        "cost": "the money budget is spent; the same command with more goes on",
+        "time": "the agent's time is spent; the same command with more goes on",
+        "agent": "the agent ended; the same command starts it again",
     }[reason]
+
+
+def usage_words(usage: Usage) -> str:
+    """`12 replies, 40310 tokens in (1200 cached), 8120 out, 0.0231 USD`."""
+    cost = "cost unknown" if usage.cost is None else f"{usage.cost:.4f} USD"
+    return (
+        f"{usage.turns} replies, {usage.input_tokens} tokens in ({usage.cached_tokens} cached), "
+        f"{usage.output_tokens} out, {cost}"
+    )
 
 
 def event_object(event: Event, view: SearchView) -> dict[str, Any]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+import sys
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asia.cli import _command_options as program
+from asia.cli import _llm_options as llm
+from asia.cli._driver import agent_driver, built_in, refuse_for_others
 from asia.cli._options import DEFAULT_RUNS, Json, Runs
 
 NOTHING_FOUND = 3
@@ -27,7 +31,9 @@ def run(
     problem: Annotated[
         str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
     ] = "two_tanks_sim",
-    agent: Annotated[str, typer.Option(help="Who proposes: expert or random.")] = "expert",
+    agent: Annotated[
+        str, typer.Option(help="Who proposes: expert, random, bayes, llm or command:NAME.")
+    ] = "expert",
     space: Annotated[
         str | None,
         typer.Option(help="What random draws from: library (default), or the paper's: paper."),
@@ -51,24 +57,80 @@ def run(
     ] = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
+    model: llm.Model = None,
+    base_url: llm.BaseUrl = None,
+    temperature: llm.Temperature = None,
+    top_p: llm.TopP = None,
+    llm_seed: llm.Seed = None,
+    extra_body: llm.ExtraBody = None,
+    api_key_env: llm.ApiKeyEnv = llm.KEY_VARIABLE,
+    max_tokens: llm.MaxTokens = None,
+    max_reply_tokens: llm.MaxReplyTokens = None,
+    max_cost: llm.MaxCost = None,
+    prices: llm.Prices = None,
+    anonymous: llm.Anonymous = False,
+    command: program.Command = None,
+    agent_minutes: program.Minutes = None,
+    stuck_minutes: program.StuckMinutes = 30.0,
+    network: program.Network = False,
+    agent_config: program.Configs = None,
+    agent_mount: program.Mounts = None,
+    pass_env: program.PassEnv = None,
 ) -> None:
     """Search for a model. The same command again resumes; more --experiments extends.
 
     Exit code 3: the search is finished and no candidate has a score.
     """
-    from asia.agents import make_agent
     from asia.cli._display import make_display
     from asia.problem.load import load_problem
     from asia.report import write_report
-    from asia.search import prepare, search
+    from asia.search import prepare
 
-    chosen = make_agent(agent, space)
-    _check_name(name)
+    check_name(name)
+    refuse_for_others(
+        agent, temperature=temperature, top_p=top_p, llm_seed=llm_seed, extra_body=extra_body,
+        max_reply_tokens=max_reply_tokens, prices=prices, anonymous=anonymous or None,
+        owners=("llm",),
+    )  # fmt: skip
+    refuse_for_others(
+        agent, command=command, agent_minutes=agent_minutes, network=network or None,
+        agent_config=agent_config, agent_mount=agent_mount, pass_env=pass_env, owners=("command",),
+    )  # fmt: skip
+    refuse_for_others(
+        agent, model=model, max_tokens=max_tokens, max_cost=max_cost, owners=("llm", "command")
+    )
+    refuse_for_others(agent, space=space, owners=("random",))
+    if agent.startswith(program.PREFIX):
+        driver = program.command_driver(
+            agent, command, minutes=agent_minutes, stuck_minutes=stuck_minutes, tokens=max_tokens,
+            cost=max_cost, network=network, configs=agent_config, mounts=agent_mount,
+            pass_env=pass_env, model=model,
+        )  # fmt: skip
+    elif agent == "llm":
+        driver = agent_driver(
+            llm.llm_agent(
+                model=model, base_url=base_url, temperature=temperature, top_p=top_p,
+                seed=llm_seed, extra_body=extra_body, api_key_env=api_key_env,
+                max_tokens=max_tokens, max_reply_tokens=max_reply_tokens, max_cost=max_cost,
+                prices=prices, anonymous=anonymous,
+            )
+        )  # fmt: skip
+    else:
+        driver = agent_driver(built_in(agent, space))
     loaded = _with_rules(load_problem(problem), experiments, hours, early_stopping)
-    level = _level(isolation)
-    ready = prepare(loaded, chosen.name, seed=seed, runs=runs, name=name, isolation=level)
+    ready = prepare(
+        loaded,
+        driver.name,
+        seed=seed,
+        runs=runs,
+        name=name,
+        isolation=check_level(isolation),
+        agent_settings=driver.settings,
+    )
     with closing(make_display(loaded, ready, json=json)) as display:
-        view = search(ready, chosen, display.on_event, display.on_start)
+        for line in driver.words:
+            print(line, file=sys.stderr)
+        view = driver.search(ready, display.on_event, display.on_start)
         pictures = write_report(ready.directory)
         display.finish(view, pictures)
     if view.best is None:
@@ -91,7 +153,8 @@ def _with_rules(
     return with_early_stopping(problem, early_stopping) if early_stopping is not None else problem
 
 
-def _level(isolation: str | None) -> Isolation | None:
+def check_level(isolation: str | None) -> Isolation | None:
+    """The level of this name. Raises UserError for an unknown one."""
     from asia.errors import UserError
     from asia.sandbox import Isolation
 
@@ -101,7 +164,7 @@ def _level(isolation: str | None) -> Isolation | None:
     return Isolation(isolation) if isolation else None
 
 
-def _check_name(name: str | None) -> None:
+def check_name(name: str | None) -> None:
     """A number would be taken for an experiment, a path would leave the directory of the runs."""
     from asia.errors import UserError
 

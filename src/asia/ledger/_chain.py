@@ -6,6 +6,7 @@ import fcntl
 import hashlib
 import json
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -20,6 +21,7 @@ from asia.ledger._events import Event, adapter
 
 GENESIS = "0" * 64
 LINE_LIMIT = 64 * 1024
+_LOCK_ATTEMPTS = 20
 _ENVELOPE = ("seq", "prev", "time", "self")
 
 
@@ -93,9 +95,7 @@ class Chain:
         self._path = path
         path.parent.mkdir(parents=True, exist_ok=True)
         self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        if not _locked(self._fd):
             os.close(self._fd)
             raise UserError(
                 f"{path.parent} is in use by another search; wait for it or choose another --name"
@@ -145,6 +145,18 @@ class Chain:
         trace: TracebackType | None,
     ) -> None:
         os.close(self._fd)
+
+
+def _locked(fd: int) -> bool:
+    """Take the exclusive lock. `in_use` holds a shared one for a moment, which is no search."""
+    for attempt in range(_LOCK_ATTEMPTS):
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            time.sleep(0.01 if attempt + 1 < _LOCK_ATTEMPTS else 0.0)
+        else:
+            return True
+    return False
 
 
 def in_use(path: Path) -> bool:

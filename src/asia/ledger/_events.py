@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
@@ -12,13 +12,19 @@ from asia.scoring import Diagnostics, Failure, MeeTable, Outcome, TestScore
 
 Status = Literal["keep", "discard", "crash", "timeout", "invalid"]
 Phase = Literal["baseline", "explore", "refine"]
+StopReason = Literal[
+    "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
+]
+RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
+"""Reasons after which the same command goes on; the others need a larger budget."""
 
 
 @dataclass(frozen=True)
 class Started:
     """First event: what is searched, by whom, under which rules. `test_digest` commits the sealed
     test before experiment 1; it is None when the problem has no test. With `early_stopping`
-    `validation` candidates saw their score on the held-out parts: V is not leak-free."""
+    `validation` candidates saw their score on the held-out parts: V is not leak-free.
+    `agent_settings` are those of the agent that shape the search."""
 
     run: str
     problem: str
@@ -34,6 +40,7 @@ class Started:
     isolation_notes: tuple[str, ...]
     environment: dict[str, str]
     early_stopping: EarlyStopping = "inner"
+    agent_settings: dict[str, str] = field(default_factory=dict[str, str])
     event: Literal["started"] = "started"
 
 
@@ -48,7 +55,8 @@ class RungScored:
 
 @dataclass(frozen=True)
 class Proposed:
-    """A candidate about to be evaluated. `source` is the artifact, `digest` its normalised AST."""
+    """A candidate about to be evaluated. `source` is the artifact, `digest` its normalised AST;
+    `ticket` names the submission it came by, "" where an agent was asked."""
 
     experiment: int
     parent: int | None
@@ -59,6 +67,7 @@ class Proposed:
     expected: str
     source: str
     digest: str
+    ticket: str = ""
     event: Literal["proposed"] = "proposed"
 
 
@@ -106,8 +115,83 @@ class Extended:
 class Stopped:
     """The search ended."""
 
-    reason: Literal["budget", "saturated", "exhausted", "hours"]
+    reason: StopReason
+    detail: str = ""
     event: Literal["stopped"] = "stopped"
+
+
+@dataclass(frozen=True)
+class Resumed:
+    """A search that had stopped for one of `RESUMABLE` goes on."""
+
+    event: Literal["resumed"] = "resumed"
+
+
+@dataclass(frozen=True)
+class Steered:
+    """A person's note to the agent, seen from the next proposal on."""
+
+    text: str
+    event: Literal["steered"] = "steered"
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a language model consumed. cost in USD, None where it is not known; turns: replies of
+    the model."""
+
+    input_tokens: int = 0
+    output_tokens: int = 0
+    cached_tokens: int = 0
+    cost: float | None = None
+    turns: int = 0
+
+    @property
+    def tokens(self) -> int:
+        """Input and output together."""
+        return self.input_tokens + self.output_tokens
+
+
+@dataclass(frozen=True)
+class Exchanged:
+    """A request to a language model and what came back, in artifacts; `experiment` is the one it
+    was made for, `status` that of HTTP, 0 when there was no answer; headers are not kept."""
+
+    experiment: int
+    path: str
+    request: str
+    response: str
+    status: int
+    usage: Usage | None = None
+    event: Literal["exchanged"] = "exchanged"
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """Output lines of an agent that runs as a command, as they came, in an artifact."""
+
+    session: int
+    lines: str
+    event: Literal["streamed"] = "streamed"
+
+
+@dataclass(frozen=True)
+class SessionStarted:
+    """A command agent's process begins; it may spend `grant` USD, None where money has no cap."""
+
+    session: int
+    grant: float | None
+    event: Literal["session_started"] = "session_started"
+
+
+@dataclass(frozen=True)
+class SessionEnded:
+    """A command agent's process has ended: how, and what this session consumed."""
+
+    session: int
+    outcome: str
+    usage: Usage | None
+    event: Literal["session_ended"] = "session_ended"
 
 
 @dataclass(frozen=True)
@@ -169,6 +253,12 @@ Event = (
     | Evaluated
     | Extended
     | Stopped
+    | Resumed
+    | Steered
+    | Exchanged
+    | Streamed
+    | SessionStarted
+    | SessionEnded
     | Refitted
     | Unsealing
     | Unsealed

@@ -8,7 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia.errors import UserError
-from asia.ledger._events import Evaluated, Event, Proposed, Refitted, Started, TestRecord, Unsealed
+from asia.ledger._events import (
+    Evaluated,
+    Event,
+    Exchanged,
+    Proposed,
+    Refitted,
+    Started,
+    Streamed,
+    TestRecord,
+    Unsealed,
+)
 from asia.ledger._view import Run, open_run
 
 
@@ -55,6 +65,10 @@ def _artifacts(event: Event) -> Iterator[str]:
                 yield from (fold.model, fold.y_hat, fold.curve)
             if event.output:
                 yield event.output
+        case Exchanged():
+            yield from (event.request, event.response)
+        case Streamed():
+            yield event.lines
         case Refitted():
             if event.model:
                 yield event.model

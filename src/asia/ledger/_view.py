@@ -12,14 +12,21 @@ from asia.ledger._chain import Line, in_use, read_lines
 from asia.ledger._events import (
     Evaluated,
     Event,
+    Exchanged,
     Extended,
     Proposed,
     Refitted,
+    Resumed,
     RungScored,
+    SessionEnded,
+    SessionStarted,
     Started,
+    Steered,
     Stopped,
+    Streamed,
     Unsealed,
     Unsealing,
+    Usage,
 )
 from asia.ledger._store import Store
 from asia.scoring import Failure, Score
@@ -55,13 +62,18 @@ class Experiment:
 @dataclass(frozen=True)
 class SearchView:
     """A search as its ledger tells it. `budget` experiments and `hours` as last extended, which
-    was after experiment `extended_after`; `unsealing` once the test was about to be opened."""
+    was after experiment `extended_after`; `unsealing` once the test was about to be opened; `notes`
+    of the person; `exchanges` of the agent, its `sessions` that ended and all that were `begun`."""
 
     started: Started
     budget: int
     hours: float | None
     extended_after: int = 0
     rungs: tuple[RungScored, ...] = ()
+    notes: tuple[Steered, ...] = ()
+    exchanges: tuple[Exchanged, ...] = ()
+    sessions: tuple[SessionEnded, ...] = ()
+    begun: tuple[SessionStarted, ...] = ()
     experiments: tuple[Experiment, ...] = ()
     stopped: Stopped | None = None
     refitted: Refitted | None = None
@@ -105,6 +117,23 @@ class SearchView:
     def validation_scores(self) -> int:
         """Scores on held-out parts given to candidates while they trained."""
         return sum(e.result.validation_scores for e in self.finished if e.result)
+
+    @property
+    def usage(self) -> Usage | None:
+        """What the agent's language model consumed so far; None for agents without one. The cost is
+        None as soon as one part of it is not known."""
+        parts = [e.usage for e in (*self.exchanges, *self.sessions)]
+        if not parts:
+            return None
+        known = [u for u in parts if u is not None]
+        costs = [u.cost for u in known]
+        return Usage(
+            sum(u.input_tokens for u in known),
+            sum(u.output_tokens for u in known),
+            sum(u.cached_tokens for u in known),
+            None if None in costs or not costs else sum(c for c in costs if c is not None),
+            sum(u.turns for u in known),
+        )
 
     def experiment(self, number: int) -> Experiment:
         """Raises UserError when there is no such experiment."""
@@ -152,6 +181,18 @@ def _apply(view: SearchView, event: Event) -> SearchView:
             )
         case Stopped():
             return replace(view, stopped=event)
+        case Resumed():
+            return replace(view, stopped=None, refitted=None)
+        case Steered():
+            return replace(view, notes=(*view.notes, event))
+        case Exchanged():
+            return replace(view, exchanges=(*view.exchanges, event))
+        case SessionStarted():
+            return replace(view, begun=(*view.begun, event))
+        case SessionEnded():
+            return replace(view, sessions=(*view.sessions, event))
+        case Streamed():
+            return view
         case Refitted():
             return replace(view, refitted=event)
         case Unsealing():

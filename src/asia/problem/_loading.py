@@ -29,6 +29,8 @@ class _Texts:
     name: str
     description: str
     baseline: str | None
+    notes: str = ""
+    strategies: str = ""
 
 
 def builtin_problems() -> tuple[str, ...]:
@@ -48,6 +50,8 @@ def load_problem(name_or_path: str | Path) -> Problem:
         name=file.name or path.resolve().parent.name,
         description=_description(path, file.description),
         baseline=_optional_text(path.parent / "baseline.py"),
+        notes=_named_text(path, file.notes),
+        strategies=_named_text(path, file.strategies),
     )
     return _assemble(file, path.resolve().parent, texts, None)
 
@@ -59,7 +63,7 @@ def load_lock(path: Path) -> Problem:
     digest of the test data goes into the handle `test` and is verified when they are opened.
     """
     file = read_table(path, LockFile)
-    texts = _Texts(file.name, file.description, file.baseline)
+    texts = _Texts(file.name, file.description, file.baseline, file.notes, file.strategies)
     problem = _assemble(file, path.resolve().parent, texts, file.digests.test)
     check_digests(problem, file.digests, path)
     return problem
@@ -106,6 +110,10 @@ def _description(path: Path, named: str | None) -> str:
     return _text(path.parent / named)
 
 
+def _named_text(path: Path, named: str | None) -> str:
+    return "" if named is None else _text(path.parent / named)
+
+
 def _assemble(file: ProblemTables, root: Path, texts: _Texts, test_sha256: str | None) -> Problem:
     channels = Channels(
         tuple(s.signal() for s in file.inputs),
@@ -137,6 +145,8 @@ def _assemble(file: ProblemTables, root: Path, texts: _Texts, test_sha256: str |
         budget=file.budget.budget(),
         physics=physics,
         baseline=texts.baseline,
+        notes=texts.notes,
+        strategies=texts.strategies,
         truth=records.truth,
         warnings=records.warnings,
     )

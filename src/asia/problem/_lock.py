@@ -57,7 +57,7 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
     except (OSError, ValueError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     now = dict(_flat(tomllib.loads(lock_text(problem, seal))))
-    moved = {"data.train", "data.test", "description", "baseline"}
+    moved = {"data.train", "data.test", "description", "notes", "strategies", "baseline"}
     keys = [k for k in {**before, **now} if k not in moved and before.get(k) != now.get(k)]
     return tuple(Difference(k, before.get(k), now.get(k)) for k in keys)
 
@@ -67,7 +67,7 @@ def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
     found = _digests(problem, None)
     changed = [
         f"the {part}"
-        for part in ("description", "baseline", "physics", "protocol")
+        for part in ("description", "notes", "strategies", "baseline", "physics", "protocol")
         if found[part] != getattr(expected, part)
     ]
     train = found["train"]
@@ -88,6 +88,8 @@ def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
         "train": [data_digest([t]) for t in problem.train],
         "test": test,
         "description": text_digest(problem.description),
+        "notes": text_digest(problem.notes) if problem.notes else None,
+        "strategies": text_digest(problem.strategies) if problem.strategies else None,
         "baseline": None if problem.baseline is None else text_digest(problem.baseline),
         "physics": None if problem.physics is None else physics_digest(problem.physics),
         "protocol": protocol_digest(problem),
@@ -98,6 +100,8 @@ def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
     return {
         "name": problem.name,
         "description": problem.description,
+        "notes": problem.notes or None,
+        "strategies": problem.strategies or None,
         "baseline": problem.baseline,
         "sampling_time": problem.sampling_time,
         "inputs": [asdict(s) for s in problem.inputs],

@@ -72,7 +72,8 @@ class Problem:
     sampling_time in seconds; train: the records the search may use; data: where they came from;
     baseline: source of the problem's own first candidate; truth: noise-free outputs (T, ny) of
     the training records, for simulated systems only; test: handle for the one opener of test
-    data; warnings: doubts about the data, in plain words.
+    data; warnings: doubts about the data, in plain words; notes, strategies: what the literature
+    says and what to try, in plain words, for agents that read, "" for none.
     """
 
     name: str
@@ -89,3 +90,5 @@ class Problem:
     baseline: str | None = None
     truth: tuple[Array, ...] | None = None
     warnings: tuple[str, ...] = ()
+    notes: str = ""
+    strategies: str = ""

@@ -173,10 +173,12 @@ class ProblemTables(Table):
 
 
 class ProblemFile(ProblemTables):
-    """problem.toml; `description` is a path relative to it."""
+    """problem.toml; `description`, `notes` and `strategies` are paths relative to it."""
 
     name: Annotated[str, Field(min_length=1)] | None = None
     description: FileName | None = None
+    notes: FileName | None = None
+    strategies: FileName | None = None
 
 
 class DigestTable(Table):
@@ -185,15 +187,20 @@ class DigestTable(Table):
     train: list[str]
     test: str | None = None
     description: str
+    notes: str | None = None
+    strategies: str | None = None
     baseline: str | None = None
     physics: str | None = None
     protocol: str
 
 
 class LockFile(ProblemTables):
-    """A run's problem.lock.toml; `description` and `baseline` are the texts themselves."""
+    """A run's problem.lock.toml; `description`, `notes`, `strategies` and `baseline` are the texts
+    themselves."""
 
     name: str
     description: str
+    notes: str = ""
+    strategies: str = ""
     baseline: str | None = None
     digests: DigestTable

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 from matplotlib.transforms import blended_transform_factory
 from scipy.optimize import isotonic_regression
 
-from asia.ledger import Experiment, SearchView
+from asia.ledger import Control, Experiment, SearchView
 from asia.problem import Array
 from asia.report._style import BLUE, FAINT, INK, QUIET, RED, WIDTH, number, plain, quiet_grid
 from asia.report._tags import Surroundings, Tag, place
@@ -61,10 +61,11 @@ class _Search:
         return bool(self.values) and max(self.values) > _LOG_FROM * min(self.values) > 0
 
 
-def draw_progress(view: SearchView, metric: str) -> Figure:
+def draw_progress(view: SearchView, metric: str, beside: Control | None = None) -> Figure:
     """A point each experiment, the incumbent as a step line, failures as crosses on the upper
-    edge, tags at improvements, the rungs as thin lines. metric: `rmse` or `mae`."""
-    search = _gather(view)
+    edge, tags at improvements, the rungs and the control arm `beside` as thin lines. metric: `rmse`
+    or `mae`."""
+    search = _gather(view, beside)
     figure = Figure(figsize=(WIDTH, _HEIGHT), layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -82,12 +83,14 @@ def draw_progress(view: SearchView, metric: str) -> Figure:
     return figure
 
 
-def _gather(view: SearchView) -> _Search:
+def _gather(view: SearchView, beside: Control | None) -> _Search:
     rungs = tuple(
         (_RUNG_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
         for r in view.rungs
         if isinstance(r.outcome, Score)
     )
+    if beside is not None and beside.value is not None:
+        rungs = (*rungs, ("expert, same budget", beside.value))
     scored = [(e, e.score.value) for e in view.finished if e.score]
     kept = tuple(_point(e, v) for e, v in scored if _is_kept(e))
     others = [_point(e, v) for e, v in scored if not _is_kept(e)]

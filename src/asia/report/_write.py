@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from asia.ledger import Run, TestRecord, open_run
+from asia.ledger import Run, TestRecord, control, open_run
 from asia.problem.load import BenchmarkSource, Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._data import draw_data
@@ -43,7 +43,7 @@ def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
 def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     """Name and drawing of each picture the run has matter for."""
     view, metric = run.view, problem.protocol.metric
-    yield "progress", lambda: draw_progress(view, metric)
+    yield "progress", lambda: draw_progress(view, metric, control(run))
     best, opened = view.best, view.unsealed
     if best is not None:
         folds = make_folds(problem.train, problem.protocol)

@@ -34,6 +34,8 @@ def problem_facts(problem: Problem) -> Facts:
         folds=rule.folds.count,
         groups=tuple(group.records for group in rule.folds.groups),
         budget=Effort(problem.budget.experiments, problem.budget.fit_seconds),
+        notes=problem.notes,
+        strategies=problem.strategies,
     )
 
 
@@ -47,6 +49,7 @@ def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
         trials=tuple(_trial(e, store) for e in view.finished),
         remaining=view.budget - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
+        notes=tuple(note.text for note in view.notes),
     )
 
 
@@ -82,6 +85,7 @@ def _trial(e: Experiment, store: Store) -> Trial:
         failure=f"{failure.reason.value}: {failure.advice}" if failure else None,
         diagnostics=tuple(f.diagnostics for f in r.folds),
         curves=tuple(_points(store.get(f.curve)) for f in r.folds),
+        error=failure.detail if failure else "",
     )
 
 

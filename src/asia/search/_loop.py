@@ -5,18 +5,27 @@ All the loop knows is in the ledger: killed anywhere, the same call goes on from
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from asia.agents import Agent, Proposal
+from asia.agents import (
+    Agent,
+    AgentStoppedError,
+    Attached,
+    Closing,
+    InterruptedWaitError,
+    Proposal,
+)
 from asia.errors import CandidateError
 from asia.evaluation import Evaluation, Evaluator, FoldResult, score_rungs
 from asia.ledger import (
     Chain,
     Evaluated,
     Event,
+    Exchanged,
     Experiment,
     FoldRecord,
     Phase,
@@ -24,7 +33,9 @@ from asia.ledger import (
     Refitted,
     RungScored,
     SearchView,
+    Steered,
     Stopped,
+    StopReason,
     Store,
     replay,
     write_exports,
@@ -32,9 +43,12 @@ from asia.ledger import (
 from asia.problem.load import Problem
 from asia.scoring import Failure
 from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
-from asia.search._rules import StopReason, decide, stop_reason
+from asia.search._controls import Controls
+from asia.search._rules import decide, stop_reason
 
 OnEvent = Callable[[Event, SearchView], None]
+
+_PAUSE_POLL = 0.2
 
 
 @dataclass(frozen=True)
@@ -49,6 +63,12 @@ class Loop:
     store: Store
     directory: Path
     on_event: OnEvent
+    _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
+
+    @property
+    def controls(self) -> Controls:
+        """What a person says meanwhile."""
+        return Controls(self.directory)
 
     @property
     def view(self) -> SearchView:
@@ -59,21 +79,51 @@ class Loop:
         """Rungs, search, refit of the winner. What the ledger already holds is not redone."""
         if self.view.complete or self.view.unsealing:
             return self.view
-        self._score_rungs()
-        while self.view.stopped is None:
-            reason = self._step()
-            if reason is not None:
-                self.record(Stopped(reason))
-        if self.view.refitted is None:
-            self._refit()
+        if isinstance(self.agent, Attached):
+            self.agent.attach(LoopJournal(self))
+        try:
+            self._search()
+        finally:
+            if isinstance(self.agent, Closing):
+                self.agent.leaving()
         return self.view
 
+    def _search(self) -> None:
+        self._score_rungs()
+        while self.view.stopped is None:
+            stopped = self._controlled()
+            if stopped is not None:
+                self.record(stopped)
+                if isinstance(self.agent, Closing):
+                    self.agent.stopped(stopped.reason)
+        if self.view.refitted is None:
+            self._refit()
+
     def record(self, event: Event) -> None:
-        """Append to the ledger, rewrite the generated files, tell the listener."""
-        self.chain.append(event)
-        view = self.view
-        write_exports(self.directory, view)
-        self.on_event(event, view)
+        """Append to the ledger, rewrite the generated files, tell the listener. From any thread."""
+        with self._lock:
+            self.chain.append(event)
+            view = self.view
+            write_exports(self.directory, view)
+            self.on_event(event, view)
+
+    def _controlled(self) -> Stopped | None:
+        """One experiment, unless a person says something else or the agent ends the search."""
+        for path, text in self.controls.notes():
+            self.record(Steered(text))
+            path.unlink()
+        if self.controls.take_stop():
+            return Stopped("user")
+        if self.controls.paused:
+            time.sleep(_PAUSE_POLL)
+            return None
+        try:
+            reason = self._step()
+        except InterruptedWaitError:
+            return None
+        except AgentStoppedError as end:
+            return Stopped(end.reason, end.detail)
+        return None if reason is None else Stopped(reason)
 
     def _score_rungs(self) -> None:
         names = {rung.name for rung in self.view.rungs}
@@ -117,6 +167,7 @@ class Loop:
             expected=proposal.expected,
             source=self.store.put(as_bytes(proposal.source)),
             digest=digest(proposal.source),
+            ticket=proposal.ticket,
         )
 
     def _evaluate(self, experiment: Experiment) -> Evaluated:
@@ -126,7 +177,7 @@ class Loop:
             if settled and twin.proposed.digest == experiment.proposed.digest:
                 return _answer_again(experiment, twin)
         start = time.monotonic()
-        evaluation = self._judge(self.store.text(experiment.proposed.source))
+        evaluation = judge(self.evaluator, self.store.text(experiment.proposed.source), view)
         return Evaluated(
             experiment=experiment.number,
             status=decide(evaluation.outcome, view),
@@ -137,15 +188,6 @@ class Loop:
             deadline=_touched_deadline(evaluation),
             validation_scores=evaluation.validation_scores,
         )
-
-    def _judge(self, source: str) -> Evaluation:
-        """Evaluate; a would-be winner must also come back bitwise the same from its bytes."""
-        evaluation = self.evaluator.evaluate(source)
-        if decide(evaluation.outcome, self.view) == "keep":
-            failure = self.evaluator.reload_differs(source, evaluation.folds)
-            if failure is not None:
-                return replace(evaluation, outcome=failure, folds=())
-        return evaluation
 
     def _keep(self, fold: FoldResult) -> FoldRecord:
         return FoldRecord(
@@ -168,6 +210,49 @@ class Loop:
             self.record(Refitted(best.number, None, str(error)))
         else:
             self.record(Refitted(best.number, model, ""))
+
+
+@dataclass(frozen=True)
+class LoopJournal:
+    """The ledger as an attached agent may use it."""
+
+    loop: Loop
+
+    @property
+    def exchanges(self) -> tuple[Exchanged, ...]:
+        """All so far."""
+        return self.loop.view.exchanges
+
+    @property
+    def experiments(self) -> int:
+        """Candidates proposed so far."""
+        return len(self.loop.view.experiments)
+
+    def record(self, event: Event) -> None:
+        """Append an event."""
+        self.loop.record(event)
+
+    def put(self, data: bytes) -> str:
+        """Keep bytes."""
+        return self.loop.store.put(data)
+
+    def get(self, name: str) -> bytes:
+        """Bytes kept earlier."""
+        return self.loop.store.get(name)
+
+    def interrupted(self) -> bool:
+        """Whether a person has something for the search."""
+        return self.loop.controls.waiting
+
+
+def judge(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
+    """Evaluate; a would-be winner must also come back bitwise the same from its bytes."""
+    evaluation = evaluator.evaluate(source)
+    if decide(evaluation.outcome, view) == "keep":
+        failure = evaluator.reload_differs(source, evaluation.folds)
+        if failure is not None:
+            return replace(evaluation, outcome=failure, folds=())
+    return evaluation
 
 
 def _baseline(source: str) -> Proposal:

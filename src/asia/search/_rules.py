@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from asia.ledger import SearchView, Status
+from asia.ledger import SearchView, Status, StopReason
 from asia.problem import Budget
 from asia.scoring import Failure, Outcome
 
-StopReason = Literal["budget", "saturated", "exhausted", "hours"]
 EXPLORE_SHARE = 0.4
 
 

@@ -6,7 +6,7 @@ import hashlib
 import importlib.metadata
 import math
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -16,7 +16,17 @@ from asia.candidate import Context, check_source
 from asia.errors import CandidateError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
 from asia.executor import Executor, LocalExecutor
-from asia.ledger import Chain, Extended, SearchView, Started, Store, check_lock, replay
+from asia.ledger import (
+    RESUMABLE,
+    Chain,
+    Extended,
+    Resumed,
+    SearchView,
+    Started,
+    Store,
+    check_lock,
+    replay,
+)
 from asia.problem import Budget, EarlyStopping
 from asia.problem.load import Problem, Seal, lock_differences, lock_text, protocol_digest
 from asia.protocol import make_folds
@@ -26,6 +36,7 @@ from asia.search._loop import Loop, OnEvent
 
 LOCK = "problem.lock.toml"
 PACKAGES = ("numpy", "scipy", "jax", "equinox", "optax", "cloudpickle", "asia-sysid")
+AGENT_PACKAGES = {"llm": ("openai", "httpx2")}
 
 
 @dataclass(frozen=True)
@@ -47,8 +58,11 @@ def prepare(
     runs: Path,
     name: str | None = None,
     isolation: Isolation | None = None,
+    agent_settings: Mapping[str, str] | None = None,
 ) -> Prepared:
     """Check everything a search needs and compare with what is on disk. Writes nothing.
+
+    agent_settings: what shapes the agent's proposals beside its name.
 
     Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
     other settings.
@@ -75,8 +89,9 @@ def prepare(
         test_digest=sealed.sha256,
         isolation=found.level.value,
         isolation_notes=found.notes,
-        environment=_environment(),
+        environment=environment(agent_name),
         early_stopping=problem.protocol.early_stopping,
+        agent_settings=dict(agent_settings or {}),
     )
     if not (directory / "ledger.jsonl").is_file() or not (directory / LOCK).is_file():
         return Prepared(problem, directory, lock, started, resumes=False)
@@ -104,7 +119,7 @@ def search(
             chain.append(prepared.started)
         view = replay(line.event for line in chain.lines)
         check_lock(directory, view.started)
-        _check_same_search(view, prepared.started)
+        check_same_search(view, prepared.started)
         loop = Loop(
             problem=problem,
             baseline=problem.baseline or LINEAR,
@@ -119,6 +134,9 @@ def search(
         wanted = prepared.started
         if (wanted.experiments, wanted.hours) != (view.budget, view.hours):
             loop.record(Extended(wanted.experiments, wanted.hours))
+        stopped = loop.view.stopped
+        if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
+            loop.record(Resumed())
         return loop.run()
 
 
@@ -188,8 +206,10 @@ def _probe(wanted: Isolation | None) -> Probe:
     raise UserError(f"isolation '{wanted.value}' cannot run here: {reason}")
 
 
-def _environment() -> dict[str, str]:
-    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
+def environment(agent_name: str) -> dict[str, str]:
+    """Python, platform and the versions of the packages that outcomes or prompts may depend on."""
+    names = (*PACKAGES, *AGENT_PACKAGES.get(agent_name, ()))
+    versions = {name: importlib.metadata.version(name) for name in names}
     return {"python": platform.python_version(), "platform": platform.platform(), **versions}
 
 
@@ -204,7 +224,7 @@ def _compare(problem: Problem, sealed: Seal, directory: Path) -> None:
         )
 
 
-def _check_same_search(view: SearchView, wanted: Started) -> None:
+def check_same_search(view: SearchView, wanted: Started) -> None:
     """Raises UserError unless `wanted` asks for the same search, or for more of it."""
     start = view.started
     for what, there, now in (
@@ -215,6 +235,14 @@ def _check_same_search(view: SearchView, wanted: Started) -> None:
         if there != now:
             raise UserError(
                 f"run '{start.run}' has {what} {there}, not {now}: choose another --name"
+            )
+    settings = start.agent_settings, wanted.agent_settings
+    for what in dict.fromkeys([*settings[0], *settings[1]]):
+        there, now = (s.get(what, "its default") for s in settings)
+        if there != now:
+            raise UserError(
+                f"run '{start.run}' has an agent with {what} {there}, not {now}: choose another "
+                "--name"
             )
     for what, there, now in (
         ("experiments", view.budget, wanted.experiments),

@@ -1,0 +1,92 @@
+"""What an agent that waits, asks a language model or runs as a command needs of the search."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from asia.errors import UserError
+from asia.ledger import Event, Exchanged, StopReason
+
+
+class InterruptedWaitError(Exception):
+    """Raised by an agent that waits, when the search has something else to do first; it is asked
+    again."""
+
+
+class AgentStoppedError(Exception):
+    """Raised by an agent that ends the search, with the reason that the ledger will give."""
+
+    def __init__(self, reason: StopReason, detail: str = "") -> None:
+        super().__init__(detail or reason)
+        self.reason: StopReason = reason
+        self.detail = detail
+
+
+class DivergedError(UserError):
+    """Raised in a replay by an agent that asks for what the record does not hold."""
+
+
+class Journal(Protocol):
+    """What an attached agent may write down, from any thread, and read again after a restart."""
+
+    @property
+    def exchanges(self) -> tuple[Exchanged, ...]:
+        """All requests made so far, those of earlier sittings too."""
+        ...
+
+    @property
+    def experiments(self) -> int:
+        """Candidates proposed so far."""
+        ...
+
+    def record(self, event: Event) -> None:
+        """Append an event to the ledger; on return it is on the disk."""
+        ...
+
+    def put(self, data: bytes) -> str:
+        """Keep bytes; their name."""
+        ...
+
+    def get(self, name: str) -> bytes:
+        """Bytes kept earlier."""
+        ...
+
+    def interrupted(self) -> bool:
+        """Whether a person has a note, a pause or a stop for the search."""
+        ...
+
+
+@runtime_checkable
+class Configured(Protocol):
+    """An agent whose settings shape what it proposes."""
+
+    def recorded(self) -> dict[str, str]:
+        """The settings for the ledger, without secrets."""
+        ...
+
+
+def settings_of(agent: object) -> dict[str, str]:
+    """What the ledger should hold of an agent's settings; empty for one that has none."""
+    return agent.recorded() if isinstance(agent, Configured) else {}
+
+
+@runtime_checkable
+class Closing(Protocol):
+    """An agent that has something to end when the search is over."""
+
+    def stopped(self, reason: StopReason) -> None:
+        """The search has stopped. Called once, before the winner is fitted on all data."""
+        ...
+
+    def leaving(self) -> None:
+        """Called last, after an error or an interrupt too; the journal still takes events."""
+        ...
+
+
+@runtime_checkable
+class Attached(Protocol):
+    """An agent that keeps a journal."""
+
+    def attach(self, journal: Journal) -> None:
+        """Called once, before the first proposal."""
+        ...

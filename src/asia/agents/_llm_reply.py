@@ -1,0 +1,120 @@
+"""From a language model's answer to a candidate with its reasons; tolerant of the form."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from asia.agents._llm_text import one_line
+from asia.candidate import check_source
+from asia.errors import CandidateError
+
+_TEXT = 1000
+_TITLE = 60
+_FAMILY = 30
+_LONG = ("hypothesis", "expected")
+_FENCE = re.compile(r"^\s{0,3}(`{3,}|~{3,})[ \t]*(\w*)[^\n]*$")
+_LABEL = re.compile(
+    r"^[\s>#*_-]*(hypothesis|expected|family|title|parent)[\s*_]*[:=][\s*_]*(.*)$", re.IGNORECASE
+)
+_THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Reply:
+    """An answer that holds a source. `problem` says what is wrong with the source, "" for
+    nothing."""
+
+    source: str
+    hypothesis: str
+    expected: str
+    family: str
+    title: str
+    parent: int | None
+    problem: str = ""
+
+
+class MalformedReplyError(Exception):
+    """The answer holds no candidate.py; the text says what is wrong with its form."""
+
+
+def read_reply(text: str, cut: bool = False) -> Reply:
+    """Raises MalformedReplyError. cut: the answer ended at its limit of tokens."""
+    text = _THOUGHT.sub("", text)
+    prose, blocks, is_open = _split(text)
+    if cut or is_open:
+        raise MalformedReplyError(
+            "the answer ended before candidate.py was complete: be shorter"
+            if cut
+            else "the python block has no closing fence"
+        )
+    if not blocks:
+        raise MalformedReplyError("the answer has no fenced python block with candidate.py")
+    source, wrong = _best(blocks)
+    said = dict(_labels(prose))
+    hypothesis = one_line(said.get("hypothesis", ""), _TEXT) or "not said"
+    family = one_line(said.get("family", "").lower(), _FAMILY).strip("`'\" ") or "custom"
+    parent = re.search(r"\d+", said.get("parent", ""))
+    return Reply(
+        source=source,
+        hypothesis=hypothesis,
+        expected=one_line(said.get("expected", ""), _TEXT) or "not said",
+        family=family,
+        title=one_line(said.get("title", ""), _TITLE).strip("`'\" ") or family,
+        parent=int(parent.group()[:9]) if parent else None,
+        problem=wrong,
+    )
+
+
+def _split(text: str) -> tuple[str, list[str], bool]:
+    """Text outside fences, the blocks inside, and whether the last fence is open."""
+    prose: list[str] = []
+    blocks: list[str] = []
+    block: list[str] = []
+    fence = ""
+    for line in text.splitlines():
+        found = _FENCE.match(line)
+        if fence:
+            if found and not found[2] and found[1].startswith(fence):
+                blocks.append("\n".join(block) + "\n")
+                fence, block = "", []
+            else:
+                block.append(line)
+        elif found:
+            fence = found[1]
+        else:
+            prose.append(line)
+    return "\n".join(prose), blocks, bool(fence)
+
+
+def _best(blocks: list[str]) -> tuple[str, str]:
+    """The last block that can be a candidate; without one the longest, and what is wrong."""
+    for block in reversed(blocks):
+        if not _wrong(block):
+            return block, ""
+    longest = max(blocks, key=len)
+    return longest, _wrong(longest)
+
+
+def _wrong(source: str) -> str:
+    try:
+        check_source(source)
+    except CandidateError as error:
+        return str(error)
+    return ""
+
+
+def _labels(prose: str) -> Iterator[tuple[str, str]]:
+    """Label in lower case and its text; that of a hypothesis may go on over several lines."""
+    label, text = "", ""
+    for line in prose.splitlines():
+        found = _LABEL.match(line)
+        if found:
+            if label:
+                yield label, text
+            label, text = found[1].lower(), found[2]
+        elif label in _LONG:
+            text = f"{text} {line}"
+    if label:
+        yield label, text

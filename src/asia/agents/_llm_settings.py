@@ -1,0 +1,135 @@
+"""How a language model is asked."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+from asia.errors import UserError
+
+DEFAULT_URL = "https://api.openai.com/v1"
+_OURS = frozenset({
+    "model", "messages", "stream", "n", "max_tokens", "max_completion_tokens", "temperature",
+    "top_p", "seed",
+})  # fmt: skip
+_NO_KEY = "none"
+
+
+@dataclass(frozen=True)
+class LlmSettings:
+    """base_url of an OpenAI-compatible server, None for OpenAI's; temperature, top_p, seed,
+    extra_body go into every request, None is left out. Caps for the whole search: max_tokens_total
+    input and output tokens, max_cost in USD; prices in USD per million tokens, None when unknown.
+    max_reply_tokens: one reply. repairs: turns to mend the form of a reply, and experiments in a
+    row to mend a failed candidate. retries, retry_seconds: attempts and waiting in all when the
+    server is busy. anonymous: hide what tells which system it is.
+
+    Raises UserError for settings that do not fit together.
+    """
+
+    model: str
+    base_url: str | None = None
+    temperature: float | None = None
+    top_p: float | None = None
+    seed: int | None = None
+    extra_body: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    api_key_env: str = "OPENAI_API_KEY"
+    max_tokens_total: int | None = None
+    max_cost: float | None = None
+    price_input: float | None = None
+    price_output: float | None = None
+    max_reply_tokens: int = 16_384
+    repairs: int = 2
+    retries: int = 6
+    retry_seconds: float = 300.0
+    timeout_seconds: float = 600.0
+    anonymous: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.model:
+            raise UserError("the agent llm needs a model: give its name with --model")
+        parts = urlsplit(self.url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise UserError(
+                f"base URL '{self.base_url}': expected http:// or https:// and a host, such as "
+                "http://localhost:8000/v1"
+            )
+        if (self.price_input is None) != (self.price_output is None):
+            raise UserError("prices: give both, for input and for output tokens")
+        if self.max_cost is not None and self.price_input is None:
+            raise UserError("a limit of cost needs prices: give --prices INPUT,OUTPUT in USD")
+        for what, value in (("tokens", self.max_tokens_total), ("cost", self.max_cost)):
+            if value is not None and not value > 0:
+                raise UserError(f"a limit of {what} must be more than 0")
+        if self.max_reply_tokens < 1 or self.repairs < 0:
+            raise UserError("a reply needs at least 1 token, and repairs at least 0")
+        ours = sorted(_OURS & self.extra_body.keys())
+        if ours:
+            raise UserError(f"extra body: '{ours[0]}' has an option of its own, or is fixed")
+        try:
+            json.dumps(dict(self.extra_body), allow_nan=False)
+        except (TypeError, ValueError):
+            raise UserError("extra body: expected a JSON object") from None
+
+    @property
+    def url(self) -> str:
+        """Base URL of the server."""
+        return self.base_url or DEFAULT_URL
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What a request holds beside model and messages. Servers of OpenAI's make know the limit
+        of a reply by its new name only, many others by its old."""
+        host = urlsplit(self.url).hostname or ""
+        modern = host.endswith(("openai.com", "azure.com"))
+        given = {"temperature": self.temperature, "top_p": self.top_p, "seed": self.seed}
+        return {
+            "max_completion_tokens" if modern else "max_tokens": self.max_reply_tokens,
+            **{name: value for name, value in given.items() if value is not None},
+            **self.extra_body,
+        }
+
+    def api_key(self) -> str:
+        """The key, from the environment; servers other than OpenAI's may need none. Raises
+        UserError when it is missing."""
+        key = os.environ.get(self.api_key_env, "").strip()
+        if not key and self.base_url is None:
+            raise UserError(
+                f"{self.api_key_env} is not set: export it, or give the --base-url of a server "
+                "that needs no key"
+            )
+        return key or _NO_KEY
+
+    def record(self) -> dict[str, str]:
+        """What shapes the search, for the ledger: no key, no limit that may be raised."""
+        parts = urlsplit(self.url)
+        where = parts.hostname or ""
+        port = f":{parts.port}" if parts.port else ""
+        given = {
+            "temperature": self.temperature,
+            "top_p": self.top_p,
+            "seed": self.seed,
+            "max_reply_tokens": self.max_reply_tokens,
+            "repairs": self.repairs,
+            "anonymous": self.anonymous,
+            "extra_body": dict(self.extra_body),
+        }
+        return {
+            "model": self.model,
+            "base_url": f"{parts.scheme}://{where}{port}{parts.path}",
+            **{k: json.dumps(v, sort_keys=True) for k, v in given.items() if v is not None},
+        }
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, str]) -> LlmSettings:
+        """The settings of `record`. Raises UserError when it is not one."""
+        given = dict(record)
+        try:
+            model, url = given.pop("model"), given.pop("base_url")
+            return cls(model, url, **{k: json.loads(v) for k, v in given.items()})
+        except (KeyError, TypeError, ValueError):
+            raise UserError("the ledger does not say how its language model was asked") from None

@@ -1,0 +1,171 @@
+"""Event streams of coding agents: tokens, cost, turns, session, how it ended.
+
+Formats: Claude Code `--output-format stream-json`, Codex `exec --json`, Gemini CLI `-o
+stream-json`. What does not parse is passed over: the whole stream is in the ledger anyway.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from asia.ledger import Usage
+
+StreamFormat = Literal["claude", "codex", "gemini", "none"]
+
+
+@dataclass
+class Stream:
+    """What one session's stream has told so far.
+
+    usage: of this process alone; before: the agent's own totals when a session that is taken up
+    again was left, which its totals hold again; totals: where they stand now, None until they are
+    told. outcome: the agent's own word for its end.
+    """
+
+    format: StreamFormat
+    before: Usage = field(default_factory=lambda: Usage(cost=0.0))
+    usage: Usage = field(default_factory=Usage)
+    session: str = ""
+    outcome: str = ""
+    totals: Usage | None = None
+    _seen: set[str] = field(default_factory=set[str])
+
+    def feed(self, line: str) -> None:
+        """One line of the stream."""
+        reader = _READERS.get(self.format)
+        if reader is None:
+            return
+        try:
+            event: Any = json.loads(line)
+        except ValueError:
+            return
+        if isinstance(event, dict):
+            reader(self, event)
+
+    def add(self, tokens_in: int, tokens_out: int, cached: int, turns: int) -> None:
+        """Count."""
+        u = self.usage
+        self.usage = replace(
+            u,
+            input_tokens=u.input_tokens + tokens_in,
+            output_tokens=u.output_tokens + tokens_out,
+            cached_tokens=u.cached_tokens + cached,
+            turns=u.turns + turns,
+        )
+
+    def first_time(self, name: str) -> bool:
+        """Whether an item is met for the first time; one reply may be told in several events."""
+        new = name not in self._seen
+        self._seen.add(name)
+        return new
+
+
+def _claude(stream: Stream, event: dict[str, Any]) -> None:
+    stream.session = _name(event.get("session_id")) or stream.session
+    if event.get("type") == "assistant":
+        message = _table(event.get("message"))
+        if stream.first_time(_text(message.get("id")) or str(len(stream.outcome))):
+            usage = _table(message.get("usage"))
+            cached = _count(usage, "cache_read_input_tokens")
+            fresh = _count(usage, "input_tokens") + _count(usage, "cache_creation_input_tokens")
+            stream.add(fresh + cached, _count(usage, "output_tokens"), cached, 1)
+    elif event.get("type") == "result":
+        stream.outcome = _text(event.get("subtype")) or "result"
+        _claude_totals(stream, event)
+
+
+def _claude_totals(stream: Stream, event: dict[str, Any]) -> None:
+    """Both totals are those of the whole session, of what was resumed too."""
+    before, now = stream.before, stream.usage
+    totals = stream.totals or before
+    cost = event.get("total_cost_usd")
+    if isinstance(cost, int | float) and not isinstance(cost, bool) and math.isfinite(cost):
+        totals = replace(totals, cost=float(cost))
+        now = replace(now, cost=max(0.0, float(cost) - (before.cost or 0.0)))
+    models = [_table(m) for m in _table(event.get("modelUsage")).values()]
+    if models:
+        # With sub-agents; what is told on the way is the main loop alone.
+        cached = sum(_count(m, "cacheReadInputTokens") for m in models)
+        fresh = sum(
+            _count(m, "inputTokens") + _count(m, "cacheCreationInputTokens") for m in models
+        )
+        made = sum(_count(m, "outputTokens") for m in models)
+        totals = replace(
+            totals, input_tokens=fresh + cached, output_tokens=made, cached_tokens=cached
+        )
+        now = replace(
+            now,
+            input_tokens=max(now.input_tokens, fresh + cached - before.input_tokens),
+            output_tokens=max(now.output_tokens, made - before.output_tokens),
+            cached_tokens=max(now.cached_tokens, cached - before.cached_tokens),
+        )
+    stream.totals, stream.usage = totals, now
+
+
+def _codex(stream: Stream, event: dict[str, Any]) -> None:
+    kind = event.get("type")
+    if kind == "thread.started":
+        stream.session = _name(event.get("thread_id"))
+    elif kind == "turn.completed":
+        usage = _table(event.get("usage"))
+        stream.add(
+            _count(usage, "input_tokens"),
+            _count(usage, "output_tokens"),
+            _count(usage, "cached_input_tokens"),
+            1,
+        )
+        stream.outcome = "success"
+    elif kind in ("turn.failed", "error"):
+        stream.outcome = "error"
+
+
+def _gemini(stream: Stream, event: dict[str, Any]) -> None:
+    kind = event.get("type")
+    if kind == "init":
+        stream.session = _name(event.get("session_id"))
+    elif kind == "message" and event.get("role") == "assistant" and not event.get("delta"):
+        stream.add(0, 0, 0, 1)
+    elif kind == "error":
+        stream.outcome = "error"
+    elif kind == "result":
+        stats = _table(event.get("stats"))
+        stream.add(
+            _count(stats, "input_tokens"),
+            _count(stats, "output_tokens"),
+            _count(stats, "cached"),
+            0,
+        )
+        stream.outcome = _text(event.get("status")) or "success"
+
+
+_READERS: dict[str, Callable[[Stream, dict[str, Any]], None]] = {
+    "claude": _claude,
+    "codex": _codex,
+    "gemini": _gemini,
+}
+
+
+def _table(value: object) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _text(value: object) -> str:
+    """Printable: no escape code and no half of a character leaves here."""
+    flat = value[:200] if isinstance(value, str) else ""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in flat)
+
+
+def _name(value: object) -> str:
+    """Of a session: it goes back onto a command line, where it must not be taken for an option."""
+    text = _text(value)
+    return text if re.fullmatch(r"\w[\w.-]*", text) else ""
+
+
+def _count(table: dict[str, Any], name: str) -> int:
+    value = table.get(name)
+    return value if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0

@@ -1,0 +1,70 @@
+"""asia compare: agents against each other at equal budgets."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from typing import Annotated
+
+import typer
+
+from asia.cli._bench import Lines, chosen_seeds, load_compared, print_result
+from asia.cli._options import DEFAULT_RUNS, MORE, Json, Runs
+
+LISTS = ("--seeds",)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("compare", rich_help_panel=MORE)(compare)
+
+
+def compare(
+    problem: Annotated[
+        str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
+    ],
+    agents: Annotated[
+        str, typer.Option(help="Built-in agents with commas between them.")
+    ] = "expert,random,bayes",
+    seeds: Annotated[
+        list[int] | None,
+        typer.Option(metavar="N | S S ...", help="How many seeds, from 0 on, or the seeds; 5."),
+    ] = None,
+    experiments: Annotated[
+        int | None, typer.Option(min=1, help="Candidates a search; default the problem's number.")
+    ] = None,
+    early_stopping: Annotated[
+        str | None, typer.Option(help="inner, or validation; default the problem's.")
+    ] = None,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Search with each agent and each seed at the same budget: V, experiments to reach the other's
+    best, a paired test, curves with bands. Interrupted, the same command goes on.
+    """
+    from asia.agents import make_agent
+    from asia.bench import Arm, Plan, bench, result_object
+    from asia.search import with_early_stopping
+
+    names = [name.strip() for name in agents.split(",") if name.strip()]
+    arms = tuple(Arm(name, name, lambda name=name: make_agent(name)) for name in names)
+    for arm in arms:
+        arm.make()
+    loaded, _ = load_compared(problem)
+    if early_stopping is not None:
+        loaded = with_early_stopping(loaded, early_stopping)
+    plan = Plan(
+        problem=loaded,
+        arms=arms,
+        seeds=chosen_seeds(seeds, 5),
+        runs=runs,
+        settings=(loaded.protocol.early_stopping,),
+        experiments=experiments,
+        word="compare",
+    )
+    lines = Lines(json)
+    lines.head(plan)
+    result = bench(plan, lines)
+    if json:
+        print(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
+    else:
+        print_result(result)

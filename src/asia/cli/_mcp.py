@@ -1,0 +1,135 @@
+"""asia mcp: the search as a server of the Model Context Protocol; asia mcp-config: how a coding
+agent is told of it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, MORE, Runs
+
+# Clients start a server with little of their own environment.
+_HANDED_ON = ("ASIA_DATA_DIR",)
+
+ProblemName = Annotated[
+    str, typer.Argument(metavar="PROBLEM", help="Built-in name, or a directory with problem.toml.")
+]
+Experiments = Annotated[
+    int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
+]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the search.")]
+Hours = Annotated[
+    float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
+]
+Name = Annotated[str | None, typer.Option(help="Name of the run; default PROBLEM-mcp-sSEED.")]
+EarlyStopping = Annotated[
+    str | None,
+    typer.Option(help="inner, or validation (V is then not leak-free); default the problem's."),
+]
+IsolationLevel = Annotated[
+    str | None, typer.Option(help="Ask for a level instead of the strongest: process.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("mcp", rich_help_panel=MORE)(mcp)
+    app.command("mcp-config", rich_help_panel=MORE)(mcp_config)
+
+
+def mcp(
+    problem: ProblemName,
+    experiments: Experiments = None,
+    seed: Seed = 0,
+    hours: Hours = None,
+    name: Name = None,
+    early_stopping: EarlyStopping = None,
+    isolation: IsolationLevel = None,
+    http: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="Streamable HTTP on this machine, not stdio."),
+    ] = None,
+    token_env: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Environment variable with the bearer token of --http."),
+    ] = None,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Serve a search to a coding agent: it submits candidates, the search judges them.
+
+    Coding agents start this themselves: asia mcp-config prints what to tell them. The search is a
+    process of its own, and outlives this one; asia status, steer and stop work on it.
+    """
+    from asia.cli._run import check_level, check_name
+    from asia.errors import UserError
+    from asia.mcp import AGENT, open_search, require_sdk, serve_http, serve_stdio
+    from asia.search import Order
+
+    require_sdk()
+    check_name(name)
+    level = check_level(isolation)
+    if token_env is not None and http is None:
+        raise UserError("--token-env belongs to --http: over stdio there is no token")
+    order = Order(
+        problem=problem,
+        agent=AGENT,
+        seed=seed,
+        experiments=experiments,
+        hours=hours,
+        early_stopping=early_stopping,
+        isolation=level.value if level else None,
+    )
+    opened = open_search(order, runs, name)
+    if http is not None:
+        serve_http(opened, http, token_env)
+    else:
+        serve_stdio(opened)
+
+
+def mcp_config(
+    client: Annotated[str, typer.Argument(metavar="CLIENT", help="claude, codex or gemini.")],
+    problem: ProblemName,
+    experiments: Experiments = None,
+    seed: Seed = 0,
+    hours: Hours = None,
+    name: Name = None,
+    early_stopping: EarlyStopping = None,
+    isolation: IsolationLevel = None,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Print what a coding agent's configuration needs to start asia mcp.
+
+    The configuration goes to stdout; where it belongs, and what else matters, to stderr.
+    """
+    from asia.cli._run import check_level, check_name
+    from asia.errors import UserError
+    from asia.mcp import CLIENTS, client_configuration
+    from asia.problem.load import load_problem
+
+    if client not in CLIENTS:
+        raise UserError(f"no client '{client}'; there is: {', '.join(CLIENTS)}")
+    check_name(name)
+    check_level(isolation)
+    load_problem(problem)
+    path = Path(problem)
+    own = path.is_file() or (path / "problem.toml").is_file()
+    words = [str(path.resolve()) if own else problem]
+    for option, value in (
+        ("--experiments", experiments),
+        ("--seed", seed or None),
+        ("--hours", hours),
+        ("--name", name),
+        ("--early-stopping", early_stopping),
+        ("--isolation", isolation),
+        ("--runs", runs.resolve()),
+    ):
+        words += [] if value is None else [option, str(value)]
+    environment = {k: str(Path(os.environ[k]).resolve()) for k in _HANDED_ON if k in os.environ}
+    found = client_configuration(client, words, environment)
+    print(found.text, end="")
+    for note in found.notes:
+        print(f"# {note}", file=sys.stderr)

@@ -1,0 +1,72 @@
+"""asia steer, pause, stop: a word to a search that runs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, MORE, RunName, Runs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("steer", rich_help_panel=MORE)(steer)
+    app.command("pause", rich_help_panel=MORE)(pause)
+    app.command("stop", rich_help_panel=MORE)(stop)
+
+
+def steer(
+    run: Annotated[str, typer.Argument(help="Path or name of the run.")],
+    text: Annotated[str, typer.Argument(help="What the agent should know or try.")],
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Leave a note that the agent sees at its next step; the ledger keeps it."""
+    from asia.ledger import find_run, open_run
+    from asia.search import Controls
+
+    opened = open_run(find_run(runs, run))
+    Controls(opened.directory).steer(text)
+    agent = opened.view.started.agent
+    when = "at its next step" if opened.state == "running" else "when the search goes on"
+    print(f"noted for {opened.name}: recorded {when}")
+    if agent in ("expert", "random", "random-paper", "bayes"):
+        print(f"note     the agent '{agent}' does not read; the note is for the record")
+
+
+def pause(
+    run: RunName = None,
+    go_on: Annotated[bool, typer.Option("--end", help="End the pause.")] = False,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Begin no further experiment until asia pause --end; the one that runs is finished."""
+    from asia.errors import UserError
+    from asia.ledger import find_run, open_run
+    from asia.search import Controls
+
+    opened = open_run(find_run(runs, run))
+    controls, name = Controls(opened.directory), opened.name
+    if go_on:
+        words = f"{name} goes on" if controls.paused else f"{name} was not paused"
+        controls.go_on()
+        print(words)
+    elif opened.state != "running":
+        raise UserError(f"run '{name}' is {opened.state}: there is nothing to pause")
+    elif controls.paused:
+        print(f"{name} is paused already; asia pause {name} --end goes on")
+    else:
+        controls.pause()
+        print(f"{name} pauses after its present experiment; asia pause {name} --end goes on")
+
+
+def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
+    """End the search after the experiment that runs; the command that began it goes on later."""
+    from asia.errors import UserError
+    from asia.ledger import find_run, open_run
+    from asia.search import Controls
+
+    opened = open_run(find_run(runs, run))
+    if opened.state != "running":
+        raise UserError(f"run '{opened.name}' is {opened.state}: there is nothing to stop")
+    Controls(opened.directory).stop()
+    print(f"{opened.name} stops after its present experiment")

@@ -1,0 +1,69 @@
+"""asia workspace: a folder to work in by hand or by a coding agent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asia.cli._options import DEFAULT_RUNS, MORE, Runs
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("workspace", rich_help_panel=MORE)(workspace)
+
+
+def workspace(
+    problem: Annotated[
+        str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
+    ],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make.")],
+    experiments: Annotated[
+        int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
+    hours: Annotated[
+        float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name of the run; default PROBLEM-workspace-sSEED.")
+    ] = None,
+    early_stopping: Annotated[
+        str | None, typer.Option(help="inner, or validation; default the problem's.")
+    ] = None,
+    isolation: Annotated[
+        str | None, typer.Option(help="Ask for a level instead of the strongest: process.")
+    ] = None,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Make a folder with the training data, the task and the baseline; asia try judges what you
+    write there. The evaluator is another process, and the ledger lies elsewhere.
+
+    The same command again renews the texts, keeps your candidate, and raises the budget.
+    """
+    from asia.cli._run import check_level, check_name
+    from asia.search import Order, make_workspace, prepare_order
+
+    check_name(name)
+    level = check_level(isolation)
+    order = Order(
+        problem=str(Path(problem).resolve()) if Path(problem).is_dir() else problem,
+        agent="workspace",
+        seed=seed,
+        experiments=experiments,
+        hours=hours,
+        early_stopping=early_stopping,
+        isolation=level.value if level else None,
+    )
+    prepared = prepare_order(order, runs, name)
+    made = make_workspace(folder, prepared, order)
+    sealed = prepared.started.test_digest
+    print(f"wrote    {made.folder}: PROGRAM.md, description.md, data/, candidate.py, plot.py")
+    print(f"run      {prepared.directory}, {prepared.started.experiments} experiments")
+    print(
+        f"judge    isolation {prepared.started.isolation}; "
+        f"test {'sealed, ' + sealed[:8] if sealed else 'none'}"
+    )
+    print(f'next     cd {folder}; read PROGRAM.md; edit candidate.py; asia try -m "why it helps"')

@@ -1,0 +1,213 @@
+"""The tools. Each docstring is what an agent reads of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any, TypeVar
+
+import anyio
+import anyio.to_thread
+from mcp.server.mcpserver import Context
+from mcp.server.mcpserver.exceptions import ToolError
+from pydantic import Field
+
+from asia.agents import Proposal
+from asia.errors import AsiaError
+from asia.mcp._answers import (
+    Results,
+    Shown,
+    Status,
+    Ticket,
+    Waited,
+    best,
+    shown,
+    ticket,
+    verdict,
+)
+from asia.search import Job, RunDesk
+from asia.search._desk import one_line
+
+LONGEST_WAIT = 45.0
+_POLL = 0.25
+_PROGRESS_SECONDS = 3.0
+_NOTES = 5
+_NOTE = 1000
+
+T = TypeVar("T")
+
+TicketName = Annotated[str, Field(description="The ticket that asia_submit gave.")]
+
+
+class Tools:
+    """Methods that become tools. Every one asks the desk in a thread, so that several calls and a
+    cancelled one do not wait for each other."""
+
+    def __init__(self, desk: RunDesk, page: str, fit_seconds: float) -> None:
+        self._desk, self._page, self._fit_seconds = desk, page, fit_seconds
+
+    async def problem(self) -> str:
+        """Task, description, signals, how V is computed, the contract of candidate.py and the
+        model library. Read this first."""
+        return self._page
+
+    async def submit(
+        self,
+        code: Annotated[str, Field(description="The whole candidate.py, at most 64 KB.")],
+        hypothesis: Annotated[str, Field(description="What you change and why it should help.")],
+        expected: Annotated[str, Field(description="What you expect of V or of the residuals.")],
+        family: Annotated[str, Field(description="Kind of model, a word or two.")] = "",
+        parent: Annotated[
+            int | None, Field(description="Experiment that it was made from.")
+        ] = None,
+    ) -> Ticket:
+        """Hand in a candidate; costs one experiment. Returns a ticket at once: call asia_wait with
+        it. The same source again returns the ticket it has; a source that does not parse, or has no
+        fit, is refused and costs nothing."""
+        proposal = Proposal(code, family, "", hypothesis, expected, parent)
+        job = await ask(self._desk.submit, proposal)
+        return ticket(job, "asia_wait with this ticket")
+
+    async def wait(
+        self,
+        ctx: Context[Any, Any],
+        ticket: TicketName,
+        timeout_s: Annotated[float, Field(ge=0, le=LONGEST_WAIT)] = LONGEST_WAIT,
+    ) -> Waited:
+        """Wait for a submission, at most 45 s, with progress. state: queued, running or done; call
+        it again until it is done. V is null for a candidate that failed: see reason and advice."""
+        start = time.monotonic()
+        job = await self._known(ticket)
+        if job.state != "done":
+            await ask(self._desk.wake)
+        told = -_PROGRESS_SECONDS
+        while job.state in ("queued", "running"):
+            waited = time.monotonic() - start
+            if waited >= timeout_s:
+                break
+            if waited - told >= _PROGRESS_SECONDS:
+                told = waited
+                now = await ask(self._desk.standing)
+                words = _words(job, begun=now.experiments > 0)
+                await ctx.report_progress(round(waited, 1), timeout_s, words)
+            await anyio.sleep(min(_POLL, timeout_s - waited))
+            job = await ask(self._desk.job, ticket)
+        if job.state == "unknown":
+            raise ToolError(f"submission {ticket} was taken back meanwhile: asia_submit another")
+        return await self._waited(job)
+
+    async def status(self) -> Status:
+        """Where the search stands: experiments spent and left, best V, V of trivial references,
+        notes of the person."""
+        now = await ask(self._desk.standing)
+        return Status(
+            run=now.run,
+            problem=now.problem,
+            state=now.state,
+            metric=now.v_name,
+            experiments=now.experiments,
+            budget=now.budget,
+            remaining=now.remaining,
+            best=best(now),
+            rungs=now.rungs,
+            notes=_notes(now.notes),
+            next=_next_step(now.state, now.remaining),
+        )
+
+    async def results(
+        self, last: Annotated[int, Field(ge=1, le=200, description="How many.")] = 20
+    ) -> Results:
+        """The last experiments with V, folds, status and reason, oldest first."""
+        found = await ask(self._desk.results)
+        now = await ask(self._desk.standing)
+        return Results(
+            total=len(found), best=best(now), results=[verdict(r) for r in found[-last:]]
+        )
+
+    async def show(
+        self, experiment: Annotated[int, Field(description="Its number, from 1.")]
+    ) -> Shown:
+        """One experiment: hypothesis, expectation, result, residuals on the training side (per
+        fold: training error, bias, whiteness, correlation with the input, error where the output is
+        high, low, at the start, and its curvature), source."""
+        return await ask(lambda: shown(self._desk.run(), experiment))
+
+    async def best(self) -> Shown:
+        """The best experiment so far, as asia_show gives it."""
+        now = await ask(self._desk.standing)
+        if now.best is None:
+            raise ToolError(
+                "no experiment has a score yet: asia_wait for a submission, or see asia_results"
+            )
+        return await self.show(now.best)
+
+    async def cancel(self, ticket: TicketName) -> Ticket:
+        """Take back a submission that is still queued; it costs no experiment then. One that is
+        being evaluated is not interrupted: it ends by itself, within the time limit of a fit."""
+        job = await self._known(ticket)
+        if job.state == "running":
+            raise ToolError(
+                f"submission {ticket} is being evaluated as experiment {job.experiment} and is not "
+                f"interrupted: it ends by itself, a fit within {self._fit_seconds:g} s a fold"
+            )
+        await ask(self._desk.withdraw, ticket)
+        return Ticket(
+            ticket=ticket, state="withdrawn", ahead=0, experiment=None, next="asia_submit"
+        )
+
+    async def _known(self, name: str) -> Job:
+        job = await ask(self._desk.job, name)
+        if job.state == "unknown":
+            raise ToolError(
+                f"no submission has the ticket '{one_line(name, 60)}': it was taken back, or "
+                "belongs to another run; asia_results lists what was evaluated"
+            )
+        return job
+
+    async def _waited(self, job: Job) -> Waited:
+        now = await ask(self._desk.standing)
+        done = await ask(self._desk.results) if job.state == "done" else ()
+        found = [verdict(r) for r in done if r.experiment == job.experiment]
+        return Waited(
+            ticket=job.ticket,
+            state=job.state,
+            ahead=job.ahead,
+            experiment=job.experiment,
+            result=found[0] if found else None,
+            best=best(now),
+            remaining=now.remaining,
+            notes=_notes(now.notes),
+            next=_next_step(now.state, now.remaining) if found else "asia_wait with this ticket",
+        )
+
+
+async def ask(function: Callable[..., T], *arguments: object) -> T:
+    """Call the desk in a thread; what it complains of is for the agent to read."""
+    call = partial(function, *arguments)
+    try:
+        return await anyio.to_thread.run_sync(call, abandon_on_cancel=True)
+    except AsiaError as error:
+        raise ToolError(str(error)) from None
+    except OSError as error:
+        raise ToolError(f"{error.strerror or error}: {error.filename or 'a file'}") from None
+
+
+def _words(job: Job, *, begun: bool) -> str:
+    if job.state == "running":
+        return f"experiment {job.experiment} is being evaluated"
+    if not begun:
+        return "the trivial references and the baseline are evaluated first"
+    return f"queued, {job.ahead} before it"
+
+
+def _notes(notes: tuple[str, ...]) -> list[str]:
+    return [one_line(note, _NOTE) for note in notes[-_NOTES:]]
+
+
+def _next_step(state: str, remaining: int) -> str:
+    if state == "unsealed":
+        return "the sealed test was opened: the search is over; report what was found"
+    if remaining == 0:
+        return "the budget is spent: report what was found, asia_best has it"
+    return "asia_submit the next candidate"

@@ -1,0 +1,320 @@
+"""A search again from its ledger, with no network: the agent is asked again with the same view, its
+candidates are evaluated again, and all is compared with what was recorded."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from asia.agents import (
+    AGENTS,
+    Agent,
+    AgentView,
+    Attached,
+    DivergedError,
+    LlmAgent,
+    LlmSettings,
+    Proposal,
+)
+from asia.errors import InternalError
+from asia.evaluation import LINEAR, Evaluator, score_rungs
+from asia.ledger import (
+    Evaluated,
+    Event,
+    Exchanged,
+    Proposed,
+    Run,
+    RungScored,
+    SearchView,
+    Started,
+    Status,
+    Stopped,
+    Store,
+    check_lock,
+    open_run,
+    replay,
+)
+from asia.problem.load import Problem, load_lock
+from asia.sandbox import Isolation, probe
+from asia.scoring import Failure, Outcome, Score
+from asia.search._agent_view import agent_view, as_bytes, problem_facts
+from asia.search._loop import judge
+from asia.search._rules import decide
+from asia.search._search import LOCK, environment, make_evaluator
+
+OutcomeVerdict = Literal["same", "close", "differs", "exempt", "unfinished"]
+ProposalVerdict = Literal["same", "differs", "taken", "none"]
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """One thing done again. name: `#07`, `rung linear model` or `stop`.
+
+    outcome: `same` is bitwise the same, `close` within the tolerance, `exempt` one that the
+    deadline decided. proposal: `taken` from the ledger where there is no agent to ask, `none` for
+    a rung. V, again:
+    the recorded value and this one; apart: their relative difference, None without two scores;
+    detail: what is not the same.
+    """
+
+    name: str
+    outcome: OutcomeVerdict
+    proposal: ProposalVerdict = "none"
+    status: Status | None = None
+    V: float | None = None
+    again: float | None = None
+    apart: float | None = None
+    detail: str = ""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing speaks against the record."""
+        return self.outcome != "differs" and self.proposal != "differs"
+
+
+@dataclass(frozen=True)
+class ReplayReport:
+    """What a replay came to. tolerance: relative, 0 for bitwise; notes: what is not as it was on
+    this machine; exchanges: answers of a language model on record."""
+
+    run: str
+    tolerance: float
+    exchanges: int = 0
+    items: tuple[Replayed, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def agrees(self) -> bool:
+        """Whether all of it agrees."""
+        return all(item.agrees for item in self.items)
+
+    @property
+    def apart(self) -> float:
+        """Largest relative difference of two scores."""
+        return max((item.apart for item in self.items if item.apart is not None), default=0.0)
+
+
+def replay_run(
+    directory: Path, on_item: Callable[[Replayed], None], tolerance: float = 0.0
+) -> ReplayReport:
+    """Replay a finished or interrupted run; nothing is written.
+
+    tolerance: relative difference of V and of its folds up to which outcomes agree; 0 asks for
+    bitwise equality. Raises UserError when the run does not verify, when its data changed, or when
+    the package of its agent is missing.
+    """
+    run = open_run(directory)
+    started = run.view.started
+    check_lock(directory, started)
+    problem = load_lock(directory / LOCK)
+    agent = _agent(started)
+    level, notes = _level(started)
+    again = replace(run.view, started=replace(started, isolation=level.value))
+    replaying = _Replaying(run, problem, make_evaluator(problem, again), agent, tolerance, on_item)
+    replaying.all()
+    answered = sum(200 <= e.status < 300 for e in run.view.exchanges)
+    return ReplayReport(run.name, tolerance, answered, tuple(replaying.items), notes)
+
+
+@dataclass
+class _Replaying:
+    """A replay under way."""
+
+    run: Run
+    problem: Problem
+    evaluator: Evaluator
+    agent: Agent | None
+    tolerance: float
+    on_item: Callable[[Replayed], None]
+    items: list[Replayed] = field(default_factory=list[Replayed])
+
+    def all(self) -> None:
+        """Every record in turn, each with the view that there was before it."""
+        events = [line.event for line in self.run.lines]
+        journal = _Journal(self.run.store, self.run.view.exchanges)
+        if isinstance(self.agent, Attached):
+            self.agent.attach(journal)
+        self._rungs([event for event in events if isinstance(event, RungScored)])
+        asked: dict[int, Replayed] = {}
+        for place, event in enumerate(events):
+            match event:
+                case Proposed():
+                    before = replay(events[:place])
+                    journal.experiments = len(before.experiments)
+                    asked[event.experiment] = self._propose(event, before)
+                case Evaluated():
+                    item = asked.pop(event.experiment)
+                    self._add(self._evaluate(item, event, replay(events[:place])))
+                case Stopped(reason="exhausted") if self.agent is not None:
+                    self._stop(replay(events[:place]), self.agent)
+                case _:
+                    pass
+        for item in asked.values():
+            self._add(replace(item, outcome="unfinished"))
+
+    def _add(self, item: Replayed) -> None:
+        self.items.append(item)
+        self.on_item(item)
+
+    def _rungs(self, recorded: list[RungScored]) -> None:
+        metric, truth = self.problem.protocol.metric, self.problem.truth
+        again = {r.name: r.outcome for r in score_rungs(self.evaluator, metric, truth, set())}
+        for rung in recorded:
+            item = Replayed(f"rung {rung.name}", "same")
+            if isinstance(rung.outcome, Failure) and rung.outcome.reason.status == "timeout":
+                self._add(replace(item, outcome="exempt", detail="the deadline decided"))
+            elif rung.name not in again:
+                self._add(replace(item, outcome="differs", detail="this version has no such rung"))
+            else:
+                self._add(self._compare(item, rung.outcome, again[rung.name]))
+
+    def _propose(self, event: Proposed, before: SearchView) -> Replayed:
+        """Ask again, and compare every word of the answer."""
+        item = Replayed(f"#{event.experiment:02d}", "same", "taken")
+        if event.phase == "baseline":
+            same = as_bytes(self.problem.baseline or LINEAR) == self._source(event)
+            detail = "" if same else "the baseline is another"
+            return replace(item, proposal="same" if same else "differs", detail=detail)
+        if self.agent is None:
+            return item
+        try:
+            proposal = self.agent.propose(self._seen(before))
+        except DivergedError as error:
+            return replace(item, proposal="differs", detail=str(error))
+        if proposal is None:
+            return replace(item, proposal="differs", detail="the agent has nothing to propose now")
+        different = self._different(event, proposal)
+        return replace(
+            item,
+            proposal="differs" if different else "same",
+            detail=f"proposed with another {', '.join(different)}" if different else "",
+        )
+
+    def _seen(self, before: SearchView) -> AgentView:
+        """The agent's view, with the budget of that time."""
+        budget = replace(self.problem.budget, experiments=before.budget, hours=before.hours)
+        facts = problem_facts(replace(self.problem, budget=budget))
+        return agent_view(facts, before, self.run.store)
+
+    def _different(self, event: Proposed, proposal: Proposal) -> list[str]:
+        pairs = {
+            "source": (self._source(event), as_bytes(proposal.source)),
+            "family": (event.family, proposal.family),
+            "title": (event.title, proposal.title),
+            "hypothesis": (event.hypothesis, proposal.hypothesis),
+            "expectation": (event.expected, proposal.expected),
+            "parent": (event.parent, proposal.parent),
+        }
+        return [what for what, (there, here) in pairs.items() if there != here]
+
+    def _source(self, event: Proposed) -> bytes:
+        return self.run.store.get(event.source)
+
+    def _evaluate(self, item: Replayed, event: Evaluated, view: SearchView) -> Replayed:
+        item = replace(item, status=event.status, V=_value(event.outcome))
+        if event.duplicate_of is not None:
+            twin = next(i for i in self.items if i.name == f"#{event.duplicate_of:02d}")
+            again = replace(item, outcome=twin.outcome, again=twin.again, apart=twin.apart)
+            return _with_detail(again, f"twin of {twin.name}")
+        if event.deadline:
+            return _with_detail(replace(item, outcome="exempt"), "the deadline decided")
+        source = self.run.store.text(view.experiment(event.experiment).proposed.source)
+        outcome = judge(self.evaluator, source, view).outcome
+        item = self._compare(item, event.outcome, outcome)
+        status = decide(outcome, view)
+        if status != event.status and item.outcome == "same":
+            return _with_detail(replace(item, outcome="differs"), f"it would be {status} now")
+        return item
+
+    def _stop(self, before: SearchView, agent: Agent) -> None:
+        ended = agent.propose(self._seen(before)) is None
+        item = Replayed("stop", "same" if ended else "differs", "same")
+        self._add(item if ended else _with_detail(item, "the agent goes on now"))
+
+    def _compare(self, item: Replayed, there: Outcome, here: Outcome) -> Replayed:
+        item = replace(item, V=_value(there), again=_value(here))
+        if isinstance(there, Failure) or isinstance(here, Failure):
+            same = _kind(there) == _kind(here)
+            detail = "" if same else f"{_kind(here)} now, {_kind(there)} then"
+            return _with_detail(replace(item, outcome="same" if same else "differs"), detail)
+        apart = _apart(there, here)
+        item = replace(item, apart=apart)
+        if there == here:
+            return item
+        close = apart <= self.tolerance
+        return _with_detail(
+            replace(item, outcome="close" if close else "differs"),
+            f"V {there.value!r} then, {here.value!r} now",
+        )
+
+
+@dataclass
+class _Journal:
+    """The record as an agent reads it in a replay; nothing can be added."""
+
+    store: Store
+    exchanges: tuple[Exchanged, ...]
+    experiments: int = 0
+
+    def record(self, event: Event) -> None:
+        """Raises InternalError."""
+        raise InternalError(f"a replay was about to record '{event.event}'")
+
+    def put(self, data: bytes) -> str:
+        """The name these bytes would have."""
+        return hashlib.sha256(data).hexdigest()
+
+    def get(self, name: str) -> bytes:
+        """Bytes of the run."""
+        return self.store.get(name)
+
+    def interrupted(self) -> bool:
+        """Nobody interrupts a replay."""
+        return False
+
+
+def _agent(started: Started) -> Agent | None:
+    """The agent to ask again; None for those whose proposals come from outside."""
+    if started.agent == "llm":
+        return LlmAgent(LlmSettings.from_record(started.agent_settings), network=False)
+    make = AGENTS.get(started.agent)
+    return make() if make is not None else None
+
+
+def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
+    """The isolation to evaluate at, and what is not as it was."""
+    wanted, found = Isolation(started.isolation), probe().level
+    level = wanted if wanted in (found, Isolation.PROCESS) else found
+    notes = () if level is wanted else (f"isolation {level.value} here, {wanted.value} then",)
+    here, there = environment(started.agent), started.environment
+    changed = [
+        f"{name} {here.get(name, 'missing')} here, {there.get(name, 'missing')} then"
+        for name in sorted({**there, **here})
+        if here.get(name) != there.get(name)
+    ]
+    return level, (*notes, *changed)
+
+
+def _value(outcome: Outcome) -> float | None:
+    return outcome.value if isinstance(outcome, Score) else None
+
+
+def _kind(outcome: Outcome) -> str:
+    if isinstance(outcome, Score):
+        return "a score"
+    return f"{outcome.reason.value} in fold {outcome.fold}"
+
+
+def _apart(there: Score, here: Score) -> float:
+    """Largest difference of V and of the folds, relative to the larger one."""
+    pairs = [(there.value, here.value)]
+    pairs += [(a.value, b.value) for a, b in zip(there.folds, here.folds, strict=True)]
+    return max(abs(b - a) / max(a, b) if a != b else 0.0 for a, b in pairs)
+
+
+def _with_detail(item: Replayed, detail: str) -> Replayed:
+    parts = [part for part in (item.detail, detail) if part]
+    return replace(item, detail="; ".join(parts))

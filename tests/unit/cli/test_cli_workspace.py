@@ -1,0 +1,87 @@
+"""asia workspace and asia try, as a person at a shell uses them."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from asia.ledger import in_use, open_run
+from tests.unit.cli.conftest import Asia
+from tests.unit.search.toy import CRASH, arx, write_problem
+
+
+def over(run: Path) -> None:
+    """Until the search's own process has ended."""
+    end = time.monotonic() + 60
+    while in_use(run / "ledger.jsonl") and time.monotonic() < end:
+        time.sleep(0.1)
+
+
+def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
+    problem = write_problem(tmp_path / "toy")
+    folder, runs = tmp_path / "work", tmp_path / "runs"
+    made = asia("workspace", problem, folder, "--experiments", 4, "--runs", runs)
+    assert made.code == 0, made.err
+    program = (folder / "PROGRAM.md").read_text()
+    for words in ("asia try", "4 experiments", "2 blocks", "def simulate", "`u`"):
+        assert words in program
+    assert sorted(p.name for p in (folder / "data").iterdir()) == ["train.csv"]
+    assert (folder / "data" / "train.csv").read_text().startswith("time,u,y\n0.0,")
+    assert not list(folder.rglob("*test*"))
+
+    (folder / "candidate.py").write_text("def fit(\n")
+    broken = asia("try", "-m", "a typing error", "--dir", folder)
+    assert broken.code == 2
+    assert "no experiment spent" in broken.err
+    (folder / "candidate.py").write_text(arx(2))
+    good = asia("try", "-m", "two lags", "--expect", "half", "--dir", folder, "--json")
+    assert good.code == 0, good.err
+    answer = json.loads(good.out)
+    assert answer["experiment"] == 2
+    assert answer["V"] < 0.05
+    assert answer["best"] == {"experiment": 2, "V": answer["V"]}
+    assert answer["remaining"] == 2
+    again = asia("try", "-m", "the same again", "--dir", folder / "data")
+    assert "#02" in again.out
+    (folder / "candidate.py").write_text(CRASH)
+    crash = asia("try", "-m", "a crash", "--parent", 2, "--dir", folder)
+    assert crash.code == 3
+    assert "no such luck" in crash.out
+    assert "best #02" in crash.out
+    (folder / "candidate.py").write_text(arx(3))
+    last = asia("try", "-m", "three lags", "--dir", folder)
+    assert "0 of 4 experiments left" in last.out
+    assert len((folder / "results.tsv").read_text().splitlines()) == 5
+    assert not os.access(folder / "results.tsv", os.W_OK) or os.geteuid() == 0
+    (run,) = runs.iterdir()
+    over(run)
+    assert open_run(run).view.complete
+    (folder / "candidate.py").write_text(arx(4))
+    spent = asia("try", "-m", "one too many", "--dir", folder)
+    assert spent.code == 2
+    assert "budget" in spent.err
+    # The same command with more raises the budget and keeps the candidate.
+    assert asia("workspace", problem, folder, "--experiments", 5, "--runs", runs).code == 0
+    assert (folder / "candidate.py").read_text() == arx(4)
+    more = asia("try", "-m", "one more", "--dir", folder)
+    assert more.code == 0, more.err
+    assert "#05" in more.out
+    over(run)
+
+
+@pytest.mark.parametrize("where", ["full", "inside"])
+def test_a_folder_that_cannot_be_a_workspace(tmp_path: Path, asia: Asia, where: str) -> None:
+    problem = write_problem(tmp_path / "toy")
+    runs = tmp_path / "runs"
+    folder = problem if where == "full" else runs / "toy-workspace-s0" / "work"
+    done = asia("workspace", problem, folder, "--runs", runs)
+    assert done.code == 2
+    assert ("not empty" if where == "full" else "lie inside each other") in done.err
+
+
+def test_try_outside_a_workspace_says_how_to_make_one(tmp_path: Path, asia: Asia) -> None:
+    done = asia("try", "-m", "anything", "--dir", tmp_path)
+    assert done.code == 2
+    assert "asia workspace PROBLEM DIR" in done.err

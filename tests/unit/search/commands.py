@@ -1,0 +1,51 @@
+"""Coding agents of our own for tests."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from asia.agents import PRESETS, Preset, StreamFormat
+from asia.ledger import Event, SearchView
+from asia.problem.load import load_problem
+from asia.sandbox import Isolation, probe
+from asia.search import CommandRules, prepare, run_command
+
+HERE = Path(__file__).resolve().parent
+JAILED = probe().level is Isolation.NAMESPACE
+RULES = CommandRules(mounts=(HERE,), jail=JAILED)
+
+
+def fake(format_: str, scenario: str, *arguments: str, dollars: tuple[str, ...] = ()) -> Preset:
+    """The preset with a program of our own in place of the agent's."""
+    words = (sys.executable, str(HERE / "fake_agent.py"), format_, scenario, *arguments)
+    known = PRESETS[format_]
+    return replace(
+        known, start=words, resume=(*words, "resume") if known.resume else (), dollars=dollars
+    )
+
+
+def says(code: str, format_: StreamFormat = "claude", *arguments: str) -> Preset:
+    """An agent that is a line of Python."""
+    start = (sys.executable, "-c", code, "{prompt}", *arguments)
+    return Preset(start=start, format=format_, tells_cost=True)
+
+
+def with_config(problem: Path) -> CommandRules:
+    """What lets a session outlive its process in a jail."""
+    config = problem.parent / ".claude"
+    config.mkdir()
+    (config / "login").write_text("a token")
+    return replace(RULES, configs=(config,))
+
+
+def go(
+    problem: Path,
+    preset: Preset,
+    rules: CommandRules = RULES,
+    on_event: Callable[[Event, SearchView], None] = lambda event, view: None,
+) -> SearchView:
+    """A whole sitting."""
+    loaded = load_problem(problem)
+    ready = prepare(loaded, "claude", seed=0, runs=problem.parent / "runs")
+    return run_command(ready, preset, rules, on_event, lambda view: None)
