@@ -111,7 +111,7 @@ def briefing(facts: Facts) -> str:
         "Training records": "\n".join(_records(facts)),
         "Contract": _contract(facts),
         "A small candidate": fenced(EXAMPLE, _SOURCE),
-        "Library": "\n".join(_library(facts)),
+        "Library": library(facts),
         "Notes from the literature": bounded(facts.notes, _TEXT),
         "Strategies suggested": bounded(facts.strategies, _TEXT),
     }
@@ -208,6 +208,11 @@ def _contract(facts: Facts) -> str:
         seconds=facts.budget.fit_seconds,
         stopping=_INNER if inner else _VALIDATION.format(scores=VALIDATION_SCORES),
     )
+
+
+def library(facts: Facts) -> str:
+    """The families that suit a problem, with the calls to start from."""
+    return "\n".join(_library(facts))
 
 
 def _library(facts: Facts) -> Iterator[str]:

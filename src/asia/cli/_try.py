@@ -104,13 +104,13 @@ def result_lines(result: Result, standing: Standing) -> list[str]:
     if standing.best is not None and standing.best_value is not None:
         best = f"#{standing.best:02d} {error_value(standing.best_value)}"
     head = f"#{result.experiment:02d} {result.status:<8}"
-    tail = f"best {best} | {standing.remaining} of {standing.budget} experiments left"
+    tail = f"    best {best}, {standing.remaining} of {standing.budget} experiments left"
     if result.value is not None:
         folds = ", ".join(error_value(v) for v in result.folds)
         name = standing.v_name
-        lines = [f"{head}{name} = {error_value(result.value)} (folds {folds}) | {tail}"]
+        lines = [f"{head}{name} = {error_value(result.value)} (folds {folds})"]
     else:
-        lines = [f"{head}no score: {result.advice} | {tail}"]
+        lines = [f"{head}no score: {result.advice}"]
         if result.detail:
             lines.append(f"    the candidate's own words: {result.detail}")
     if result.training is not None:
@@ -119,6 +119,7 @@ def result_lines(result: Result, standing: Standing) -> list[str]:
         lines.append(f"    training side: {said.removeprefix('train ')}")
     if result.duplicate_of is not None:
         lines.append(f"    the same source as #{result.duplicate_of:02d}; its outcome stands")
+    lines.append(tail)
     lines += [f"note from the person: {note}" for note in standing.notes[-3:]]
     return lines
 

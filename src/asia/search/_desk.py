@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from asia.agents import Proposal
+from asia.agents._llm_text import error_line
 from asia.candidate import check_source
 from asia.errors import CandidateError, UserError
 from asia.ledger import Diagnostics, Experiment, Run, Stopped, open_run
@@ -294,7 +295,6 @@ def result_of(experiment: Experiment) -> Result:
         experiment.proposed, experiment.result, experiment.score, experiment.failure,
     )  # fmt: skip
     assert r is not None
-    detail = failure.detail.strip().splitlines() if failure else []
     return Result(
         experiment=experiment.number,
         status=r.status,
@@ -302,7 +302,7 @@ def result_of(experiment: Experiment) -> Result:
         folds=tuple(f.value for f in score.folds) if score else (),
         reason=failure.reason.value if failure else None,
         advice=failure.advice if failure else None,
-        detail=one_line(detail[-1]) if detail else None,
+        detail=(error_line(failure.detail, DETAIL) or None) if failure else None,
         title=one_line(p.title, TITLE),
         parent=p.parent,
         seconds=round(r.seconds, 1),

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import textwrap
 
-from asia.agents._llm_problem import equations
+from asia.agents._llm_problem import equations, library
 from asia.problem import ProtocolRule, Signal
 from asia.problem.load import Problem
-from asia.search._rules import EXPLORE_SHARE
+from asia.search._agent_view import problem_facts
 
 _CONTRACT = '''```python
 def build_model(context):                       # the model class, untrained
@@ -63,8 +63,9 @@ the one before. `past_u` has {rule.past_inputs} samples and `past_y` {rule.past_
 has inputs, outputs, sampling_time, n_past_u, n_past_y, horizon, metric, physics, seed, deadline,
 threads and `log(step, loss)`. Use `context.seed` for everything random. A fit may take
 {budget.fit_seconds:g} s on one core and {budget.memory_mb} MB, and should end by a number of
-iterations, not by the clock. numpy, scipy, jax, optax and the model library `asia.models` can be
-imported; there is no network and nothing else to read.
+iterations, not by the clock. numpy, scipy, jax, equinox, optax and the model library `asia.models`
+can be imported; `models.md` says which families it has for this problem and how to call them. There
+is no network and nothing else to read.
 {_physics(problem)}
 ## What to do
 
@@ -82,8 +83,7 @@ overfitted, one about V too simple; bias, whiteness (autocorrelation), input cor
 curvature are best at 0, and little below 0.1; top, bottom and start error are over the mean error.
 `--parent N` names the experiment you started from. There are {experiments} experiments, the
 baseline included; each candidate, good or bad, is one. The same candidate twice is answered from
-the record. The search ends early when, after the first {EXPLORE_SHARE:.0%}, {budget.patience}
-experiments in a row found nothing better.
+the record.
 
 1. **Explore.** First try model classes that differ: a linear model, a grey-box or a hybrid where
 there are equations, a nonlinear state-space model, a recurrent network. One idea an experiment.
@@ -112,6 +112,11 @@ def _simulated(problem: Problem) -> str:
         "can read: leave its simulator alone. This is a demonstration, and a result on it proves "
         "nothing about who found it."
     )
+
+
+def models_page(problem: Problem) -> str:
+    """What `asia.models` has for this problem, Markdown."""
+    return f"# Models for {problem.name}\n\n{library(problem_facts(problem))}\n"
 
 
 def _filled(text: str) -> str:
