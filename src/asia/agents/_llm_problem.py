@@ -13,6 +13,7 @@ from asia.agents._space import Choice, Span
 from asia.agents._view import Facts
 from asia.candidate import VALIDATION_SCORES
 from asia.problem import Array, Physics, Signal
+from asia.problem._syntax import syntax_tree
 
 _TEXT = 8000
 _EXPRESSION = 400
@@ -107,11 +108,11 @@ def briefing(facts: Facts) -> str:
         "Description": bounded(facts.description, _TEXT),
         "Signals": "\n".join(_signals(facts)),
         "Judgement": "\n".join(_judgement(facts)),
-        "Equations": "" if facts.physics is None else "\n".join(_equations(facts.physics)),
+        "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
         "Training records": "\n".join(_records(facts)),
         "Contract": _contract(facts),
         "A small candidate": fenced(EXAMPLE, _SOURCE),
-        "Library": "\n".join(_library(facts)),
+        "Library": library(facts),
         "Notes from the literature": bounded(facts.notes, _TEXT),
         "Strategies suggested": bounded(facts.strategies, _TEXT),
     }
@@ -156,8 +157,8 @@ def _judgement(facts: Facts) -> Iterator[str]:
         )
 
 
-def _equations(physics: Physics) -> Iterator[str]:
-    """As the person gave them; the library's grey-box families read them from context.physics."""
+def equations(physics: Physics) -> Iterator[str]:
+    """As the person gave them, a line each."""
     yield f"states: {', '.join(physics.states)}"
     ranges = {k: f"{r.min:g} to {r.max:g}" for k, r in physics.parameters.items()}
     bounds = {k: f"{_open(b.min)} to {_open(b.max)}" for k, b in physics.bounds.items()}
@@ -216,6 +217,11 @@ def _contract(facts: Facts) -> str:
     )
 
 
+def library(facts: Facts) -> str:
+    """The families that suit a problem, with the calls to start from."""
+    return "\n".join(_library(facts))
+
+
 def _library(facts: Facts) -> Iterator[str]:
     rows = families(facts)
     yield (
@@ -233,7 +239,7 @@ def _library(facts: Facts) -> Iterator[str]:
 
 def _settings(source: str) -> list[str]:
     """The assignments that say model and method."""
-    nodes = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Assign)]
+    nodes = [n for n in ast.walk(syntax_tree(source, "candidate.py")) if isinstance(n, ast.Assign)]
     return [ast.unparse(node) for node in nodes]
 
 

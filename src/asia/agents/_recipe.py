@@ -9,6 +9,7 @@ from functools import lru_cache
 
 from asia.candidate import source_digest
 from asia.errors import CandidateError
+from asia.problem._syntax import syntax_tree
 
 Value = int | float | str | bool | None | tuple[str | int | float, ...]
 Settings = tuple[tuple[str, Value], ...]
@@ -110,7 +111,7 @@ def read_recipe(source: str) -> Recipe | None:
     """The recipe a source says the same as; None when it says more, as one that a person or
     another agent wrote may."""
     try:
-        tree = ast.parse(source)
+        tree = syntax_tree(source, "candidate.py")
         found = _read(tree)
         same = found is not None and source_digest(found.source("")) == source_digest(source)
     except (SyntaxError, ValueError, CandidateError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -26,10 +26,27 @@ class Driver:
 
 
 def built_in(name: str, space: str | None) -> Agent:
-    """As `make_agent`."""
-    from asia.agents import make_agent
+    """As `make_agent`; who names a coding agent is told how to call it."""
+    from asia.agents import PRESETS, make_agent
+    from asia.errors import UserError
 
+    if name in PRESETS:
+        raise UserError(f"--agent {name}: write command:{name}, as for every coding agent")
     return make_agent(name, space)
+
+
+def refuse_for_others(agent: str, *, owners: Sequence[str], **given: object) -> None:
+    """Raises UserError when an option of some agents was given to another: it would be lost."""
+    from asia.errors import UserError
+
+    kind = agent.partition(":")[0]
+    whose = " or ".join("command:NAME" if o == "command" else o for o in owners)
+    for name, value in given.items():
+        if kind not in owners and value is not None:
+            raise UserError(
+                f"--{name.replace('_', '-')} is for --agent {whose}, and the agent is '{agent}': "
+                "leave it out"
+            )
 
 
 def agent_driver(agent: Agent) -> Driver:

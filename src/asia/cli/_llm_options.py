@@ -11,11 +11,12 @@ if TYPE_CHECKING:
     from asia.agents import LlmAgent
 
 PANEL = "Language model (--agent llm)"
+CAPS = "Language models and coding agents (--agent llm, command:NAME)"
 
 Model = Annotated[
     str | None,
     typer.Option("--model", help="Name of the model, as its server calls it.",
-                 rich_help_panel=PANEL),
+                 rich_help_panel=CAPS),
 ]  # fmt: skip
 BaseUrl = Annotated[
     str | None,
@@ -50,7 +51,7 @@ ApiKeyEnv = Annotated[
 ]  # fmt: skip
 MaxTokens = Annotated[
     int | None,
-    typer.Option("--max-tokens", min=1, rich_help_panel=PANEL,
+    typer.Option("--max-tokens", min=1, rich_help_panel=CAPS,
                  help="Stop before input and output tokens exceed this in all; no limit by "
                  "default."),
 ]  # fmt: skip
@@ -61,8 +62,8 @@ MaxReplyTokens = Annotated[
 ]  # fmt: skip
 MaxCost = Annotated[
     float | None,
-    typer.Option("--max-cost", metavar="USD", rich_help_panel=PANEL,
-                 help="Stop before the cost exceeds this; needs --prices."),
+    typer.Option("--max-cost", metavar="USD", rich_help_panel=CAPS,
+                 help="Stop before the cost exceeds this; llm needs --prices."),
 ]  # fmt: skip
 Prices = Annotated[
     str | None,
@@ -77,18 +78,6 @@ Anonymous = Annotated[
 ]  # fmt: skip
 
 KEY_VARIABLE = "OPENAI_API_KEY"
-
-
-def refuse_for_others(agent: str, **given: object) -> None:
-    """Raises UserError when an option of the agent llm was given to another: it would be lost."""
-    from asia.errors import UserError
-
-    for name, value in given.items():
-        if agent != "llm" and value is not None:
-            raise UserError(
-                f"--{name.replace('_', '-')} is for --agent llm, and the agent is '{agent}': leave "
-                "it out"
-            )
 
 
 def llm_agent(

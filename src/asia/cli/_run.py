@@ -12,7 +12,7 @@ import typer
 
 from asia.cli import _command_options as program
 from asia.cli import _llm_options as llm
-from asia.cli._driver import agent_driver, built_in
+from asia.cli._driver import agent_driver, built_in, refuse_for_others
 from asia.cli._options import DEFAULT_RUNS, Json, Runs
 
 NOTHING_FOUND = 3
@@ -88,17 +88,26 @@ def run(
     from asia.search import prepare
 
     check_name(name)
-    llm.refuse_for_others(
+    refuse_for_others(
         agent, temperature=temperature, top_p=top_p, llm_seed=llm_seed, extra_body=extra_body,
         max_reply_tokens=max_reply_tokens, prices=prices, anonymous=anonymous or None,
+        owners=("llm",),
     )  # fmt: skip
+    refuse_for_others(
+        agent, command=command, agent_minutes=agent_minutes, network=network or None,
+        agent_config=agent_config, agent_mount=agent_mount, pass_env=pass_env, owners=("command",),
+    )  # fmt: skip
+    refuse_for_others(
+        agent, model=model, max_tokens=max_tokens, max_cost=max_cost, owners=("llm", "command")
+    )
+    refuse_for_others(agent, space=space, owners=("random",))
     if agent.startswith(program.PREFIX):
         driver = program.command_driver(
             agent, command, minutes=agent_minutes, stuck_minutes=stuck_minutes, tokens=max_tokens,
             cost=max_cost, network=network, configs=agent_config, mounts=agent_mount,
             pass_env=pass_env, model=model,
         )  # fmt: skip
-    elif agent == "llm" and space is None:
+    elif agent == "llm":
         driver = agent_driver(
             llm.llm_agent(
                 model=model, base_url=base_url, temperature=temperature, top_p=top_p,

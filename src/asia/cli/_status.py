@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+from dataclasses import asdict
 from typing import Any
 
 import typer
@@ -19,7 +20,15 @@ def register(app: typer.Typer) -> None:
 
 def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
     """Where a run stands: state, experiments, best so far."""
-    from asia.cli._format import duration, experiment_line, guard_words, rung_value, told
+    from asia.cli._format import (
+        duration,
+        experiment_line,
+        guard_words,
+        rung_value,
+        stop_words,
+        told,
+        usage_words,
+    )
     from asia.ledger import brief, control, control_words, find_run
     from asia.scoring import Score
 
@@ -34,6 +43,8 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
             "agent": view.started.agent,
             "seed": view.started.seed,
             "state": found.state,
+            "stopped": view.stopped.reason if view.stopped else None,
+            "usage": asdict(view.usage) if view.usage else None,
             "experiments": found.finished,
             "budget": view.budget,
             "isolation": view.started.isolation,
@@ -59,6 +70,11 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
     print(
         f"{found.state}: {found.finished} of {view.budget} experiments in {duration(found.seconds)}"
     )
+    if view.stopped is not None:
+        words = stop_words(view.stopped.reason, view)
+        print(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))
+    if view.usage is not None:
+        print(f"agent   {usage_words(view.usage)}")
     if view.started.early_stopping == "validation":
         print(f"V is {told(found.validation_scores)}")
     if view.looks:

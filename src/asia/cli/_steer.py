@@ -40,18 +40,23 @@ def pause(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Begin no further experiment until asia pause --end; the one that runs is finished."""
-    from asia.ledger import find_run
+    from asia.errors import UserError
+    from asia.ledger import find_run, open_run
     from asia.search import Controls
 
-    directory = find_run(runs, run)
+    opened = open_run(find_run(runs, run))
+    controls, name = Controls(opened.directory), opened.name
     if go_on:
-        Controls(directory).go_on()
-        print(f"{directory.name} goes on")
-        return
-    Controls(directory).pause()
-    print(
-        f"{directory.name} pauses after its present experiment; asia pause {directory.name} --end"
-    )
+        words = f"{name} goes on" if controls.paused else f"{name} was not paused"
+        controls.go_on()
+        print(words)
+    elif opened.state != "running":
+        raise UserError(f"run '{name}' is {opened.state}: there is nothing to pause")
+    elif controls.paused:
+        print(f"{name} is paused already; asia pause {name} --end goes on")
+    else:
+        controls.pause()
+        print(f"{name} pauses after its present experiment; asia pause {name} --end goes on")
 
 
 def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:

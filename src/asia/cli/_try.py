@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -104,18 +104,23 @@ def result_lines(result: Result, standing: Standing) -> list[str]:
     if standing.best is not None and standing.best_value is not None:
         best = f"#{standing.best:02d} {error_value(standing.best_value)}"
     head = f"#{result.experiment:02d} {result.status:<8}"
-    tail = f"best {best} | {standing.remaining} of {standing.budget} experiments left"
+    tail = f"    best {best}, {standing.remaining} of {standing.budget} experiments left"
     if result.value is not None:
         folds = ", ".join(error_value(v) for v in result.folds)
         name = standing.v_name
         parts = f" (folds {folds})" if folds else ""
-        lines = [f"{head}{name} = {error_value(result.value)}{parts} | {tail}"]
+        lines = [f"{head}{name} = {error_value(result.value)}{parts}"]
     else:
-        lines = [f"{head}no score: {result.advice} | {tail}"]
+        lines = [f"{head}no score: {result.advice}"]
         if result.detail:
             lines.append(f"    the candidate's own words: {result.detail}")
+    if result.training is not None:
+        values = zip(fields(result.training), astuple(result.training), strict=True)
+        said = ", ".join(f"{f.name.replace('_', ' ')} {v:.3g}" for f, v in values)
+        lines.append(f"    training side: {said.removeprefix('train ')}")
     if result.duplicate_of is not None:
         lines.append(f"    the same source as #{result.duplicate_of:02d}; its outcome stands")
+    lines.append(tail)
     lines += [f"note from the person: {note}" for note in standing.notes[-3:]]
     return lines
 

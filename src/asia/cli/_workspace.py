@@ -60,7 +60,7 @@ def workspace(
     prepared = prepare_order(order, runs, name)
     made = make_workspace(folder, prepared, order)
     sealed = prepared.started.test_digest
-    print(f"wrote    {made.folder}: PROGRAM.md, description.md, data/, candidate.py, plot.py")
+    print(f"wrote    {made.folder}: PROGRAM.md, models.md, description.md, data/, candidate.py")
     print(f"run      {prepared.directory}, {prepared.started.experiments} experiments")
     print(
         f"judge    isolation {prepared.started.isolation}; "

@@ -91,6 +91,13 @@ def _outcome_words(e: Experiment, view: SearchView) -> str:
         return f"{view.v_name} = {error_value(e.score.value)}{parts}"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
-        detail = f" ({e.failure.detail.splitlines()[-1]})" if e.failure.detail.strip() else ""
+        said = e.failure.detail.strip().splitlines()
+        detail = f" ({_printable(said[-1])})" if said else ""
         return f"no score{where}: {e.failure.advice}{detail}"
     return "being evaluated"
+
+
+def _printable(text: str, most: int = 300) -> str:
+    """A candidate's words: no control characters, cut."""
+    clean = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text.strip())
+    return clean if len(clean) <= most else clean[: most - 1] + "…"

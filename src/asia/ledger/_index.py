@@ -46,7 +46,7 @@ _KEPT_BEFORE = """SELECT experiment FROM records WHERE status = 'keep' AND seq <
     ORDER BY seq DESC LIMIT 1"""
 _PENDING = "SELECT max(experiment) FROM records"
 _RECORDS = """SELECT seq, offset, length FROM records
-    WHERE (experiment IS NULL AND event NOT IN ('exchanged', 'streamed'))
+    WHERE (experiment IS NULL AND event <> 'streamed')
     OR experiment IN (SELECT value FROM json_each(?)) ORDER BY seq"""
 _LEAST = """SELECT count(*), min(value) FROM
     (SELECT value FROM records WHERE event = 'evaluated' ORDER BY seq LIMIT ?)"""
@@ -55,7 +55,7 @@ _LEAST = """SELECT count(*), min(value) FROM
 @dataclass(frozen=True)
 class Brief:
     """A run at a glance. `view` has of the experiments only the last ones, the incumbent before
-    them and the last one proposed, and no exchanges; the totals are of all."""
+    them and the last one proposed; the totals are of all."""
 
     view: SearchView
     state: State

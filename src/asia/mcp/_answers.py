@@ -122,6 +122,7 @@ def verdict(result: Result) -> Verdict:
     words = asdict(result)
     value = words.pop("value")
     folds = [_short(v) for v in words.pop("folds")]
+    del words["training"]  # `show` tells it
     return Verdict(V=None if value is None else _short(value), folds=folds, **words)
 
 

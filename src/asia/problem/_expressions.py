@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from asia.errors import UserError
 from asia.problem._nearest import nearest
-from asia.problem._syntax import syntax_tree
+from asia.problem._syntax import expression_tree
 
 T = TypeVar("T")
 
@@ -132,7 +132,7 @@ def parse_expression(text: str, where: str) -> Expression:
             "allowed; split it into [physics.definitions]"
         )
     try:
-        tree = syntax_tree(text.strip(), "<expression>", "eval")
+        tree = expression_tree(text.strip())
         root = _convert(tree.body, where)
         names = frozenset(_names(root))
     except (SyntaxError, ValueError) as error:

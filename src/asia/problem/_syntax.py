@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import ast
-import sys
-from typing import Literal, overload
+from collections.abc import Callable
+from typing import TypeVar
 
 _ATTEMPTS = 100
 
-
-@overload
-def syntax_tree(text: str, name: str) -> ast.Module: ...
-@overload
-def syntax_tree(text: str, name: str, mode: Literal["eval"]) -> ast.Expression: ...
+T = TypeVar("T")
 
 
-def syntax_tree(
-    text: str, name: str, mode: Literal["exec", "eval"] = "exec"
-) -> ast.Module | ast.Expression:
-    """`ast.parse`, and raises as it does.
+def syntax_tree(text: str, name: str) -> ast.Module:
+    """Of a file's text; raises as `ast.parse`."""
+    return _again(lambda: ast.parse(text, name))
 
-    CPython 3.11 counts the depth of all threads' trees in one place: where another thread parses
-    while the collector runs, a sound text ends in a SystemError. It is then parsed again.
-    """
-    for _ in range(_ATTEMPTS if sys.version_info < (3, 12) else 0):
+
+def expression_tree(text: str) -> ast.Expression:
+    """Of an expression; raises as `ast.parse`."""
+    return _again(lambda: ast.parse(text, mode="eval"))
+
+
+def _again(parse: Callable[[], T]) -> T:
+    """CPython 3.11 counts the depth of all threads' trees in one place: where another thread parses
+    while the collector runs, a sound text ends in a SystemError."""
+    for _ in range(_ATTEMPTS):
         try:
-            return ast.parse(text, name, mode)
+            return parse()
         except SystemError:
             continue
-    return ast.parse(text, name, mode)
+    return parse()

@@ -43,8 +43,11 @@ def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
 def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     """Name and drawing of each picture the run has matter for."""
     view, metric = run.view, problem.protocol.metric
-    yield "progress", lambda: draw_progress(
-        view, metric, control(run.directory, view.started, len(view.finished))
+    yield (
+        "progress",
+        lambda: draw_progress(
+            view, metric, control(run.directory, view.started, len(view.finished))
+        ),
     )
     best, opened = view.best, view.unsealed
     if best is not None:

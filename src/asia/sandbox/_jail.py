@@ -13,7 +13,8 @@ from asia.sandbox._surroundings import code_folders, interpreter, interpreter_li
 INSIDE = "/workspace"
 SOCKET_FOLDER = "/run/asia"
 _HOME = "/home/agent"
-_ETC = ("ld.so.cache", "localtime", "alternatives", "ssl", "ca-certificates", "pki")
+_ETC = ("ld.so.cache", "localtime", "alternatives", "ssl/certs", "ssl/openssl.cnf",
+        "ca-certificates", "pki/tls/certs", "pki/ca-trust", "crypto-policies")  # fmt: skip
 _TMPFS_BYTES = 2 * 1024**3
 _SHM_BYTES = 256 * 1024**2
 _FILE_BYTES = 1024**3

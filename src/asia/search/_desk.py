@@ -7,15 +7,16 @@ process of its own, started when it is not there. Whoever asks may die at any ti
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
 from asia.agents import Proposal
+from asia.agents._llm_text import error_line
 from asia.candidate import check_source
 from asia.errors import CandidateError, UserError
-from asia.ledger import Experiment, Run, Stopped, open_run, published
+from asia.ledger import Diagnostics, Experiment, Run, Stopped, open_run, published
 from asia.search._agent_view import digest
 from asia.search._detached import Order, has_begun, runs
 from asia.search._queue import TEXT, TITLE, Queue
@@ -40,7 +41,8 @@ class Job:
 @dataclass(frozen=True)
 class Result:
     """An experiment in few words, safe to show to anyone: no output of the candidate but one
-    bounded line of its own error."""
+    bounded line of its own error. training: residual analysis of the training side, in each figure
+    the worst of the folds."""
 
     experiment: int
     status: str
@@ -53,6 +55,7 @@ class Result:
     parent: int | None
     seconds: float
     duplicate_of: int | None
+    training: Diagnostics | None
 
 
 @dataclass(frozen=True)
@@ -293,7 +296,6 @@ def result_of(experiment: Experiment) -> Result:
         experiment.proposed, experiment.result, experiment.score, experiment.failure,
     )  # fmt: skip
     assert r is not None
-    detail = failure.detail.strip().splitlines() if failure else []
     return Result(
         experiment=experiment.number,
         status=r.status,
@@ -301,12 +303,19 @@ def result_of(experiment: Experiment) -> Result:
         folds=tuple(f.value for f in score.folds) if score else (),
         reason=failure.reason.value if failure else None,
         advice=failure.advice if failure else None,
-        detail=one_line(detail[-1]) if detail else None,
+        detail=(error_line(failure.detail, DETAIL) or None) if failure else None,
         title=one_line(p.title, TITLE),
         parent=p.parent,
         seconds=round(r.seconds, 1),
         duplicate_of=r.duplicate_of,
+        training=_worst([f.diagnostics for f in r.folds]),
     )
+
+
+def _worst(folds: Sequence[Diagnostics]) -> Diagnostics | None:
+    if not folds:
+        return None
+    return Diagnostics(*(max(values) for values in zip(*map(astuple, folds), strict=True)))
 
 
 def standing_of(run: Run) -> Standing:

@@ -20,7 +20,7 @@ from asia.problem.load import Problem
 from asia.search._desk import Desk, RunDesk
 from asia.search._detached import Order, start_search
 from asia.search._folder import write_file
-from asia.search._program import program
+from asia.search._program import models_page, program
 from asia.search._search import Prepared
 from asia.search._socket import SocketDesk
 
@@ -140,6 +140,7 @@ def write_folder(folder: Path, problem: Problem, experiments: int, run: Path | N
     folder.mkdir(parents=True, exist_ok=True)
     write_file(folder, "PROGRAM.md", program(problem, experiments))
     write_file(folder, "description.md", problem.description)
+    write_file(folder, "models.md", models_page(problem))
     write_file(folder, "plot.py", _PLOT)
     names = record_names(problem.train)
     for name, record in zip(names, problem.train, strict=True):

@@ -11,7 +11,7 @@ import pytest
 
 from asia.candidate import source_digest
 
-SOURCE = "def fit(trajectories, context):\n" + "    x = [1, (2, {3: 4}), lambda a: a + 1]\n" * 100
+SOURCE = "def fit(trajectories, context):\n" + "    x = [1, (2, {3: 4}), lambda a: a + 1]\n" * 40
 
 
 @pytest.fixture
@@ -39,12 +39,12 @@ def test_threads_do_not_disturb_each_other() -> None:
         if depth:
             parse(depth - 1)
         else:
-            found.extend(source_digest(SOURCE) for _ in range(25))
+            found.extend(source_digest(SOURCE) for _ in range(15))
 
     threads = [threading.Thread(target=parse, args=(depth,)) for depth in (1, 7, 13, 2)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert len(found) == 100
+    assert len(found) == 60
     assert len(set(found)) == 1

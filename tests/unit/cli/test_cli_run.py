@@ -65,7 +65,8 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
     answer = json.loads(done.out)
     assert set(answer) == {
         "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
-        "early_stopping", "validation_scores", "best", "control", "rungs",
+        "early_stopping", "validation_scores", "best", "rungs",
+        "control", "stopped", "usage",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
     assert answer["problem"] == "toy"

@@ -54,7 +54,10 @@ def test_the_commands_for_ones_own_records_run_as_written(records: Path) -> None
 
 def test_every_command_in_the_readme_exists(tmp_path: Path) -> None:
     words = {c.split()[1] for b in blocks(README) for c in b if c.startswith("asia ")}
-    assert words == {"run", "show", "unseal", "init", "check", "status", "report", "bench"}
+    assert words == {
+        "run", "show", "unseal", "init", "check", "status", "report", "bench", "workspace", "mcp",
+        "compare",
+    }  # fmt: skip
     for word in sorted(words):
         assert word in run(f"asia {word} --help", tmp_path)
 

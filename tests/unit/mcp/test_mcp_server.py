@@ -37,7 +37,7 @@ async def search(client: Client, directory: Path) -> None:
 
     bad = await agent.judged(await agent.submit(CRASH))
     assert (bad["V"], bad["folds"], bad["reason"]) == (None, [], "crash")
-    assert bad["detail"] == "ValueError: no such luck"
+    assert bad["detail"] == "line 2: ValueError: no such luck"
     assert "read the last lines of its traceback" in bad["advice"]
 
     assert await agent.submit(arx(2) + "# the same\n") == first

@@ -215,7 +215,7 @@ def test_a_search_that_never_began_is_started_first(tmp_path: Path) -> None:
     assert (job.state, job.experiment) == ("done", 2)
     crash = desk.results()[1]
     assert (crash.status, crash.value, crash.reason) == ("crash", None, "crash")
-    assert crash.detail == "ValueError: no such luck"
+    assert crash.detail == "line 2: ValueError: no such luck"
 
 
 def test_looking_reads_the_ledger_only_where_it_changed(
