@@ -76,6 +76,8 @@ def _side(axes: Axes, side: Side, colour: str, length: int, shift: float) -> Non
         points = [(n, v) for n, v in enumerate(curve.values, start=1) if v is not None]
         for inside, marker in ((True, "o"), (False, "^")):
             chosen = [(n, v) for n, v in points if (v <= top) == inside]
+            if not chosen:  # nothing, unclipped, would take up room at the figure's corner
+                continue
             axes.plot(
                 [n + shift for n, _ in chosen],
                 [min(v, top) for _, v in chosen],
