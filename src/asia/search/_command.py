@@ -24,6 +24,7 @@ from asia.ledger import (
     Store,
     Streamed,
     Usage,
+    one_line,
     read_lines,
 )
 from asia.sandbox import INSIDE, SOCKET_FOLDER, Jail, jail_environment
@@ -37,7 +38,7 @@ from asia.search._command_rules import (
 )
 from asia.search._command_session import Session
 from asia.search._controls import Controls
-from asia.search._desk import RunDesk, one_line
+from asia.search._desk import RunDesk
 from asia.search._folder import write_file
 from asia.search._loop import OnEvent
 from asia.search._queue import Queue
