@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json as jsonlib
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
+
+if TYPE_CHECKING:
+    from asia.ledger import Run
 
 
 def register(app: typer.Typer) -> None:
@@ -18,6 +21,45 @@ def register(app: typer.Typer) -> None:
 
 def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
     """Where a run stands: state, experiments, best so far."""
+    from asia.ledger import find_run, open_run
+
+    opened = open_run(find_run(runs, run))
+    if json:
+        print(jsonlib.dumps(_object(opened), allow_nan=False))
+    else:
+        _print(opened)
+
+
+def _object(opened: Run) -> dict[str, Any]:
+    from asia.ledger import control
+    from asia.scoring import Score
+
+    view, best = opened.view, opened.view.best
+    beside = control(opened)
+    return {
+        "run": view.started.run,
+        "problem": view.started.problem,
+        "agent": view.started.agent,
+        "seed": view.started.seed,
+        "state": opened.state,
+        "stopped": view.stopped.reason if view.stopped else None,
+        "usage": asdict(view.usage) if view.usage else None,
+        "experiments": len(view.finished),
+        "budget": view.budget,
+        "isolation": view.started.isolation,
+        "early_stopping": view.started.early_stopping,
+        "validation_scores": view.validation_scores,
+        "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
+        "control": None
+        if beside is None
+        else {"run": beside.run, "V": beside.value, "experiments": beside.experiments},
+        "rungs": {
+            r.name: r.outcome.value if isinstance(r.outcome, Score) else None for r in view.rungs
+        },
+    }
+
+
+def _print(opened: Run) -> None:
     from asia.cli._format import (
         duration,
         experiment_line,
@@ -26,39 +68,9 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
         told,
         usage_words,
     )
-    from asia.ledger import control, control_words, find_run, open_run
-    from asia.scoring import Score
+    from asia.ledger import control, control_words
 
-    opened = open_run(find_run(runs, run))
-    view, best = opened.view, opened.view.best
-    beside = control(opened)
-    if json:
-        answer: dict[str, Any] = {
-            "run": view.started.run,
-            "problem": view.started.problem,
-            "agent": view.started.agent,
-            "seed": view.started.seed,
-            "state": opened.state,
-            "stopped": view.stopped.reason if view.stopped else None,
-            "usage": asdict(view.usage) if view.usage else None,
-            "experiments": len(view.finished),
-            "budget": view.budget,
-            "isolation": view.started.isolation,
-            "early_stopping": view.started.early_stopping,
-            "validation_scores": view.validation_scores,
-            "best": {"experiment": best.number, "V": best.score.value}
-            if best and best.score
-            else None,
-            "control": None
-            if beside is None
-            else {"run": beside.run, "V": beside.value, "experiments": beside.experiments},
-            "rungs": {
-                r.name: r.outcome.value if isinstance(r.outcome, Score) else None
-                for r in view.rungs
-            },
-        }
-        print(jsonlib.dumps(answer, allow_nan=False))
-        return
+    view, beside = opened.view, control(opened)
     print(
         f"run {view.started.run}  problem {view.started.problem}  agent {view.started.agent}  "
         f"seed {view.started.seed}  isolation {view.started.isolation}"
