@@ -43,7 +43,7 @@ from asia.search._folder import write_file
 from asia.search._loop import OnEvent
 from asia.search._queue import Queue
 from asia.search._search import Prepared, search
-from asia.search._serve import clear_known, clearing, taking
+from asia.search._serve import clear_known, clearing
 from asia.search._socket import DeskServer
 from asia.search._workspace import DESK_VARIABLE, write_folder, write_views
 
@@ -145,7 +145,7 @@ class CommandAgent(SubmittedAgent):
             if session is not None:
                 self._finish(session)
             raise AgentStoppedError(*stop)
-        proposal = taking(self._queue)
+        proposal = self._queue.take()
         return None if proposal is None else self._secrets.clean_proposal(proposal)
 
     def _watch(self, seconds: float) -> None:
