@@ -20,6 +20,7 @@ from asia.agents._driving import (
 )
 from asia.agents._expert import ExpertAgent
 from asia.agents._llm import LlmAgent
+from asia.agents._llm_problem import briefing, equations, library
 from asia.agents._llm_settings import LlmSettings
 from asia.agents._presets import PRESETS, Preset, filled, make_preset
 from asia.agents._random import SPACES, RandomAgent, SpaceName
@@ -54,7 +55,10 @@ __all__ = [
     "StreamFormat",
     "SubmittedAgent",
     "Trial",
+    "briefing",
+    "equations",
     "filled",
+    "library",
     "make_agent",
     "make_preset",
     "settings_of",

@@ -16,9 +16,8 @@ import openai
 from asia.agents._cassette import Cassette, may_have_cost
 from asia.agents._driving import AgentStoppedError, InterruptedWaitError, Journal
 from asia.agents._llm_settings import LlmSettings
-from asia.agents._llm_text import one_line
 from asia.errors import UserError
-from asia.ledger import Usage
+from asia.ledger import Usage, one_line
 
 Message = dict[str, str]
 

@@ -8,10 +8,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from asia.agents._library import families
-from asia.agents._llm_text import bounded, fenced, one_line
+from asia.agents._llm_text import bounded, fenced
 from asia.agents._space import Choice, Span
 from asia.agents._view import Facts
 from asia.candidate import VALIDATION_SCORES
+from asia.ledger import one_line
 from asia.problem import Array, Physics, Signal
 from asia.problem._syntax import syntax_tree
 

@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from asia.agents._llm_text import bounded, error_line, fenced, one_line, quoted
+from asia.agents._llm_text import bounded, fenced, quoted
 from asia.agents._view import AgentView, Trial
-from asia.ledger import Diagnostics
+from asia.ledger import Diagnostics, error_line, one_line
 
 NO_CANDIDATE = "none"
 ERROR = 300

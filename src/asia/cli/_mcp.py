@@ -11,29 +11,21 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, Runs
+from asia.cli._options import (
+    DEFAULT_RUNS,
+    MORE,
+    EarlyStopping,
+    Experiments,
+    Hours,
+    IsolationLevel,
+    Name,
+    ProblemName,
+    Runs,
+    Seed,
+)
 
 # Clients start a server with little of their own environment.
 _HANDED_ON = ("ASIA_DATA_DIR",)
-
-ProblemName = Annotated[
-    str, typer.Argument(metavar="PROBLEM", help="Built-in name, or a directory with problem.toml.")
-]
-Experiments = Annotated[
-    int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
-]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the search.")]
-Hours = Annotated[
-    float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
-]
-Name = Annotated[str | None, typer.Option(help="Name of the run; default PROBLEM-mcp-sSEED.")]
-EarlyStopping = Annotated[
-    str | None,
-    typer.Option(help="inner, or validation (V is then not leak-free); default the problem's."),
-]
-IsolationLevel = Annotated[
-    str | None, typer.Option(help="Ask for a level instead of the strongest: process.")
-]
 
 
 def register(app: typer.Typer) -> None:

@@ -13,7 +13,18 @@ import typer
 from asia.cli import _command_options as program
 from asia.cli import _llm_options as llm
 from asia.cli._driver import agent_driver, built_in, refuse_for_others
-from asia.cli._options import DEFAULT_RUNS, Json, Runs
+from asia.cli._options import (
+    DEFAULT_RUNS,
+    EarlyStopping,
+    Experiments,
+    Hours,
+    IsolationLevel,
+    Json,
+    Name,
+    ProblemName,
+    Runs,
+    Seed,
+)
 
 NOTHING_FOUND = 3
 
@@ -28,9 +39,7 @@ def register(app: typer.Typer) -> None:
 
 
 def run(
-    problem: Annotated[
-        str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
-    ] = "two_tanks_sim",
+    problem: ProblemName = "two_tanks_sim",
     agent: Annotated[
         str, typer.Option(help="Who proposes: expert, random, bayes, llm or command:NAME.")
     ] = "expert",
@@ -38,24 +47,12 @@ def run(
         str | None,
         typer.Option(help="What random draws from: library (default), or the paper's: paper."),
     ] = None,
-    experiments: Annotated[
-        int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
-    hours: Annotated[
-        float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
-    ] = None,
-    name: Annotated[
-        str | None, typer.Option(help="Name of the run; default PROBLEM-AGENT-sSEED.")
-    ] = None,
-    early_stopping: Annotated[
-        str | None,
-        typer.Option(help="inner, or validation (V is then not leak-free); default the problem's."),
-    ] = None,
-    isolation: Annotated[
-        str | None,
-        typer.Option(help="Ask for a level instead of the strongest: landlock or process."),
-    ] = None,
+    experiments: Experiments = None,
+    seed: Seed = 0,
+    hours: Hours = None,
+    name: Name = None,
+    early_stopping: EarlyStopping = None,
+    isolation: IsolationLevel = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
     model: llm.Model = None,

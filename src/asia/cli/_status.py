@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json as jsonlib
 from dataclasses import asdict
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
+
+if TYPE_CHECKING:
+    from asia.ledger import Brief
 
 LAST = 50
 
@@ -20,6 +24,46 @@ def register(app: typer.Typer) -> None:
 
 def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
     """Where a run stands: state, experiments, best so far."""
+    from asia.ledger import brief, find_run
+
+    directory = find_run(runs, run)
+    found = brief(directory, LAST)
+    if json:
+        print(jsonlib.dumps(_object(directory, found), allow_nan=False))
+    else:
+        _print(directory, found)
+
+
+def _object(directory: Path, found: Brief) -> dict[str, Any]:
+    from asia.ledger import control
+    from asia.scoring import Score
+
+    view, best = found.view, found.view.best
+    beside = control(directory, view.started, found.finished)
+    return {
+        "run": view.started.run,
+        "problem": view.started.problem,
+        "agent": view.started.agent,
+        "seed": view.started.seed,
+        "state": found.state,
+        "stopped": view.stopped.reason if view.stopped else None,
+        "usage": asdict(view.usage) if view.usage else None,
+        "experiments": found.finished,
+        "budget": view.budget,
+        "isolation": view.started.isolation,
+        "early_stopping": view.started.early_stopping,
+        "validation_scores": found.validation_scores,
+        "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
+        "control": None
+        if beside is None
+        else {"run": beside.run, "V": beside.value, "experiments": beside.experiments},
+        "rungs": {
+            r.name: r.outcome.value if isinstance(r.outcome, Score) else None for r in view.rungs
+        },
+    }
+
+
+def _print(directory: Path, found: Brief) -> None:
     from asia.cli._format import (
         duration,
         experiment_line,
@@ -29,40 +73,10 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
         told,
         usage_words,
     )
-    from asia.ledger import brief, control, control_words, find_run
-    from asia.scoring import Score
+    from asia.ledger import control, control_words
 
-    directory = find_run(runs, run)
-    found = brief(directory, LAST)
-    view, best = found.view, found.view.best
+    view = found.view
     beside = control(directory, view.started, found.finished)
-    if json:
-        answer: dict[str, Any] = {
-            "run": view.started.run,
-            "problem": view.started.problem,
-            "agent": view.started.agent,
-            "seed": view.started.seed,
-            "state": found.state,
-            "stopped": view.stopped.reason if view.stopped else None,
-            "usage": asdict(view.usage) if view.usage else None,
-            "experiments": found.finished,
-            "budget": view.budget,
-            "isolation": view.started.isolation,
-            "early_stopping": view.started.early_stopping,
-            "validation_scores": found.validation_scores,
-            "best": {"experiment": best.number, "V": best.score.value}
-            if best and best.score
-            else None,
-            "control": None
-            if beside is None
-            else {"run": beside.run, "V": beside.value, "experiments": beside.experiments},
-            "rungs": {
-                r.name: r.outcome.value if isinstance(r.outcome, Score) else None
-                for r in view.rungs
-            },
-        }
-        print(jsonlib.dumps(answer, allow_nan=False))
-        return
     print(
         f"run {view.started.run}  problem {view.started.problem}  agent {view.started.agent}  "
         f"seed {view.started.seed}  isolation {view.started.isolation}"

@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, Runs
+from asia.cli._options import (
+    DEFAULT_RUNS,
+    MORE,
+    EarlyStopping,
+    Experiments,
+    Hours,
+    IsolationLevel,
+    Name,
+    ProblemName,
+    Runs,
+    Seed,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -16,26 +27,14 @@ def register(app: typer.Typer) -> None:
 
 
 def workspace(
-    problem: Annotated[
-        str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
-    ],
+    problem: ProblemName,
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make.")],
-    experiments: Annotated[
-        int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
-    hours: Annotated[
-        float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
-    ] = None,
-    name: Annotated[
-        str | None, typer.Option(help="Name of the run; default PROBLEM-workspace-sSEED.")
-    ] = None,
-    early_stopping: Annotated[
-        str | None, typer.Option(help="inner, or validation; default the problem's.")
-    ] = None,
-    isolation: Annotated[
-        str | None, typer.Option(help="Ask for a level instead of the strongest: process.")
-    ] = None,
+    experiments: Experiments = None,
+    seed: Seed = 0,
+    hours: Hours = None,
+    name: Name = None,
+    early_stopping: EarlyStopping = None,
+    isolation: IsolationLevel = None,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Make a folder with the training data, the task and the baseline; asia try judges what you

@@ -45,6 +45,7 @@ from asia.ledger._run import Run, State, find_run, open_run
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
+from asia.ledger._words import error_line, one_line
 from asia.scoring import Diagnostics
 
 __all__ = [
@@ -90,10 +91,12 @@ __all__ = [
     "control",
     "control_words",
     "describe_result",
+    "error_line",
     "error_value",
     "find_run",
     "in_use",
     "journal",
+    "one_line",
     "open_run",
     "published",
     "read_lines",

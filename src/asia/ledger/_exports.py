@@ -7,6 +7,7 @@ from pathlib import Path
 from asia.ledger._disk import write_whole
 from asia.ledger._events import Evaluated
 from asia.ledger._view import Experiment, SearchView
+from asia.ledger._words import error_line
 
 
 def write_exports(directory: Path, view: SearchView) -> None:
@@ -91,13 +92,7 @@ def _outcome_words(e: Experiment, view: SearchView) -> str:
         return f"{view.v_name} = {error_value(e.score.value)}{parts}"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
-        said = e.failure.detail.strip().splitlines()
-        detail = f" ({_printable(said[-1])})" if said else ""
+        said = error_line(e.failure.detail)
+        detail = f" ({said})" if said else ""
         return f"no score{where}: {e.failure.advice}{detail}"
     return "being evaluated"
-
-
-def _printable(text: str, most: int = 300) -> str:
-    """A candidate's words: no control characters, cut."""
-    clean = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text.strip())
-    return clean if len(clean) <= most else clean[: most - 1] + "…"

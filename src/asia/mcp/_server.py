@@ -14,12 +14,11 @@ from mcp_types import ToolAnnotations
 
 import asia
 from asia.errors import AsiaError, UserError
-from asia.ledger import describe_result, journal, results_table
+from asia.ledger import describe_result, journal, one_line, results_table
 from asia.mcp import Opened
 from asia.mcp._texts import INSTRUCTIONS, problem_page, search_prompt
 from asia.mcp._tools import Tools
 from asia.search import RunDesk
-from asia.search._desk import one_line
 
 # More than the longest hypothesis; a candidate's error is cut.
 _LINE = 2200

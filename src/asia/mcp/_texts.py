@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from asia.agents._llm_problem import briefing
+from asia.agents import briefing
 from asia.problem.load import Problem
 from asia.search import problem_facts
 

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from asia.agents import Proposal
 from asia.errors import AsiaError
+from asia.ledger import one_line
 from asia.mcp._answers import (
     Results,
     Shown,
@@ -27,7 +28,6 @@ from asia.mcp._answers import (
     verdict,
 )
 from asia.search import Job, RunDesk
-from asia.search._desk import one_line
 
 LONGEST_WAIT = 45.0
 _POLL = 0.25

@@ -24,6 +24,7 @@ from asia.ledger import (
     Store,
     Streamed,
     Usage,
+    one_line,
     read_lines,
 )
 from asia.sandbox import INSIDE, SOCKET_FOLDER, Jail, jail_environment
@@ -37,13 +38,13 @@ from asia.search._command_rules import (
 )
 from asia.search._command_session import Session
 from asia.search._controls import Controls
-from asia.search._desk import RunDesk, one_line
+from asia.search._desk import RunDesk
 from asia.search._folder import write_file
 from asia.search._hidden import check_shown
 from asia.search._loop import OnEvent
 from asia.search._queue import Queue
 from asia.search._search import Prepared, search
-from asia.search._serve import clear_known, clearing, taking
+from asia.search._serve import clear_known, clearing
 from asia.search._socket import DeskServer
 from asia.search._workspace import DESK_VARIABLE, write_folder, write_views
 
@@ -145,7 +146,7 @@ class CommandAgent(SubmittedAgent):
             if session is not None:
                 self._finish(session)
             raise AgentStoppedError(*stop)
-        proposal = taking(self._queue)
+        proposal = self._queue.take()
         return None if proposal is None else self._secrets.clean_proposal(proposal)
 
     def _watch(self, seconds: float) -> None:

@@ -13,17 +13,24 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from asia.agents import Proposal
-from asia.agents._llm_text import error_line
 from asia.candidate import check_source
 from asia.errors import CandidateError, UserError
-from asia.ledger import Diagnostics, Experiment, Run, Stopped, open_run, published
+from asia.ledger import (
+    Diagnostics,
+    Experiment,
+    Run,
+    Stopped,
+    error_line,
+    one_line,
+    open_run,
+    published,
+)
 from asia.search._agent_view import digest
 from asia.search._detached import Order, has_begun, runs
 from asia.search._queue import TEXT, TITLE, Queue
 
 State = Literal["queued", "running", "done", "unknown"]
 
-DETAIL = 300
 _POLL = 0.1
 
 
@@ -283,13 +290,6 @@ def tidy(proposal: Proposal) -> Proposal:
     )
 
 
-def one_line(text: str, most: int = DETAIL) -> str:
-    """Printable characters on one line, cut to `most`; what comes from outside is shown as this."""
-    flat = " ".join(text.split())
-    clean = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in flat)
-    return clean if len(clean) <= most else clean[: most - 1] + "…"
-
-
 def result_of(experiment: Experiment) -> Result:
     """An evaluated experiment in few words."""
     p, r, score, failure = (
@@ -303,7 +303,7 @@ def result_of(experiment: Experiment) -> Result:
         folds=tuple(f.value for f in score.folds) if score else (),
         reason=failure.reason.value if failure else None,
         advice=failure.advice if failure else None,
-        detail=(error_line(failure.detail, DETAIL) or None) if failure else None,
+        detail=(error_line(failure.detail) or None) if failure else None,
         title=one_line(p.title, TITLE),
         parent=p.parent,
         seconds=round(r.seconds, 1),

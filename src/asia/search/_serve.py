@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from asia.agents import Proposal, SubmittedAgent
+from asia.agents import SubmittedAgent
 from asia.ledger import Event, Proposed, SearchView, open_run
 from asia.problem.load import Problem, load_problem
 from asia.sandbox import Isolation
@@ -75,7 +75,7 @@ def serve(directory: Path, idle_seconds: float = IDLE_SECONDS) -> None:
         order = Order.load(directory)
         prepared = prepare_order(order, directory.parent, directory.name)
         patience = _patience(directory, order, idle_seconds)
-        agent = SubmittedAgent(prepared.started.agent, lambda: taking(queue), patience)
+        agent = SubmittedAgent(prepared.started.agent, queue.take, patience)
         try:
             search(
                 prepared,
@@ -106,11 +106,6 @@ def _patience(directory: Path, order: Order, idle_seconds: float) -> Callable[[f
             raise IdleError
 
     return waiting
-
-
-def taking(queue: Queue) -> Proposal | None:
-    """The oldest submission, with its ticket; it stays until the ledger has it."""
-    return queue.take()
 
 
 def clearing(queue: Queue, event: Event) -> None:

@@ -13,7 +13,8 @@ from asia.agents._llm_anonymous import anonymous
 from asia.agents._llm_client import Answer
 from asia.agents._llm_problem import problem_text
 from asia.agents._llm_search import Task, search_text, task_of
-from asia.agents._llm_text import error_line, fenced, quoted
+from asia.agents._llm_text import fenced, quoted
+from asia.ledger import error_line
 from asia.problem import Signal
 from asia.testing import check_agent
 

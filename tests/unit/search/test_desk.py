@@ -6,11 +6,11 @@ import pytest
 
 from asia.agents import Proposal
 from asia.errors import Reason, UserError
-from asia.ledger import Evaluated, Proposed, Run, Stopped, Unsealing, open_run
+from asia.ledger import Evaluated, Proposed, Run, Stopped, Unsealing, one_line, open_run
 from asia.scoring import Failure
 from asia.search import Order, RunDesk, prepare_order, wait
 from asia.search._agent_view import digest
-from asia.search._desk import Job, one_line
+from asia.search._desk import Job
 from asia.search._queue import Queue
 from asia.search._serve import clear_known, serve
 
