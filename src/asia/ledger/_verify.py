@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia.errors import UserError
+from asia.ledger._artifacts import Artifacts
 from asia.ledger._events import (
     Evaluated,
     Event,
@@ -20,7 +21,6 @@ from asia.ledger._events import (
     Unsealed,
 )
 from asia.ledger._record import BEGIN, decode, scan
-from asia.ledger._store import Store
 
 
 @dataclass(frozen=True)
@@ -36,61 +36,59 @@ class Verified:
 
 def verify(directory: Path) -> Verified:
     """Raises UserError that names the first record or artifact that does not hold."""
-    ledger, check = directory / "ledger.jsonl", _Check(Store(directory / "artifacts"))
+    ledger, check = directory / "ledger.jsonl", _Check()
     if not ledger.is_file():
         raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
     place = BEGIN
-    with ledger.open("rb") as stream:
-        for place, raw in scan(stream, str(ledger)):
-            event = decode(raw, place.seq - 1, str(ledger)).event
-            try:
-                check.add(event)
-            except UserError as error:
-                raise UserError(f"record {place.seq - 1} of {directory}: {error}") from None
+    with ledger.open("rb") as stream, Artifacts(directory / "artifacts") as artifacts:
+        try:
+            for place, raw in scan(stream, str(ledger)):
+                record = place.seq - 1
+                event = decode(raw, record, str(ledger)).event
+                check.add(event, f"record {record} of {directory}")
+                for digest in _artifacts(event):
+                    artifacts.add(digest, record)
+        except UserError:
+            # What does not hold in a record before that one comes first.
+            artifacts.check()
+            raise
+        artifacts.check()
+        count = len(artifacts)
     if check.started is None:
         raise UserError(f"{directory}: the ledger is empty: the search was stopped before it began")
     check_lock(directory, check.started)
     torn = ledger.stat().st_size - place.offset
-    return Verified(place.seq, len(check.artifacts), place.head, torn)
+    return Verified(place.seq, count, place.head, torn)
 
 
 class _Check:
     """What a record must be after those before it. `replay` asks the same of it, and takes longer,
     for it keeps them all."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self) -> None:
         self.started: Started | None = None
-        self.artifacts: set[str] = set()
-        self._store = store
         self._proposed: set[int] = set()
         self._pending: set[int] = set()
 
-    def add(self, event: Event) -> None:
+    def add(self, event: Event, where: str) -> None:
         """Raises UserError."""
         match event:
             case Proposed():
-                self._once(event.experiment, event.experiment not in self._proposed)
+                self._once(event.experiment, event.experiment not in self._proposed, where)
                 self._proposed.add(event.experiment)
                 self._pending.add(event.experiment)
             case Evaluated():
-                self._once(event.experiment, event.experiment in self._pending)
+                self._once(event.experiment, event.experiment in self._pending, where)
                 self._pending.discard(event.experiment)
+            case Started() if self.started is None:
+                self.started = event
             case _:
-                self._start(event)
-        for digest in _artifacts(event):
-            if digest not in self.artifacts:
-                self._store.get(digest)
-                self.artifacts.add(digest)
+                if isinstance(event, Started) or self.started is None:
+                    raise UserError(f"{where}: a ledger starts once, with its first record")
 
-    def _start(self, event: Event) -> None:
-        if isinstance(event, Started) == (self.started is not None):
-            raise UserError("a ledger starts once, with its first record")
-        if isinstance(event, Started):
-            self.started = event
-
-    def _once(self, experiment: int, sound: bool) -> None:
+    def _once(self, experiment: int, sound: bool, where: str) -> None:
         if not sound or self.started is None:
-            raise UserError(f"experiment {experiment} is there twice, or has no proposal")
+            raise UserError(f"{where}: experiment {experiment} is there twice, or has no proposal")
 
 
 def check_lock(directory: Path, started: Started) -> None:
