@@ -87,6 +87,21 @@ def test_the_opening_is_on_record_before_its_result_and_ends_the_search(problem:
     verify(directory)
 
 
+def test_a_kill_while_the_test_is_open_loses_nothing_and_opens_it_once(problem: Path) -> None:
+    directory = go(problem)
+    result = unseal(directory, process_consent=True).record
+    ledger = directory / "ledger.jsonl"
+    lines = ledger.read_bytes().splitlines(keepends=True)
+    ledger.write_bytes(b"".join(lines[:-1]))
+    with pytest.raises(UserError, match="was unsealed"):
+        go(problem, experiments=3)
+    again = unseal(directory)
+    assert again.record == result
+    events = [line.event.event for line in read_lines(ledger)]
+    assert events.count("unsealing") == events.count("unsealed") == 1
+    verify(directory)
+
+
 def test_no_test_value_lies_in_a_run_before_it_is_opened(problem: Path) -> None:
     directory = go(problem)
     from asia.protocol._sealed import open_test
