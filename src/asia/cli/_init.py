@@ -42,7 +42,7 @@ def init(
     keys: Keys = None,
 ) -> None:
     """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y ..."""
-    from asia.problem.load import init_problem
+    from asia.problem.load import init_problem, key_folder
 
     if not 0 < sampling_time < inf:
         raise UserError(
@@ -52,6 +52,10 @@ def init(
         seal = typer.confirm(
             "No --test given. Seal the last 20 % of each record as the test?", default=True
         )
+    if seal:
+        from asia.search import check_outside
+
+        check_outside(key_folder(keys))
     made = init_problem(
         name,
         train=train,
@@ -76,8 +80,15 @@ def init(
 
 
 def _print_sealed(made: NewProblem, what: str) -> None:
+    from asia.problem.load import key_folder
+
     print(f"sealed   {what}, encrypted, in {made.store}; the search will not see it")
     print(f"key      {made.key}: keep a copy elsewhere, without it nobody can open the test")
+    if made.key is not None and made.key.parent != key_folder():
+        print(
+            f"note     set ASIA_KEYS={made.key.parent} when you search, so that no agent is shown "
+            "that folder"
+        )
     for path in made.removed:
         print(f"removed  {path}")
     if made.removed:

@@ -9,7 +9,7 @@ from pathlib import Path
 from asia.errors import UserError
 from asia.ledger._chain import read_lines
 from asia.ledger._events import Started
-from asia.ledger._index import brief, least
+from asia.ledger._run import open_run
 
 # Agents that need nothing and no one, and so are no controlled ones.
 FREE = ("expert", "random", "random-paper", "bayes")
@@ -38,11 +38,13 @@ def control(directory: Path, start: Started, spent: int) -> Control | None:
     )
     for other, place in found:
         try:
-            finished, value = least(place, spent)
-            if finished == spent or brief(place, last=1).view.stopped is not None:
-                return Control(other.run, value, spent)
+            view = open_run(place).view
         except UserError:
             continue
+        first = view.finished[:spent]
+        if len(first) == spent or view.stopped is not None:
+            values = [e.score.value for e in first if e.score]
+            return Control(other.run, min(values, default=None), spent)
     return Control(None, None, spent)
 
 

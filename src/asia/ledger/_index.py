@@ -2,7 +2,7 @@
 
 A cache beside the ledger, which may be deleted at any time. It is brought up to date when it is
 asked, and made anew when it is damaged, of another version, or when the ledger did not just grow.
-Nothing is decided by it: `verify`, resume and unseal read the ledger.
+Nothing is decided by it: `verify`, resume, unseal and reports read the ledger.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from asia.ledger._events import Evaluated, Event, Proposed
 from asia.ledger._record import BEGIN, Place, decode, scan
 from asia.ledger._run import State, state_of
 from asia.ledger._view import SearchView, replay
-from asia.scoring import Score
 
 T = TypeVar("T")
 
@@ -33,7 +32,7 @@ _SCHEMA = """
 DROP TABLE IF EXISTS records;
 DROP TABLE IF EXISTS covered;
 CREATE TABLE records (seq INTEGER PRIMARY KEY, offset INTEGER, length INTEGER, event TEXT,
-    experiment INTEGER, status TEXT, value REAL, seconds REAL, validation_scores INTEGER);
+    experiment INTEGER, status TEXT, seconds REAL, validation_scores INTEGER);
 CREATE INDEX numbers ON records (experiment);
 CREATE TABLE covered (inode INTEGER, size INTEGER, modified INTEGER, seq INTEGER, offset INTEGER,
     head TEXT);
@@ -48,8 +47,6 @@ _PENDING = "SELECT max(experiment) FROM records"
 _RECORDS = """SELECT seq, offset, length FROM records
     WHERE (experiment IS NULL AND event <> 'streamed')
     OR experiment IN (SELECT value FROM json_each(?)) ORDER BY seq"""
-_LEAST = """SELECT count(*), min(value) FROM
-    (SELECT value FROM records WHERE event = 'evaluated' ORDER BY seq LIMIT ?)"""
 
 
 @dataclass(frozen=True)
@@ -81,12 +78,6 @@ def brief(directory: Path, last: int = 50) -> Brief:
         return Brief(view, state, finished, seconds, int(told))
 
     return _ask(directory, read)
-
-
-def least(directory: Path, count: int) -> tuple[int, float | None]:
-    """How many of the first `count` experiments have a result, and the least V of them. Raises
-    UserError as `brief`."""
-    return _ask(directory, lambda index: index.execute(_LEAST, (count,)).fetchone())
 
 
 def refresh(directory: Path) -> None:
@@ -137,7 +128,7 @@ def _catch_up(index: sqlite3.Connection, ledger: Path) -> None:
         for after, raw in scan(stream, str(ledger), place):
             event = decode(raw, place.seq, str(ledger)).event
             row = (place.seq, place.offset, len(raw), event.event, *_columns(event))
-            index.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+            index.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
             place = after
     index.execute("DELETE FROM covered")
     row = (*stamp, place.seq, place.offset, place.head)
@@ -168,16 +159,14 @@ def _known_place(
 
 
 def _columns(event: Event) -> tuple[int | str | float | None, ...]:
-    """experiment, status, value, seconds, validation scores; nothing of what is no experiment."""
+    """experiment, status, seconds, validation scores; nothing of what is no experiment."""
     match event:
         case Proposed():
-            return event.experiment, None, None, None, None
+            return event.experiment, None, None, None
         case Evaluated():
-            value = event.outcome.value if isinstance(event.outcome, Score) else None
-            told = event.validation_scores
-            return event.experiment, event.status, value, event.seconds, told
+            return event.experiment, event.status, event.seconds, event.validation_scores
         case _:
-            return None, None, None, None, None
+            return None, None, None, None
 
 
 def _events(ledger: Path, places: list[tuple[int, int, int]]) -> Iterator[Event]:

@@ -123,18 +123,11 @@ def init_problem(
         assert plan.sealing is not None
         _check_test(plan.sealing.records, rule)
     require_length(records, rule)
-    text = _TOML.format(
-        name=toml_value(directory.name),
-        sampling_time=toml_value(float(sampling_time)),
-        inputs=toml_value([{"name": name, "unit": ""} for name in inputs]),
-        outputs=toml_value([{"name": name, "unit": ""} for name in outputs]),
-        data=_data_lines(plan),
-        folds=rule.folds.count,
-        past_inputs=rule.past_inputs,
-        past_outputs=rule.past_outputs,
+    files = (
+        *plan.files,
+        ("description.md", _DESCRIPTION.format(name=directory.name)),
+        ("problem.toml", _text(directory.name, columns, rule, plan)),
     )
-    description = _DESCRIPTION.format(name=directory.name)
-    files = (*plan.files, ("description.md", description), ("problem.toml", text))
     folder = key_folder(keys)
     if plan.sealing is None:
         _write(directory, files, None, records, folder)
@@ -144,6 +137,19 @@ def init_problem(
     gone = remove_plain(plan.sealing, directory / STORE, folder)
     notes = (*plan.notes, *gone.notes)
     return NewProblem(directory / "problem.toml", directory / STORE, key, gone.removed, notes)
+
+
+def _text(name: str, columns: Columns, rule: ProtocolRule, plan: _Plan) -> str:
+    return _TOML.format(
+        name=toml_value(name),
+        sampling_time=toml_value(float(columns.sampling_time)),
+        inputs=toml_value([{"name": name, "unit": ""} for name in columns.inputs]),
+        outputs=toml_value([{"name": name, "unit": ""} for name in columns.outputs]),
+        data=_data_lines(plan),
+        folds=rule.folds.count,
+        past_inputs=rule.past_inputs,
+        past_outputs=rule.past_outputs,
+    )
 
 
 def _check_directory(directory: Path) -> None:

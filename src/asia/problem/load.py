@@ -9,6 +9,7 @@ from asia.problem._lock import Difference, lock_differences, lock_text
 from asia.problem._places import kept_places, record_places
 from asia.problem._problem import BenchmarkSource, Problem, Seal
 from asia.problem._protocol import check_feedback
+from asia.problem._sealed_store import key_folder
 
 __all__ = [
     "BenchmarkSource",
@@ -23,6 +24,7 @@ __all__ = [
     "data_digest",
     "init_problem",
     "kept_places",
+    "key_folder",
     "load_lock",
     "load_problem",
     "lock_differences",

@@ -6,6 +6,7 @@ from asia.search._command_rules import CommandRules, check_rules
 from asia.search._controls import Controls
 from asia.search._desk import Desk, Job, Result, RunDesk, Standing, wait
 from asia.search._detached import Order, start_search
+from asia.search._hidden import check_outside
 from asia.search._loop import OnEvent
 from asia.search._replay import Replayed, ReplayReport, replay_run
 from asia.search._search import LOCK, Prepared, check_baseline, prepare, search, with_early_stopping
@@ -34,6 +35,7 @@ __all__ = [
     "Workspace",
     "agent_view",
     "check_baseline",
+    "check_outside",
     "check_rules",
     "make_workspace",
     "needs_consent",

@@ -16,12 +16,17 @@ def check_hidden(problem: Problem, directory: Path, level: Isolation) -> None:
     if level is Isolation.PROCESS:
         return
     for path in (directory, *record_places(problem), *kept_places(problem)):
-        folder = shown_in(path)
-        if folder is not None:
-            raise UserError(
-                f"{path} lies in {folder}, which every candidate can read, for it holds the "
-                "interpreter or its libraries: keep runs, data and keys elsewhere"
-            )
+        check_outside(path)
+
+
+def check_outside(path: Path) -> None:
+    """Raises UserError when `path` lies in a folder that every worker can read."""
+    folder = shown_in(path)
+    if folder is not None:
+        raise UserError(
+            f"{path} lies in {folder}, which every candidate can read, for it holds the "
+            "interpreter or its libraries: keep runs, data and keys elsewhere"
+        )
 
 
 def check_shown(shown: Iterable[Path], problem: Problem) -> None:

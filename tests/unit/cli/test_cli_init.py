@@ -1,3 +1,4 @@
+import sys
 from pathlib import Path
 
 import pytest
@@ -81,8 +82,13 @@ def test_a_test_file_is_moved_into_the_store(
     assert inside.code == 2
     assert "in the problem's directory" in inside.err
     assert (tmp_path / data[1]).exists()
+    shown = asia(*words, "--keys", str(Path(sys.prefix) / "keys"))
+    assert shown.code == 2
+    assert "which every candidate can read" in shown.err
+    assert (tmp_path / data[1]).exists()
     done = asia(*words, "--keys", "keys")
     assert done.code == 0, done.err
+    assert f"set ASIA_KEYS={tmp_path / 'keys'}" in done.out
     assert f"removed  {tmp_path / data[1]}" in done.out
     assert "does not wipe" in done.out
     (key,) = (tmp_path / "keys").iterdir()
