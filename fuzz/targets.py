@@ -14,26 +14,22 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
+from fuzz import hostile
 
 from asia.agents._cassette import may_have_cost, request_key
 from asia.agents._llm_client import ChatClient, _answer
 from asia.agents._llm_reply import MalformedReplyError, read_reply
 from asia.agents._llm_settings import LlmSettings
 from asia.agents._stream import Stream
-from asia.candidate import Context, check_source, source_digest
+from asia.candidate import check_source, source_digest
 from asia.errors import CandidateError, UserError
 from asia.ledger import Chain, Exchanged, Started, open_run
-from asia.problem import Signal, Trajectory
 from asia.problem._csv import column_names, read_csv, split_csv
 from asia.problem._expressions import parse_expression
 from asia.problem._sealed_store import read_seal
 from asia.problem.load import load_lock, load_problem
-from asia.sandbox import Limits, Worker
-from asia.sandbox import _channel as channel
-from asia.sandbox._cell import Cell, Pipes
 from asia.search import Order, RunDesk, Workspace
 from asia.search._desk import tidy
 from asia.search._queue import Queue
@@ -41,7 +37,6 @@ from asia.search._socket import _answer as answer_request
 
 EXPECTED = (UserError, CandidateError, MalformedReplyError)
 
-TOKEN = b"\xa5sesame\x5a"
 _NO_ANSWER = b"could not answer"
 _TICKET = "00000000000000000001-00000000"
 _SOURCE = "def fit(trajectories, context):\n    return None\n"
@@ -132,77 +127,10 @@ class Place:
         return path
 
 
-class _Ended:
-    """A process that is no more."""
-
-    pid = 0
-    returncode = 1
-
-    def poll(self) -> int:
-        return 1
-
-    def wait(self, timeout: float | None = None) -> int:
-        return 1
-
-
-class _Hostile:
-    """A worker that answers from a script: each order is answered with the next part of it.
-
-    Parts are split at ff ff, the frames of one at fe fe.
-    """
-
-    def __init__(self, script: bytes) -> None:
-        self._parts = script.split(b"\xff\xff")
-        ends = [os.pipe() for _ in range(3)]
-        self._orders, (self._in, self._out), (output, self._print) = ends[0], *ends[1:]
-        pipes = Pipes(self._orders[1], self._in, output)
-
-        def nothing() -> None:
-            pass
-
-        cell = Cell(_Ended(), pipes, nothing, nothing, nothing, beyond_reach=True)  # type: ignore[arg-type]
-        self.worker = Worker(cell, Limits(0.5, 0.5, 4096, model_mb=1))
-        self.worker._channel.send = self._answer  # type: ignore[method-assign]
-        # No candidate is there before this: a start that fails is nobody's.
-        os.write(self._out, bytes([1]) + bytes(16))
-
-    def _answer(self, body: bytes, deadline: float) -> None:
-        if not self._parts or self._out < 0:
-            self._end()
-            return
-        for part in self._parts.pop(0)[:60_000].split(b"\xfe\xfe"):
-            os.write(self._out, _framed(part))
-            os.write(self._print, part[:1000])
-        if not self._parts:
-            self._end()
-
-    def _end(self) -> None:
-        if self._out >= 0:
-            os.close(self._out)
-            self._out = -1
-
-    def close(self) -> None:
-        """Free all pipes."""
-        self.worker.close()
-        self._end()
-        for fd in (*self._orders[:1], self._print):
-            os.close(fd)
-
-
 NAMES = (
     "problem", "lock", "csv", "expression", "seal", "ledger", "request", "submission", "order",
     "workspace", "reply", "source", "stream", "completion", "settings", "frames",
 )  # fmt: skip
-
-
-def _framed(part: bytes) -> bytes:
-    """Raw after an even byte; after an odd one with the right token, the status in the next byte
-    and a length that is told as it is or, after one more odd byte, in the next eight."""
-    if not part or part[0] % 2 == 0:
-        return part[1:]
-    status, lies, body = part[1:2] or b"\0", len(part) > 2 and part[2] % 2, part[3:]
-    told = body[:8].ljust(8, b"\0") if lies else len(body).to_bytes(8, "little")
-    return status + TOKEN + told + body
 
 
 def make_targets(place: Place) -> dict[str, Target]:
@@ -211,7 +139,7 @@ def make_targets(place: Place) -> dict[str, Target]:
         *_problem_targets(place),
         *_run_targets(place),
         *_model_targets(),
-        Target("frames", _frames, _frame_seeds()),
+        Target("frames", hostile.parse_frames, hostile.seeds()),
     )
     return {target.name: target for target in found}
 
@@ -440,50 +368,4 @@ def _model_targets() -> tuple[Target, ...]:
         ),
         Target("completion", completion, (json.dumps(said).encode(), b'{"error": "ReadTimeout"}')),
         Target("settings", settings, (json.dumps(asked).encode(),)),
-    )
-
-
-def _frames(data: bytes) -> None:
-    """The parent's end of a worker, all requests in turn."""
-    signals = (Signal("u"),), (Signal("y"),)
-    context = Context(*signals, 0.5, 1, 1)
-    record = Trajectory(np.zeros((12, 1)), np.zeros((12, 1)), 0.5, "r")
-    past, u = np.zeros((2, 1, 1)), np.zeros((2, 3, 1))
-    mode, script = data[:1] or b"\0", data[1:]
-    with (
-        mock.patch.object(channel.secrets, "token_bytes", return_value=TOKEN),
-        mock.patch.object(channel, "_SLICE_SECONDS", 0.001),
-    ):
-        hostile = _Hostile(script)
-        try:
-            if mode[0] % 2:
-                hostile.worker.load(_SOURCE, b"model", context)
-            else:
-                score = (lambda model, deadline: float(len(model))) if mode[0] & 2 else None
-                hostile.worker.fit(_SOURCE, [record], context, score)
-                hostile.worker.dump()
-            y = hostile.worker.simulate(past, past, u)
-            assert y.shape == (2, 3, 1)
-            assert np.isfinite(y).all()
-        finally:
-            hostile.close()
-
-
-def _frame_seeds() -> tuple[bytes, ...]:
-    part = b"\xff\xff"
-    begun, done = b"\1\1\0", b"\1\0\0"
-    curve, model, y = bytes(32), b"model", np.zeros(6).tobytes()
-    words = b"\1\4\0Traceback: ValueError"
-    shape = b"\1\7\0" + np.array([2, 3, 9], "<i8").tobytes()
-    frame = b"\xfe\xfe"
-    fitted = begun + frame + done + curve
-    asks = b"\1\x08\0" + model
-    return (
-        b"\0" + part.join([fitted, done + model, done + y]),
-        b"\2" + part.join([begun + frame + asks, done + curve, done + model, done + y]),
-        b"\1" + part.join([done, done + y]),
-        b"\1" + part.join([done, shape]),
-        b"\1" + part.join([done, words]),
-        b"\0" + part.join([words]),
-        b"\0" + part.join([begun + frame + b"\1\0\1" + b"\xfd" * 8]),
     )
