@@ -1,15 +1,17 @@
 """Score probing: what an agent reads out of 200 scores, and what the Ladder leaves of it.
 
 Each query is a baseline's simulation of the held-out parts plus a known pattern, a cosine; it is
-scored, kept or discarded and told as the search does it. No sandbox is needed: no candidate runs.
+scored, doubted, kept or discarded and told as the search does it. No sandbox is needed: no
+candidate runs.
 
     python benchmarks/probing.py [--queries 200] [--problem two_tanks_sim]
 
 Regression: the scores of all patterns give the error's component along each, and the sum of them is
 taken off (needs a score that moves). Climbing: a pattern that is told to be a new best stays (needs
-one bit), tried in one fold, in all together, or as random mixtures. Printed is the true V after
-each, for the best of some sizes of pattern: what a search would take for progress. On other data
-the patterns help nobody.
+one bit), tried in one fold, in all together, or as random mixtures. Spoilt: candidates break a
+relation on purpose, and beside the point where the verdict on that turns, it tells the sign of each
+pattern. Printed is the true V after each, for the best of some sizes of pattern: what a search
+would take for progress. On other data the patterns help nobody.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,12 +31,15 @@ from asia.models.methods import LevenbergMarquardt
 from asia.problem import Array
 from asia.problem.load import Problem, load_problem
 from asia.protocol import Fold, make_folds
-from asia.scoring import Failure, Score
+from asia.redteam._probing import Known, Spoil, forgetful, one_start
+from asia.scoring import Failure, Outcome, Score
+from asia.search._loop import judge
 from asia.search._rules import decide
 
 Outputs = list[list[Array]]
 AMPLITUDES = (0.03, 0.1, 0.3, 0.6)
 STEPS = (0.02, 0.05, 0.1)
+HALVINGS = 15
 
 
 @dataclass
@@ -66,19 +71,29 @@ class Desk:
 
     def ask(self, outputs: Outputs) -> tuple[bool, tuple[float, ...]]:
         """Whether it is a new best, and what is told: V of each fold, or V alone."""
-        view, score = self._view(), self.true(outputs)
-        number, status = len(view.experiments) + 1, decide(score, view)
-        word = str(number)
-        self.events += (
-            Proposed(number, None, "explore", word, word, word, word, "", word),
-            Evaluated(number, status, score, (), None, 0.0),
-        )
-        told = published(self._view()).experiments[-1].score
-        assert told is not None
+        kept, told = self._submit(outputs)
+        assert isinstance(told, Score)
         numbers = [fold.value for fold in told.folds] or [told.value]
         if self.digits is not None:
             numbers = [float(f"{v:.{self.digits - 1}e}") for v in numbers]
-        return status == "keep", tuple(numbers)
+        return kept, tuple(numbers)
+
+    def doubt(self, outputs: Outputs, spoil: Spoil) -> bool:
+        """Whether a candidate that breaks a relation on purpose is told so."""
+        return isinstance(self._submit(outputs, spoil)[1], Failure)
+
+    def _submit(self, outputs: Outputs, spoil: Spoil | None = None) -> tuple[bool, Outcome]:
+        view = self._view()
+        number = len(view.experiments) + 1
+        outcome = judge(Known(self.true(outputs), spoil), "", view).outcome
+        word, status = str(number), decide(outcome, view)
+        self.events += (
+            Proposed(number, None, "explore", word, word, word, word, "", word),
+            Evaluated(number, status, outcome, (), None, 0.0),
+        )
+        result = published(self._view()).experiments[-1].result
+        assert result is not None
+        return result.status == "keep", result.outcome
 
     def _view(self) -> SearchView:
         return replay(self.events)
@@ -176,6 +191,34 @@ def mixtures(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
     return _climbed(desk, start, queries, (mixture() for _ in range(queries)))
 
 
+def spoilt(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+    """The verdict on a candidate that breaks a relation: always, or where its V is low enough."""
+    spoils = forgetful, one_start(1.1 * desk.true(start).value)
+    ends = [_turned(replace(desk, events=[]), start, queries, size, spoil) for spoil in spoils]
+    return min(ends, key=lambda end: desk.true(end).value)
+
+
+def _turned(desk: Desk, start: Outputs, queries: int, size: float, spoil: Spoil) -> Outputs:
+    """A worse model is the one to beat. What is added to a better one is bisected to where the
+    verdict turns; beside it each pattern, in one fold, turns the verdict by its sign."""
+    folds, value = desk.folds, desk.true(start).value
+    worse = pattern(folds, 499, [value] * len(folds))
+    desk.ask(plus(start, worse))
+    least, most = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = (least + most) / 2
+        if desk.doubt(plus(start, worse, middle), spoil):
+            least = middle
+        else:
+            most = middle
+    edge, found = plus(start, worse, least), start
+    for query in range(queries - HALVINGS - 1):
+        sizes = [0.2 * size if f == query % len(folds) else 0.0 for f in range(len(folds))]
+        tried = pattern(folds, query // len(folds), sizes)
+        found = plus(found, tried, 1.0 if desk.doubt(plus(edge, tried), spoil) else -1.0)
+    return found
+
+
 def _climbed(desk: Desk, start: Outputs, queries: int, tries: Iterable[Outputs]) -> Outputs:
     found = start
     desk.ask(start)
@@ -202,11 +245,12 @@ def main() -> None:
     rows |= {f"{digits} digits": {"digits": digits} for digits in (4, 3, 2)}
     rows |= {f"ladder {step:.0%}": {"ladder": step} for step in STEPS}
     print(
-        "| told | regression | climbing | together | mixtures | gain |\n|---|---|---|---|---|---|"
+        "| told | regression | climbing | together | mixtures | spoilt | gain |\n"
+        "|---|---|---|---|---|---|---|"
     )
     for name, options_of in rows.items():
         after = []
-        for attack in (regression, climbing, together, mixtures):
+        for attack in (regression, climbing, together, mixtures, spoilt):
             ends = [
                 attack(Desk(folds, metric, **options_of), start, options.queries, size)  # type: ignore[arg-type]
                 for size in AMPLITUDES

@@ -23,6 +23,7 @@ class Reason(StrEnum):
     NOT_REPRODUCIBLE = "not_reproducible"
     LITERAL_DATA = "literal_data"
     SUSPECT = "suspect"
+    RESTART = "restart"
 
     @property
     def status(self) -> Literal["crash", "timeout", "invalid"]:
@@ -64,6 +65,8 @@ _ADVICE = {
     "let fit learn the numbers from the training records, and shorten the rest",
     Reason.SUSPECT: "the model does not answer like a model of a dynamical system: "
     "make simulate a causal, continuous function of its arguments, with no memory between calls",
+    Reason.RESTART: "the model is good from the scored starting points alone: "
+    "make simulate about as good from any other sample of a record",
 }
 
 

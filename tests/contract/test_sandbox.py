@@ -1,7 +1,7 @@
 import pytest
 
-from asia.sandbox import Isolation, open_worker, why_not
-from asia.testing import check_sandbox
+from asia.sandbox import Isolation, Layer, Limits, Worker, open_worker, why_not
+from asia.testing import _sandbox, check_sandbox
 
 REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}
 LEVELS = [
@@ -16,6 +16,33 @@ def test_level_conforms(level: Isolation) -> None:
     check_sandbox(lambda limits: open_worker(level, limits), walled=walled)
 
 
-def test_the_suite_refuses_a_level_without_walls_that_says_it_has_some() -> None:
+def test_the_suite_refuses_a_level_without_walls_that_says_it_has_some(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("answers", "failures", "deadlines", "environment", "nothing_is_left"):
+        monkeypatch.setattr(_sandbox, f"_check_{name}", lambda *arguments: None)
     with pytest.raises(AssertionError, match="could read a file of the parent"):
         check_sandbox(lambda limits: open_worker(Isolation.PROCESS, limits))
+
+
+@pytest.mark.parametrize(
+    ("level", "messages"),
+    [
+        (Isolation.NAMESPACE, "flock, fcntl$"),
+        (Isolation.LANDLOCK, "flock, fcntl, msgget$"),
+    ],
+)
+def test_the_suite_refuses_walls_without_a_filter_on_system_calls(
+    level: Isolation, messages: str
+) -> None:
+    if REASONS[level] is not None:
+        pytest.skip(str(REASONS[level]))
+    case = _sandbox._Case()
+
+    def thin(limits: Limits) -> Worker:
+        return open_worker(level, limits, without=(Layer.SECCOMP,))
+
+    with pytest.raises(AssertionError, match=r"set attributes of a file, start a process$"):
+        _sandbox._check_walls(thin, case)
+    with pytest.raises(AssertionError, match=messages):
+        _sandbox._check_no_messages(thin, case)

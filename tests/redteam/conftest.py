@@ -1,15 +1,18 @@
 import os
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from asia.candidate import Context
 from asia.problem import Signal, Trajectory
+from asia.redteam import _source
+from asia.redteam._verdict import said_steps
 from asia.sandbox import Isolation, Layer, Limits, open_worker, why_not
 
 REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}
@@ -17,10 +20,14 @@ LEVELS = {
     level: pytest.param(level, marks=pytest.mark.skipif(reason is not None, reason=str(reason)))
     for level, reason in REASONS.items()
 }
-MARK_PROCESS = """
-import ctypes
-ctypes.CDLL(None).prctl(15, b"{mark}", 0, 0, 0)
-"""
+WALLED = [LEVELS[Isolation.NAMESPACE], LEVELS[Isolation.LANDLOCK]]
+
+
+def candidate(
+    fit: str = "pass", before: str = "pass", after: str = "0.5 * u", top: str = ""
+) -> str:
+    """As in the shipped suite, with another honest answer."""
+    return _source.candidate(fit, before, after, top)
 
 
 @dataclass
@@ -38,6 +45,10 @@ class Arena:
         self.records = [record]
         self.context = Context((Signal("u"),), (Signal("y"),), 1.0, 4, 4)
 
+    def filled(self, source: str) -> str:
+        """The source with what it is told."""
+        return source.replace("GIVEN", repr({"MARK": self.mark})).replace("CRUDE", "(0.5, 0.5)")
+
     def run(
         self,
         source: str,
@@ -51,8 +62,7 @@ class Arena:
     ) -> np.ndarray:
         limits = Limits(fit_seconds, simulate_seconds, memory_mb, model_mb)
         with open_worker(self.level, limits, without=without) as worker:
-            marked = MARK_PROCESS.format(mark=self.mark) + source
-            self.reply = worker.fit(marked, self.records, self.context)
+            self.reply = worker.fit(self.filled(source), self.records, self.context)
             if dump:
                 worker.dump()
             first = worker.simulate(self.past, self.past, self.u)
@@ -60,23 +70,26 @@ class Arena:
             np.testing.assert_array_equal(first, second)
             return first
 
+    def gains_nothing(self, source: str, without: tuple[Layer, ...] = ()) -> None:
+        np.testing.assert_array_equal(self.run(source, without=without), 0.5 * self.u)
+
+    def ends(self, attempts: Mapping[str, str]) -> dict[str, str]:
+        """How each of these pieces of code ends, in one worker: an error's name, or `done`."""
+        with open_worker(self.level, Limits(30.0, 30.0, 2048, 64)) as worker:
+            source = self.filled(_source.steps(attempts))
+            return said_steps(worker.fit(source, self.records, self.context).output)
+
     def survivors(self) -> list[str]:
         """Processes of this arena that still live, zombies included."""
         found: list[str] = []
         for pid in os.listdir("/proc"):
             try:
-                with open(f"/proc/{pid}/stat") as file:
-                    text = file.read()
+                text = Path(f"/proc/{pid}/stat").read_text()
             except OSError:
                 continue
             if f"({self.mark})" in text:
                 found.append(text)
         return found
-
-    @property
-    def walled(self) -> bool:
-        """Whether the level means to stop intent, not only accidents."""
-        return self.level is not Isolation.PROCESS
 
 
 @contextmanager
@@ -90,7 +103,37 @@ def arena_at(level: Isolation) -> Iterator[Arena]:
     assert arena.survivors() == []
 
 
-@pytest.fixture(params=LEVELS.values(), ids=str)
+@pytest.fixture(params=WALLED, ids=str)
 def arena(request: pytest.FixtureRequest) -> Iterator[Arena]:
+    """At the levels that keep intent in."""
     with arena_at(request.param) as arena:
         yield arena
+
+
+@pytest.fixture
+def open_arena() -> Iterator[Arena]:
+    """At the weakest level, where the parent stands alone."""
+    with arena_at(Isolation.PROCESS) as arena:
+        yield arena
+
+
+def page_tables() -> dict[tuple[str, ...], list[dict[str, str]]]:
+    """The tables of docs/redteam.md by their heads, a row as words by column."""
+    page = (Path(__file__).parents[2] / "docs" / "redteam.md").read_text()
+    return tables(page)
+
+
+def tables(text: str) -> dict[tuple[str, ...], list[dict[str, str]]]:
+    """Tables in Markdown by their heads."""
+    found: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    head: tuple[str, ...] = ()
+    for line in text.splitlines():
+        cells = tuple(cell.strip() for cell in line.strip("|").split("|"))
+        if not line.startswith("|"):
+            head = ()
+        elif not head:
+            head = cells
+            found[head] = []
+        elif set(line) - set("|-"):
+            found[head].append(dict(zip(head, cells, strict=True)))
+    return found

@@ -1,12 +1,14 @@
-"""Candidates that abuse the scores they may ask for while they train, or that ask unbidden."""
+"""Candidates that abuse the scores they may ask for while they train, or that ask unbidden. At the
+weakest level, where the parent stands alone."""
 
 import pytest
 
 from asia.errors import CandidateError, Reason
+from asia.redteam._scores import STEAL
 from asia.sandbox import Limits, ScoreRefusedError, open_worker
 
-from .conftest import MARK_PROCESS
-from .test_redteam_attacks import FORK, STEAL_PIPE, candidate
+from .conftest import candidate
+from .test_redteam_attacks import FORK
 
 FORGED = "session._reply(8, pickle.dumps(Model()))"
 TWICE = (
@@ -27,7 +29,7 @@ def scored(arena, source, *, most=5, fit_seconds=30.0, kept=None):
             kept.append(model)
         return 0.5
 
-    source = MARK_PROCESS.format(mark=arena.mark) + source
+    source = arena.filled(source)
     with open_worker(arena.level, Limits(fit_seconds, 30.0, 2048, 1)) as worker:
         try:
             arena.reply = worker.fit(source, arena.records, arena.context, score)
@@ -36,21 +38,26 @@ def scored(arena, source, *, most=5, fit_seconds=30.0, kept=None):
             return error, sizes
 
 
+@pytest.fixture
+def arena(open_arena):
+    return open_arena
+
+
 @pytest.mark.parametrize("fit", [FORGED, FORGED + "\n" + FORGED, ENDLESS + "time.sleep(600)"])
 def test_a_score_nobody_offered_is_unsolicited(arena, fit):
     with pytest.raises(CandidateError) as caught:
-        arena.run(candidate(fit=STEAL_PIPE + fit))
+        arena.run(candidate(fit=STEAL + fit))
     assert caught.value.reason is Reason.UNSOLICITED
 
 
 def test_a_score_asked_for_by_a_simulation_is_unsolicited(arena):
     with pytest.raises(CandidateError) as caught:
-        arena.run(candidate(before=STEAL_PIPE + FORGED))
+        arena.run(candidate(before=STEAL + FORGED))
     assert caught.value.reason is Reason.UNSOLICITED
 
 
 def test_two_requests_at_once_are_unsolicited(arena):
-    error, sizes = scored(arena, candidate(fit=STEAL_PIPE + TWICE))
+    error, sizes = scored(arena, candidate(fit=STEAL + TWICE))
     assert error is not None
     assert error.reason is Reason.UNSOLICITED
     assert len(sizes) <= 1
@@ -68,7 +75,7 @@ def test_a_flood_gets_no_more_scores_and_ends_at_the_deadline(arena):
 
 
 def test_a_giant_model_is_not_even_read(arena):
-    error, sizes = scored(arena, candidate(fit=STEAL_PIPE + ENDLESS + "time.sleep(600)"))
+    error, sizes = scored(arena, candidate(fit=STEAL + ENDLESS + "time.sleep(600)"))
     assert error is not None
     assert error.reason is Reason.MODEL_SIZE
     assert sizes == []
@@ -76,7 +83,7 @@ def test_a_giant_model_is_not_even_read(arena):
 
 def test_a_model_that_never_arrives_ends_at_the_deadline(arena):
     drip = "os.write(session._replies, struct.pack('<B8sQ', 8, session._token, 99) + b'x')\n"
-    fit = STEAL_PIPE + drip + "time.sleep(600)"
+    fit = STEAL + drip + "time.sleep(600)"
     error, sizes = scored(arena, candidate(fit=fit), fit_seconds=1.0)
     assert error is not None
     assert error.reason is Reason.FIT_TIMEOUT
@@ -86,11 +93,11 @@ def test_a_model_that_never_arrives_ends_at_the_deadline(arena):
 def test_nothing_in_a_model_runs_in_the_parent(arena, tmp_path):
     """Bytes that would write a file wherever they are loaded."""
     path = tmp_path / "loaded"
-    evil = candidate(
+    evil = arena.filled(candidate(
         fit="class Evil:\n    simulate = len\n"
         f"    def __reduce__(self): return open, ({str(path)!r}, 'w')\n"
         "context.validation_score(Evil())"
-    )
+    ))  # fmt: skip
     kept: list[bytes] = []
     error, sizes = scored(arena, evil, kept=kept)
     assert error is None

@@ -9,18 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.errors import CandidateError, Reason
 from asia.problem.load import init_problem
 from asia.sandbox import Isolation
 
-from .conftest import LEVELS, Arena, arena_at
-from .test_redteam_attacks import candidate
-
-
-@pytest.fixture(params=[LEVELS[Isolation.NAMESPACE], LEVELS[Isolation.LANDLOCK]], ids=str)
-def arena(request):
-    with arena_at(request.param) as arena:
-        yield arena
+from .conftest import Arena
 
 
 @pytest.fixture
@@ -46,15 +38,13 @@ def sealed(tmp_path: Path) -> dict[str, Path]:
     }
 
 
-@pytest.mark.parametrize("what", ["store", "key", "ledger", "train"])
-def test_no_candidate_reads(arena: Arena, sealed: dict[str, Path], what: str) -> None:
-    path = sealed[what]
-    for attempt in (f"open({str(path)!r}, 'rb').read()", f"os.listdir({str(path.parent)!r})"):
-        with pytest.raises(CandidateError) as caught:
-            arena.run(candidate(fit=attempt))
-        assert caught.value.reason is Reason.CRASH
-        expected = {Isolation.NAMESPACE: "FileNotFoundError", Isolation.LANDLOCK: "PermissionError"}
-        assert expected[arena.level] in caught.value.detail
+def test_no_candidate_reads(arena: Arena, sealed: dict[str, Path]) -> None:
+    attempts = {f"read {what}": f"open({str(path)!r}, 'rb')" for what, path in sealed.items()}
+    attempts |= {
+        f"list {what}": f"os.listdir({str(path.parent)!r})" for what, path in sealed.items()
+    }
+    expected = {Isolation.NAMESPACE: "ENOENT", Isolation.LANDLOCK: "EACCES"}
+    assert arena.ends(attempts) == dict.fromkeys(attempts, expected[arena.level])
 
 
 def test_no_candidate_asks_the_desk(arena: Arena, tmp_path: Path) -> None:
@@ -64,9 +54,7 @@ def test_no_candidate_asks_the_desk(arena: Arena, tmp_path: Path) -> None:
         desk.bind(str(path))
         desk.listen()
         ask = f"socket.socket(socket.AF_UNIX).connect({str(path)!r})"
-        with pytest.raises(CandidateError) as caught:
-            arena.run(candidate(fit=f"import socket\n{ask}"))
-        assert "Error" in caught.value.detail
+        assert arena.ends({"ask": ask}) == {"ask": "EPERM"}
         desk.settimeout(0.05)
         with pytest.raises(TimeoutError):
             desk.accept()

@@ -1,6 +1,11 @@
-"""The suite that is shipped as `asia redteam`: complete, and each attack stopped as it says."""
+"""The suite that is shipped as `asia redteam`: complete, each attack stopped as it says and a real
+one, and the page of the manual as it is."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,33 +14,47 @@ from typer.testing import CliRunner
 from asia.cli import app
 from asia.redteam import (
     ATTACKS,
+    OFF,
     CandidateAttack,
     Finding,
     Plan,
-    SearchAttack,
+    Report,
     Stop,
     Verdict,
     honest_plan,
     report_table,
     run_suite,
+    why_no_outer,
 )
 from asia.redteam._arena import attack_candidate
 from asia.redteam._honest import small_problems, try_honest
-from asia.redteam._outer import read_finding, write_finding
-from asia.redteam._searches import Scene
+from asia.redteam._off import CONTROL
+from asia.redteam._outer import inside, read_finding, write_finding
 from asia.redteam._source import candidate
+from asia.redteam._targets import targets
+from asia.redteam._traces import Traces
+from asia.redteam._types import ANY_LEVEL, Seen
 from asia.redteam._verdict import conclude
-from asia.redteam._won import better
-from asia.sandbox import Isolation, why_not
+from asia.redteam._won import better, reached
+from asia.sandbox import Isolation, Layer, why_not
+from asia.sandbox._landlock import abi
+
+from .conftest import page_tables, tables
 
 CANDIDATES = [attack for attack in ATTACKS if isinstance(attack, CandidateAttack)]
-SEARCHES = [attack for attack in ATTACKS if isinstance(attack, SearchAttack)]
-LEVELS = [
-    pytest.param(level, marks=pytest.mark.skipif(why_not(level) is not None, reason=str(level)))
-    for level in (Isolation.NAMESPACE, Isolation.LANDLOCK)
-]
-ONE_LEVEL = next((p.values[0] for p in LEVELS if why_not(p.values[0]) is None), None)
+WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
+ONE_LEVEL = WORKING[0] if WORKING else None
+NO_OUTER = why_no_outer()
 needs_level = pytest.mark.skipif(ONE_LEVEL is None, reason="no level keeps intent in here")
+needs_outer = pytest.mark.skipif(NO_OUTER is not None, reason=str(NO_OUTER))
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    """All attacks at all levels that work here, and with isolation off."""
+    if not WORKING:
+        pytest.skip("no level keeps intent in here")
+    return run_suite(Plan(WORKING, prove=NO_OUTER is None))
 
 
 def test_the_attacks_are_numbered_from_1_on_without_a_gap():
@@ -43,28 +62,71 @@ def test_the_attacks_are_numbered_from_1_on_without_a_gap():
     assert len({attack.name for attack in ATTACKS}) == len(ATTACKS)
 
 
-@pytest.mark.parametrize("level", LEVELS, ids=str)
-@pytest.mark.parametrize("attack", CANDIDATES, ids=lambda attack: attack.name)
-def test_a_candidate_is_stopped_by_what_was_expected(attack, level):
-    finding = attack_candidate(attack, level)
-    assert not finding.through, finding
-    expected = {*map(str, attack.stops)}
-    assert {*finding.stops} <= expected, finding
-    assert ("literal_data" in finding.note) == (attack.number == 28), finding
+def test_every_attack_is_stopped_at_every_level(report):
+    assert [f for f in report.findings if f.through and f.level != OFF] == []
+    played = {(f.number, f.level) for f in report.findings if f.level not in (ANY_LEVEL, OFF)}
+    assert played == {(a.number, str(level)) for a in CANDIDATES for level in WORKING}
+    once = {f.number for f in report.findings if f.level == ANY_LEVEL}
+    assert once == {a.number for a in ATTACKS} - {a.number for a in CANDIDATES}
+    assert report.stopped == len(ATTACKS)
 
 
-@needs_level
-def test_a_search_stops_what_agents_try(tmp_path):
-    scene = Scene(tmp_path, ONE_LEVEL)
-    for attack in SEARCHES:
-        play = attack.play(scene)
-        assert not play.won, (attack.number, play)
-        assert play.stops == attack.stops
+def test_every_attack_is_stopped_by_what_was_expected(report):
+    expected = {attack.number: {*map(str, attack.stops)} for attack in ATTACKS}
+    stopped = [f for f in report.findings if f.level != OFF]
+    assert [f for f in stopped if not {*f.stops} <= expected[f.number]] == []
+    assert {f.number for f in stopped if "literal_data" in f.note} == {28}
 
 
-def test_agents_win_against_plainer_code(tmp_path):
-    for attack in SEARCHES:
-        assert attack.naive(tmp_path), attack.number
+@needs_outer
+def test_every_attack_succeeds_with_isolation_off(report):
+    assert report.unproven == ()
+    assert report.proven == len(ATTACKS)
+    assert report.passed
+
+
+@needs_outer
+def test_no_attack_succeeds_by_failing():
+    """The same candidates with a fit that only raises."""
+    found = list(inside([CONTROL, "", *(str(attack.number) for attack in CANDIDATES)]))
+    assert len(found) == len(CANDIDATES)
+    assert [f for f in found if f.through] == []
+
+
+def test_the_page_lists_the_attacks():
+    rows = page_tables()["#", "attack", "what it tries"]
+    shown = [(row["#"], row["attack"], row["what it tries"].replace("`", "")) for row in rows]
+    assert shown == [(str(a.number), a.name, a.tries.replace("`", "")) for a in ATTACKS]
+
+
+def test_the_page_shows_what_became_of_them(report):
+    """Word for word on a machine such as the page names, elsewhere without the layers."""
+    shown = page_tables()["#", "attack", "namespace", "landlock", "off"]
+    ((_, found),) = tables(report_table(report)).items()
+    alike = os.uname().release.startswith("6.18") and abi() == 7
+    assert _cells(found, alike).items() <= _cells(shown, alike).items()
+
+
+def _cells(rows, with_layers):
+    """What stands by number and level."""
+    cells: dict[tuple[str, str], str] = {}
+    for row in rows:
+        for column, cell in row.items():
+            if cell and column not in ("#", "attack"):
+                words = cell.split(": ")
+                level = words.pop(0) if words[0] == ANY_LEVEL else column
+                cells[row["#"], level] = ": ".join(words if with_layers else words[:1])
+    return cells
+
+
+def test_the_page_shows_the_last_line():
+    page = (Path(__file__).parents[2] / "docs" / "redteam.md").read_text()
+    plan = honest_plan()
+    families = len({row.name for _, row in plan})
+    assert (
+        f"36 of 36 blocked or flagged, 0 false alarms over {families} families "
+        f"({len(plan)} honest candidates), 36 of 36 succeed with isolation off" in page
+    )
 
 
 @needs_level
@@ -80,13 +142,75 @@ def test_a_candidate_that_really_is_better_counts_as_through():
 
 @needs_level
 def test_what_is_left_behind_counts_as_through(monkeypatch):
-    from asia.redteam import _targets
-
-    monkeypatch.setattr(_targets.Targets, "survivors", lambda self: ("process 1",))
-    attack = CANDIDATES[0]
-    finding = attack_candidate(attack, ONE_LEVEL)
+    monkeypatch.setattr(Traces, "survivors", lambda self: ("process 1",))
+    finding = attack_candidate(CANDIDATES[0], ONE_LEVEL)
     assert finding.verdict is Verdict.THROUGH
     assert "left behind" in finding.note
+
+
+# Under a filter that allows everything; its parent ends, and it stays.
+ORPHAN = """
+import ctypes, os, time
+if os.fork() == 0:
+    libc = ctypes.CDLL(None)
+    libc.prctl(38, 1, 0, 0, 0)
+    rule = (ctypes.c_uint16 * 4)(0x06, 0, 0, 0x7FFF)
+    head = (ctypes.c_uint64 * 2)(1, ctypes.addressof(rule))
+    assert libc.prctl(22, 2, head, 0, 0) == 0
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_a_process_nobody_marked_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
+    from asia.redteam import _traces
+
+    monkeypatch.setattr(_traces, "_PATIENCE_SECONDS", 0.0)
+    traces = Traces("rt", 1, str(tmp_path))
+    child = ORPHAN.replace("if os.fork() == 0:", "if True:")
+    with subprocess.Popen([sys.executable, "-c", child], stdout=subprocess.PIPE) as ours:
+        assert ours.stdout is not None
+        ours.stdout.readline()
+        assert traces.survivors() == ()
+        ours.kill()
+    with subprocess.Popen([sys.executable, "-c", ORPHAN], stdout=subprocess.PIPE) as starter:
+        assert starter.stdout is not None
+        pid = int(starter.stdout.readline())
+        starter.wait()
+        try:
+            assert traces.survivors() == (f"process {pid}",)
+        finally:
+            os.kill(pid, signal.SIGKILL)
+
+
+def test_files_are_found_by_place_and_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    playground = tmp_path / "playground"
+    playground.mkdir()
+    (tmp_path / "model.bin").symlink_to("ledger")
+    traces = Traces("rt0123456789", 1, str(playground))
+    assert traces.strays() == ()
+    of_the_attack = ("rt0123456789-file", "conftest.py", "playground/anything", "log.txt")
+    for name in (*of_the_attack[:3], "sitecustomize.py", "somebody's"):
+        (tmp_path / name).write_text("rt0123456789" if name == "conftest.py" else "")
+    (tmp_path / "log.txt").symlink_to("ledger")
+    assert {*traces.strays()} == {str(tmp_path / name) for name in of_the_attack}
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"playground", "model.bin", "log.txt", "sitecustomize.py", "somebody's"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_a_neighbour_is_seen_to_be_hurt():
+    with targets(64) as given:
+        assert given.neighbour.hurt == ""
+        os.setpriority(os.PRIO_PROCESS, given.other, 19)
+        assert "priority 19" in given.neighbour.hurt
+        os.kill(given.other, signal.SIGSTOP)
+        assert "stands still" in given.neighbour.hurt
+        os.kill(given.other, signal.SIGKILL)
+        given.neighbour.process.wait()
+        assert "ended" in given.neighbour.hurt
 
 
 @needs_level
@@ -125,13 +249,11 @@ def run(*words: str):
 def test_the_command_prints_a_table_and_a_verdict():
     done = run("--attack", "2", "--attack", "34", "--level", str(ONE_LEVEL), "--no-prove")
     assert done.exit_code == 0, done.output
-    assert f"| 2  | write the evaluator's code | blocked: {_first_wall()}" in done.stdout
+    wall = "namespaces" if ONE_LEVEL is Isolation.NAMESPACE else "landlock"
+    assert f"| 2  | write the evaluator's code | blocked: {wall}" in done.stdout
+    assert "| 34 | divide by nothing          | any level: blocked: problem check" in done.stdout
     assert "2 of 2 blocked or flagged" in done.stdout
     assert "34 divide by nothing" in done.stderr
-
-
-def _first_wall() -> str:
-    return "namespaces" if ONE_LEVEL is Isolation.NAMESPACE else "landlock"
 
 
 @needs_level
@@ -145,6 +267,22 @@ def test_the_command_fails_when_something_gets_through(monkeypatch):
     lines = [json.loads(text) for text in done.stdout.splitlines()]
     assert lines[0]["verdict"] == "through"
     assert lines[1]["summary"]["stopped"] == 0
+
+
+@needs_level
+def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
+    from asia import redteam
+    from asia.redteam import _suite
+
+    blocked = Finding(2, str(ONE_LEVEL), Verdict.BLOCKED, ("landlock",), "")
+    clumsy = Finding(2, OFF, Verdict.BLOCKED, ("parent",), "no score")
+    monkeypatch.setattr(redteam, "why_no_outer", lambda: None)
+    monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level: blocked)
+    monkeypatch.setattr(_suite, "inside", lambda job, nested: iter([clumsy]))
+    done = run("--attack", "2", "--level", str(ONE_LEVEL))
+    assert done.exit_code == 1
+    assert "blocked: landlock | DOES NOT SUCCEED |" in done.stdout
+    assert "1 of 1 blocked or flagged, 0 of 1 succeed with isolation off (not 2)" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -161,33 +299,20 @@ def test_what_the_command_does_not_know_it_says(words, said):
     assert said in str(done.exception)
 
 
-@pytest.mark.skipif(why_not(Isolation.NAMESPACE) is not None, reason="needs bubblewrap")
-def test_attacks_work_with_isolation_off_and_at_level_process():
-    chosen = tuple(a for a in ATTACKS if a.number in (1, 5, 13, 31))
-    report = run_suite(Plan((Isolation.PROCESS,), chosen))
-    assert report.proven == 4
-    assert report.stopped == 2  # where a process may do what its user may
-    assert not report.passed
-    table = report_table(report)
-    assert "| read the test file | THROUGH" in table
-    assert {f.number for f in report.findings if f.through and f.level == "process"} == {5, 13}
-
-
-def test_the_page_shows_every_attack():
-    page = (Path(__file__).parents[2] / "docs" / "redteam.md").read_text()
-    for attack in ATTACKS:
-        assert f"| {attack.number:<2} | {attack.name} " in page
-    assert "36 of 36 blocked or flagged, 0 false alarms" in page
+@needs_outer
+def test_a_process_may_do_what_its_user_may():
+    chosen = tuple(a for a in ATTACKS if a.number in (1, 5, 13))
+    found = run_suite(Plan((Isolation.PROCESS,), chosen, prove=False))
+    assert {f.number for f in found.findings if f.through} == {5, 13}
+    assert found.stopped == 1
+    assert not found.passed
+    assert "| read the test file | THROUGH" in report_table(found)
 
 
 def test_steps_are_blamed_on_the_layer_in_force():
-    from asia.redteam import Verdict
-    from asia.redteam._types import Seen
-    from asia.sandbox import Layer
-
     attack = next(a for a in CANDIDATES if a.number == 13)
     seen = Seen(value=1.0, honest=1.0, steps={"fork": "EPERM", "spawn": "EACCES"})
-    walls = conclude(attack, "", seen, [Layer.SECCOMP, Layer.LANDLOCK])
+    walls = conclude(attack, "", seen, [Layer.SECCOMP, Layer.LANDLOCK], reached)
     assert walls.stops == ("seccomp", "landlock")
     assert walls.verdict is Verdict.BLOCKED
-    assert conclude(attack, "", seen, []).stops == ("kernel",)
+    assert conclude(attack, "", seen, [], reached).stops == ("kernel",)

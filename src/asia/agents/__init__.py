@@ -20,7 +20,7 @@ from asia.agents._driving import (
 )
 from asia.agents._expert import ExpertAgent
 from asia.agents._llm import LlmAgent
-from asia.agents._llm_problem import briefing, equations, library
+from asia.agents._llm_problem import MODEL_RULES, briefing, equations, library
 from asia.agents._llm_settings import LlmSettings
 from asia.agents._presets import PRESETS, Preset, filled, make_preset
 from asia.agents._random import SPACES, RandomAgent, SpaceName
@@ -31,6 +31,7 @@ from asia.errors import UserError
 
 __all__ = [
     "AGENTS",
+    "MODEL_RULES",
     "PRESETS",
     "SPACES",
     "Agent",

@@ -76,7 +76,13 @@ context), and fit that calls both.
 - Python with numpy, scipy, jax, equinox, optax and asia.models, one CPU thread, no network, no
   files. A fit has {seconds:g} s a fold; stop by iteration counts, not by the clock. Take random
   numbers from context.seed. Everything that simulate needs belongs in the model, which is pickled.
-- {stopping}"""
+- {stopping}
+- {model}"""
+
+MODEL_RULES = """The model must be causal in u. It must answer a window alike whatever other
+windows are in the request or came before, from any start of a record about as well, and without a
+jump for a tiny change of what it is given. The source must carry no data and no long tables. What
+breaks this is refused or never kept."""
 
 _INNER = """To stop early, hold out a part of the training trajectories, choose the number of
   iterations with it, and fit again on all of them."""
@@ -215,6 +221,7 @@ def _contract(facts: Facts) -> str:
         py=facts.past_outputs,
         seconds=facts.budget.fit_seconds,
         stopping=_INNER if inner else _VALIDATION.format(scores=VALIDATION_SCORES),
+        model=MODEL_RULES.replace("\n", "\n  "),
     )
 
 

@@ -15,20 +15,28 @@ from asia.errors import CandidateError, Reason
 from asia.problem._syntax import syntax_tree
 
 MOST_LITERALS = 1024
-MOST_NAMES = 3072
-MOST_CODE = 12 * 1024
+MOST_NAMES = 2048
+MOST_ALIKE = 1024
+MOST_CODE = 7 * 1024
 
 _NAMED = ("name", "id", "attr", "arg", "asname", "module")
+_SIGNS = (ast.operator, ast.unaryop, ast.cmpop, ast.boolop)
 
 
 @dataclass(frozen=True)
 class Content:
     """Information in a source, as bytes of DEFLATE: of the numbers, strings and bytes that it
-    writes out, of the names it uses, and of all of it. Comments and docstrings do not count, since
-    a candidate runs without them."""
+    writes out, of the names it uses, of those of its statements that are most alike, and of all of
+    it. Comments and docstrings do not count, since a candidate runs without them.
+
+    alike: names, operators and order in the statements that are built of the same parts, the most
+    that any kind of them has; a table, in names or in operators, of one statement or of many, is
+    one kind.
+    """
 
     literals: int
     names: int
+    alike: int
     code: int
 
 
@@ -45,6 +53,7 @@ def content(source: str, tree: ast.Module) -> Content:
     return Content(
         _deflated(b"\n".join(literals)),
         _deflated("\n".join(names).encode("utf-8", "replace")),
+        _alike(tree),
         _deflated(without_words(source, tree).encode("utf-8", "replace")),
     )
 
@@ -55,6 +64,7 @@ def check_content(source: str, tree: ast.Module) -> None:
     for what, size, most in (
         ("numbers and strings", found.literals, MOST_LITERALS),
         ("names", found.names, MOST_NAMES),
+        ("statements of one kind", found.alike, MOST_ALIKE),
         ("code", found.code, MOST_CODE),
     ):
         if size > most:
@@ -89,6 +99,27 @@ def without_words(source: str, tree: ast.Module) -> str:
     raise CandidateError(
         Reason.SYNTAX, "comments cannot be told from code: use plain line ends and indents"
     )
+
+
+def _alike(tree: ast.Module) -> int:
+    kinds: dict[frozenset[str], list[str]] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.stmt):
+            parts = list(_parts(node))
+            kind = frozenset(type(p).__name__ for p in parts if not isinstance(p, _SIGNS))
+            kinds.setdefault(kind, []).extend(_shape(p) for p in parts)
+    sizes = (_deflated("\n".join(k).encode("utf-8", "replace")) for k in kinds.values())
+    return max(sizes, default=0)
+
+
+def _parts(statement: ast.stmt) -> Iterator[ast.AST]:
+    """Its nodes in the order they are written, without the statements inside it."""
+    left: list[ast.AST] = [statement]
+    while left:
+        node = left.pop()
+        yield node
+        inside = [c for c in ast.iter_child_nodes(node) if not isinstance(c, ast.stmt)]
+        left += [c for c in reversed(inside) if not isinstance(c, ast.expr_context)]
 
 
 def _parsed(text: str) -> ast.Module:

@@ -63,7 +63,8 @@ def redteam(
     """Let scripted cheats attack this installation: each must be blocked or flagged, and honest
     candidates must not be.
 
-    Attacks run unprotected in an outer sandbox only. Exit code 1 if anything gets through.
+    Attacks run unprotected in an outer sandbox only. Exit code 1 if anything gets through, or if an
+    attack does not succeed even with isolation off.
     """
     chosen = _attacks(attack)
     if without:

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from asia.candidate import Context, check_source, executed_source
 from asia.errors import CandidateError, Reason, SandboxError, UserError
-from asia.evaluation._metamorphic import suspicions
+from asia.evaluation._metamorphic import SuspicionKind, suspicions
 from asia.evaluation._oracle import Oracle
 from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.executor import Executor
@@ -52,7 +52,7 @@ class FoldResult:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Outcome of one candidate; `folds` is empty after a failure. `output` is what the
+    """Outcome of one candidate; `folds` is empty where one of them failed. `output` is what the
     candidate printed while fitting, capped and stripped. `validation_scores` counts those of all
     folds, failed ones too."""
 
@@ -122,10 +122,12 @@ class Evaluator:
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
-        same as the worker that fitted it, and answers like a model (see `suspicions`)."""
+        same as the worker that fitted it, and answers like a model (see `suspicions`). RESTART, the
+        one that hangs on held-out outputs, only where nothing else is wrong in any fold."""
         jobs = [partial(self._doubt, source, f, r) for f, r in zip(self.folds, folds, strict=True)]
         try:
-            return next((f for f in self._run(jobs) if f is not None), None)
+            found = [f for f in self._run(jobs) if f is not None]
+            return min(found, key=lambda f: f.reason is Reason.RESTART, default=None)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
@@ -145,8 +147,10 @@ class Evaluator:
             except CandidateError as error:
                 detail = f"next to the scored cases: {error.detail or error.reason.advice}"
                 return Failure(error.reason, detail, place)
-        words = "; ".join(f"{one.kind}: {one.words}" for one in found)
-        return Failure(Reason.SUSPECT, words, place) if found else None
+        known = [one for one in found if one.kind is not SuspicionKind.RESTART]
+        reason = Reason.SUSPECT if known else Reason.RESTART
+        words = "; ".join(f"{one.kind}: {one.words}" for one in known or found)
+        return Failure(reason, words, place) if found else None
 
     def refit(self, source: str) -> bytes:
         """Fit on all training records; the opaque model. Nothing is held out, so that the

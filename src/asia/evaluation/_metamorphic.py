@@ -45,8 +45,9 @@ class SuspicionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Suspicion:
-    """A relation that a model breaks, in words, and by how much: in standard deviations of the
-    outputs, for `restart` the error from other starting points over that from the scored one."""
+    """A relation that a model breaks, in words without a number, and by how much: in standard
+    deviations of the outputs, for `restart` the error from other starting points over that from the
+    scored one. Agents are told the words alone: a figure would carry held-out data out."""
 
     kind: SuspicionKind
     words: str
@@ -79,10 +80,11 @@ def suspicions(
     asks for: inputs and past moved by 1e-6 of their standard deviations, there and back
     (`perturbation`: an isolated answer, or a jump at once), and by 1e-2 (`table`: no change at
     all); the second half of the inputs exchanged (`causality`); rows in another order (`order`);
-    four later starts on the same record, where the output moves about as fast (`restart`: all much
-    worse over the rest of it); and the same again at the end (`replay`). Raises CandidateError
-    where an answer does not come; one that is not finite breaks `perturbation`, `restart` and
-    `replay`, and says nothing about the others.
+    the same again (`replay`); and, last, as their past windows are held-out outputs, four later
+    starts on the same record, where the output moves about as fast (`restart`: all much worse over
+    the rest of it). Raises CandidateError where an answer does not come, but for `restart`, which
+    that breaks; one that is not finite breaks `perturbation`, `restart` and `replay`, and says
+    nothing about the others.
     """
     found: list[Suspicion | None] = []
     random = np.random.default_rng(seed)
@@ -90,8 +92,8 @@ def suspicions(
     checks = [_Check(simulator, batch, scale, random) for batch in chosen]
     for check in checks:
         found += check.perturbation(), check.table(), check.causality(), check.order()
-    found.append(_restart([check.restart() for check in checks]))
     found += [check.replay() for check in reversed(checks)]
+    found.append(_restart(checks))
     worst: dict[SuspicionKind, Suspicion] = {}
     for one in found:
         if one is not None and (one.kind not in worst or one.figure > worst[one.kind].figure):
@@ -126,7 +128,7 @@ class _Check:
         isolated = least > _SAME and least > _ISOLATED * between
         if not isolated and not at_once:
             return None
-        words = f"inputs moved by 1e-6 move the simulation by {least:.2g} standard deviations"
+        words = "inputs moved by 1e-6 make the simulation jump"
         return Suspicion(SuspicionKind.PERTURBATION, words, least)
 
     def table(self) -> Suspicion | None:
@@ -152,9 +154,7 @@ class _Check:
         change = float(self._apart(answer, self.batch.y_hat)[:, :place].max(initial=0.0))
         if change <= _SAME:
             return None
-        words = (
-            f"inputs after a sample move the output before it by {change:.2g} standard deviations"
-        )
+        words = "inputs after a sample move the output before it"
         return Suspicion(SuspicionKind.CAUSALITY, words, change)
 
     def order(self) -> Suspicion | None:
@@ -169,7 +169,7 @@ class _Check:
         middle = float(np.median(change))
         if middle <= _MOVES or float(np.median(change[:, :_EARLY])) <= _SAME:
             return None
-        words = f"cases in another order move the simulation by {middle:.2g} standard deviations"
+        words = "cases in another order move the simulation"
         return Suspicion(SuspicionKind.ORDER, words, middle)
 
     def replay(self) -> Suspicion | None:
@@ -178,9 +178,7 @@ class _Check:
         change = np.inf if answer is None else float(self._apart(answer, self.batch.y_hat).max())
         if change <= _SAME:
             return None
-        words = (
-            f"the same case asked again moves the simulation by {change:.2g} standard deviations"
-        )
+        words = "the same case asked again is answered otherwise"
         return Suspicion(SuspicionKind.REPLAY, words, change)
 
     def restart(self) -> tuple[float, list[float]] | None:
@@ -222,9 +220,13 @@ class _Check:
         return (np.abs(one - other)[: self.batch.count] / self.scale).max(axis=2)
 
 
-def _restart(errors: Sequence[tuple[float, list[float]] | None]) -> Suspicion | None:
+def _restart(checks: Sequence[_Check]) -> Suspicion | None:
     """Over all requests: the best of the later starts against the scored one."""
-    known = [error for error in errors if error is not None]
+    try:
+        known = [error for check in checks if (error := check.restart()) is not None]
+    except CandidateError:
+        words = "started later on the same record the simulation fails"
+        return Suspicion(SuspicionKind.RESTART, words, np.inf)
     if not known:
         return None
     own = float(np.sqrt(np.mean([error for error, _ in known])))
@@ -233,9 +235,7 @@ def _restart(errors: Sequence[tuple[float, list[float]] | None]) -> Suspicion | 
     if best - own <= _WORSE or best <= _MUCH_WORSE * own:
         return None
     ratio = best / own if own > 0 else np.inf
-    words = (
-        f"started later on the same record the simulation is at least {ratio:.2g} times as far off"
-    )
+    words = "started later on the same record the simulation is far worse"
     return Suspicion(SuspicionKind.RESTART, words, ratio)
 
 

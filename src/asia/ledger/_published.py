@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from statistics import fmean, stdev
 
+from asia.errors import Reason
 from asia.ledger._view import SearchView
 from asia.scoring import Score
 
@@ -43,19 +44,24 @@ def on_ladder(value: float, step: float) -> float:
 def published(view: SearchView) -> SearchView:
     """The view with the scores as they are told; as it is without the Ladder. With it an experiment
     that was kept has its V on the grid, any other that has a score the one told last, and none has
-    scores of its folds."""
+    scores of its folds. A failure that hangs on held-out outputs is told, once a V was, as a score
+    that was not kept."""
     step = view.started.ladder
     if step is None:
         return view
     told: float | None = None
     experiments = list(view.experiments)
     for i, experiment in enumerate(experiments):
-        result, score = experiment.result, experiment.score
-        if result is None or score is None:
+        result, score, failure = experiment.result, experiment.score, experiment.failure
+        hidden = failure is not None and failure.reason is Reason.RESTART
+        if result is None or not (score or (hidden and told is not None)):
             continue
-        if told is None or result.status == "keep":
+        if score and (told is None or result.status == "keep"):
             told = on_ladder(score.value, step)
-        experiments[i] = replace(experiment, result=replace(result, outcome=Score(told, ())))
+        assert told is not None
+        status = "discard" if hidden else result.status
+        result = replace(result, status=status, outcome=Score(told, ()))
+        experiments[i] = replace(experiment, result=result)
     return replace(view, experiments=tuple(experiments))
 
 

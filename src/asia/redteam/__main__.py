@@ -1,5 +1,6 @@
-"""What runs inside the outer sandbox: `python -m asia.redteam off` or a level and the layers to
-leave out, then the attacks' numbers; one finding a line."""
+"""What runs inside the outer sandbox: `python -m asia.redteam`, then `off`, `control` (broken
+candidates, with isolation off) or a level, the layers to leave out, and the attacks' numbers; one
+finding a line."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from asia.redteam._arena import attack_candidate
 from asia.redteam._attacks import ATTACKS
-from asia.redteam._off import OFF, attack_without_isolation
+from asia.redteam._off import CONTROL, OFF, attack_without_isolation, broken
 from asia.redteam._outer import write_finding
 from asia.redteam._types import Attack, CandidateAttack, Finding, Verdict
 from asia.sandbox import Isolation, Layer
@@ -21,8 +22,16 @@ def main(arguments: list[str]) -> None:
     for attack in ATTACKS:
         if str(attack.number) not in numbers:
             continue
-        finding = _off(attack) if level == OFF else _thin(attack, Isolation(level), without)
-        print(write_finding(finding), flush=True)
+        print(write_finding(_played(attack, level, without)), flush=True)
+
+
+def _played(attack: Attack, level: str, without: list[Layer]) -> Finding:
+    if level == OFF:
+        return _off(attack)
+    assert isinstance(attack, CandidateAttack)
+    if level == CONTROL:
+        return attack_without_isolation(broken(attack))
+    return attack_candidate(attack, Isolation(level), without)
 
 
 def _off(attack: Attack) -> Finding:
@@ -32,11 +41,6 @@ def _off(attack: Attack) -> Finding:
         won = attack.naive(Path(folder))
     verdict = Verdict.THROUGH if won else Verdict.BLOCKED
     return Finding(attack.number, OFF, verdict, (), "")
-
-
-def _thin(attack: Attack, level: Isolation, without: list[Layer]) -> Finding:
-    assert isinstance(attack, CandidateAttack)
-    return attack_candidate(attack, level, without)
 
 
 if __name__ == "__main__":

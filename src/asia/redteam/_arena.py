@@ -7,6 +7,7 @@ from collections.abc import Collection, Generator
 from contextlib import contextmanager
 from functools import cache
 
+from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator
 from asia.redteam._problem import Kind, small_problem
 from asia.redteam._source import HONEST, fill_in
@@ -39,8 +40,8 @@ def attack_candidate(
     absent = absent_layers(level)
     layers = [layer for layer in LAYERS[level] if layer not in absent and layer not in without]
     found = [
-        conclude(attack, name, _see(attack, source, level, without), layers)
-        for name, source in attack.sources.items()
+        conclude(attack, name, _see(attack, name, level, without), layers, attack.won)
+        for name in attack.sources
     ]
     return worst_of(found, attack.number, str(level), tuple(str(layer) for layer in without))
 
@@ -57,18 +58,19 @@ def honest_value(kind: Kind, level: Isolation) -> float:
     return outcome.value
 
 
-def _see(
-    attack: CandidateAttack, source: str, level: Isolation, without: Collection[Layer]
-) -> Seen:
+def _see(attack: CandidateAttack, name: str, level: Isolation, without: Collection[Layer]) -> Seen:
     problem, honest = small_problem(attack.kind), honest_value(attack.kind, level)
     kind = _Thinned if without else Evaluator
-    evaluator = problem.evaluator(kind, level, attack.limit, attack.memory_mb, attack.folds)
+    at_once = 2 if name in attack.at_once else 1
+    evaluator = problem.evaluator(
+        kind, level, attack.limit, attack.memory_mb, attack.folds, at_once
+    )
     if isinstance(evaluator, _Thinned):
         evaluator.without = without
     with targets(attack.memory_mb) as given:
         begin = time.monotonic()
         least = honest if attack.folds > 1 else 0.0
-        evaluation = _judged(evaluator, fill_in(source, given.told, problem), least)
+        evaluation = _judged(evaluator, fill_in(attack.sources[name], given.told, problem), least)
         seconds = time.monotonic() - begin
         return _look(evaluation, given, honest, seconds, attack.limit)
 
@@ -88,7 +90,7 @@ def _look(
 ) -> Seen:
     outcome, output = evaluation.outcome, evaluation.output
     failed = isinstance(outcome, Failure)
-    survivors = given.survivors()
+    survivors = given.traces.survivors()
     return Seen(
         value=None if failed else outcome.value,
         honest=honest,
@@ -98,10 +100,11 @@ def _look(
         steps=said_steps(output),
         seconds=seconds,
         limit=limit,
+        late=not failed or outcome.reason not in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT),
         ran=given.ran,
         ledger=given.ledger_changed,
         leaked=given.secret in output,
-        hurt=given.hurt,
+        hurt=given.neighbour.hurt,
         survivors=survivors,
-        strays=given.strays(),
+        strays=given.traces.strays(),
     )

@@ -1,8 +1,8 @@
 """An evaluation without any isolation: the usual mistakes in one file, to show that attacks work.
 
-Run as a script in an outer sandbox and nowhere else. Candidate and evaluator share one process; the
-metric is computed where the candidate could reach it, and its files are loaded afterwards.
-Arguments: the candidate's file, the kind of problem; or the word `after`, to load what it left.
+To be called in a process of its own in an outer sandbox and nowhere else. Candidate and evaluator
+share that process; the metric is computed where the candidate could reach it, and its files are
+loaded afterwards.
 """
 
 from __future__ import annotations
@@ -20,26 +20,45 @@ import numpy as np
 
 from asia.problem import Array
 from asia.protocol import Fold, make_folds
-from asia.redteam._problem import SmallProblem, small_problem
+from asia.redteam._problem import SmallProblem
+from asia.redteam._types import Mistake
 
-MODEL, RESULT, LOG = "model.bin", "result.npy", "log.txt"
+_MODEL, _RESULT, _LOG = "model.bin", "result.npy", "log.txt"
 
 
-def judge(source: str, problem: SmallProblem) -> float:
-    """Mean over the folds that did not fail; no number counts as 0."""
+def judge(source: str, problem: SmallProblem, mistake: Mistake | None) -> None:
+    """Print the mean over the folds; what is no number counts as 0. Raises what a fold fails with,
+    unless failed folds are left out."""
     scores: list[float] = []
     for fold in make_folds([problem.record], problem.rule):
         try:
             scores.append(_fold_score(source, problem, fold))
-        except Exception:  # noqa: BLE001 - a failed fold is left out, the mistake to show
+        except Exception:
+            if mistake is not Mistake.DROPS_FOLDS:
+                raise
             traceback.print_exc()
-    return float(np.nan_to_num(np.nanmean(scores))) if scores else 0.0
+    if not scores:
+        raise ValueError("no fold is left")
+    print(f"METRIC nrmse={float(np.nan_to_num(np.nanmean(scores)))!r}", flush=True)
+
+
+def load_leftovers() -> None:
+    """Load result, model and settings from the folder the candidate ran in, and write a log."""
+    sys.path.insert(0, "")
+    for load in (
+        lambda: np.load(_RESULT, allow_pickle=True),
+        lambda: pickle.loads(Path(_MODEL).read_bytes()),
+        lambda: importlib.import_module("conftest"),
+        lambda: Path(_LOG).write_text("judged\n"),
+    ):
+        with contextlib.suppress(Exception):
+            load()
 
 
 def _fold_score(source: str, problem: SmallProblem, fold: Fold) -> float:
     model = _execute(source).fit(fold.train, problem.context)
     with contextlib.suppress(Exception):
-        Path(MODEL).write_bytes(pickle.dumps(model))
+        Path(_MODEL).write_bytes(pickle.dumps(model))
     y = np.stack([block.y for block in fold.validation])
     cases = [block.case for block in fold.validation]
     arrays = [np.stack([getattr(c, n) for c in cases]) for n in ("past_u", "past_y", "u")]
@@ -47,7 +66,7 @@ def _fold_score(source: str, problem: SmallProblem, fold: Fold) -> float:
         model.simulate(*(a[k : k + 1] for a in arrays))  # one by one first, as a trial
     y_hat = model.simulate(*arrays)
     with contextlib.suppress(Exception):
-        np.save(RESULT, y_hat)
+        np.save(_RESULT, y_hat)
     return _error(y, y_hat) / float(fold.scale[0])
 
 
@@ -63,29 +82,3 @@ def _execute(source: str) -> Any:
     sys.modules["candidate"] = module
     exec(compile(source, "candidate.py", "exec"), module.__dict__)
     return module
-
-
-def after() -> None:
-    """Load result, model and settings from the folder the candidate ran in, and write a log."""
-    for load in (
-        lambda: np.load(RESULT, allow_pickle=True),
-        lambda: pickle.loads(Path(MODEL).read_bytes()),
-        lambda: importlib.import_module("conftest"),
-        lambda: Path(LOG).write_text("judged\n"),
-    ):
-        with contextlib.suppress(Exception):
-            load()
-
-
-def main(arguments: list[str]) -> None:
-    if arguments == ["after"]:
-        sys.path.insert(0, "")
-        after()
-        return
-    source, kind = Path(arguments[0]).read_text(), arguments[1]
-    value = judge(source, small_problem("windows" if kind == "windows" else "simulation"))
-    print(f"METRIC nrmse={value!r}", flush=True)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -31,7 +31,7 @@ SMALL_CONFIG = {
     "levels": 2, "lift": 2, "receptive_field": 8, "span": 8, "points": 60,
 }  # fmt: skip
 SMALL_METHOD = {"iterations": 3, "starts": 1, "steps": 5}
-_ALARMS = (Reason.LITERAL_DATA, Reason.SUSPECT)
+_ALARMS = (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-import contextlib
+import os
 import re
-import subprocess
+import signal
 import sys
 import tempfile
 import time
-from functools import cache
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
+from typing import NoReturn
 
+from asia.redteam._gullible import judge, load_leftovers
 from asia.redteam._problem import Kind, small_problem
 from asia.redteam._source import HONEST, fill_in
 from asia.redteam._targets import Targets, targets
-from asia.redteam._types import CandidateAttack, Finding, Seen
+from asia.redteam._types import CandidateAttack, Finding, Mistake, Seen, Verdict
 from asia.redteam._verdict import conclude, said_steps, worst_of
+from asia.redteam._won import better, scored
 from asia.sandbox import Layer
 
-OFF = "off"
+OFF, CONTROL = "off", "control"
 _LONGEST_SECONDS = 15.0
 _PATIENCE_SECONDS = 2.0
 _SAID = re.compile(r"METRIC nrmse=(\S+)")
@@ -28,77 +34,123 @@ _NO_LAYERS: tuple[Layer, ...] = ()
 def attack_without_isolation(attack: CandidateAttack) -> Finding:
     """Whether one variant at least succeeds. Runs the attack's code for real: to be called inside
     an outer sandbox only."""
+    # Here an honest candidate has a score too: to have one is no success.
+    won = better if attack.won is scored else attack.won
     found: list[Finding] = []
     for name, source in attack.sources.items():
         with targets(attack.memory_mb) as given:
-            seen = _see(source, attack.kind, given, attack.limit)
-            found.append(conclude(attack, name, seen, _NO_LAYERS))
+            seen = _see(source, attack.kind, attack.mistake, given, attack.limit)
+            finding = conclude(attack, name, seen, _NO_LAYERS, won)
+            if finding.through and not won(seen):  # to leave something is not what it tries
+                finding = replace(finding, verdict=Verdict.NO_GAIN)
+            found.append(finding)
         if found[-1].through:
             break
     return worst_of(found, attack.number, OFF)
 
 
+def broken(attack: CandidateAttack) -> CandidateAttack:
+    """The same with a `fit` that only raises, as a control: it must not succeed."""
+    head = "def fit(trajectories, context):\n"
+    raising = head + '    raise RuntimeError("a control")\n'
+    return replace(attack, sources={n: s.replace(head, raising) for n, s in attack.sources.items()})
+
+
 @cache
 def _honest(kind: Kind) -> float:
     with targets(0) as given:
-        value = _see(HONEST, kind, given, _LONGEST_SECONDS, honest=0.0).value
+        value = _see(HONEST, kind, None, given, _LONGEST_SECONDS, honest=0.0).value
     assert value is not None
     return value
 
 
 def _see(
-    source: str, kind: Kind, given: Targets, limit: float, honest: float | None = None
+    source: str,
+    kind: Kind,
+    mistake: Mistake | None,
+    given: Targets,
+    limit: float,
+    honest: float | None = None,
 ) -> Seen:
-    honest = _honest(kind) if honest is None else honest
+    honest, problem = _honest(kind) if honest is None else honest, small_problem(kind)
+    source = fill_in(source, given.told, problem)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        place = Path(folder, "candidate.py")
-        place.write_text(fill_in(source, given.told, small_problem(kind)))
+        Path(folder, "candidate.py").write_text(source)
         begin = time.monotonic()
-        output, detail = _judge(
-            folder, [str(place), kind], min(limit + _PATIENCE_SECONDS, _LONGEST_SECONDS)
-        )
+        patience = min(limit + _PATIENCE_SECONDS, _LONGEST_SECONDS)
+        ended = _run(partial(judge, source, problem, mistake), folder, patience)
         seconds = time.monotonic() - begin
-        _judge(folder, ["after"], _LONGEST_SECONDS)
-    said = _SAID.search(output)
-    survivors = given.survivors()
+        _run(load_leftovers, folder, _LONGEST_SECONDS)
+    survivors = given.traces.survivors()
     return Seen(
-        value=_number(said[1]) if said else 0.0,  # an evaluator that starts from 0
+        value=_value(ended, mistake),
         honest=honest,
-        detail=detail,
-        output=output,
-        steps=said_steps(output),
+        detail=ended.errors,
+        output=ended.output,
+        steps=said_steps(ended.output),
         seconds=seconds,
         limit=limit,
+        late=ended.code is None,
         ran=given.ran,
         ledger=given.ledger_changed,
-        leaked=given.secret in output,
-        hurt=given.hurt,
+        leaked=given.secret in ended.output,
+        hurt=given.neighbour.hurt,
         survivors=survivors,
-        strays=given.strays(),
+        strays=given.traces.strays(),
     )
 
 
-def _judge(folder: str, arguments: list[str], seconds: float) -> tuple[str, str]:
-    """What the gullible evaluator printed and complained of."""
-    command = [sys.executable, "-B", "-m", "asia.redteam._gullible", *arguments]
-    with (
-        open(Path(folder, ".out"), "w+", errors="replace") as out,
-        open(Path(folder, ".err"), "w+", errors="replace") as err,
-    ):
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder
-        )
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(seconds)
-        process.kill()
-        process.wait()
-        out.seek(0)
-        err.seek(0)
-        return out.read(), err.read()
+@dataclass(frozen=True)
+class _Ended:
+    """How a process ended: its exit code, None if it had to be killed; what it printed, and where
+    it complained."""
+
+    code: int | None
+    output: str
+    errors: str
 
 
-def _number(text: str) -> float:
+def _run(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
+    """In a process of its own, forked, as to start Python anew takes most of the time."""
+    child = os.fork()
+    if child == 0:
+        _child(job, folder)
+    end, late = time.monotonic() + seconds, False
+    while (done := os.waitpid(child, os.WNOHANG))[0] == 0:
+        time.sleep(0.002)
+        if time.monotonic() > end and not late:
+            late = True
+            os.kill(child, signal.SIGKILL)
+    code = None if late else os.waitstatus_to_exitcode(done[1])
+    texts = (Path(folder, name).read_text(errors="replace") for name in (".out", ".err"))
+    return _Ended(code, *texts)
+
+
+def _child(job: Callable[[], None], folder: str) -> NoReturn:
+    status = 1
     try:
-        return float(text)
+        os.chdir(folder)
+        for number, name in ((1, ".out"), (2, ".err")):
+            os.dup2(os.open(name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
+        job()
+        status = 0
+    except SystemExit:
+        status = 0
+    except BaseException:  # noqa: BLE001 - whatever a candidate raises ends here
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def _value(ended: _Ended, mistake: Mistake | None) -> float | None:
+    """The first score that was printed, if the evaluation came to its end; None without one."""
+    said = _SAID.search(ended.output)
+    if ended.code != 0:
+        return None
+    if said is None:
+        return 0.0 if mistake is Mistake.STARTS_AT_ZERO else None
+    try:
+        return float(said[1])
     except ValueError:
-        return 0.0
+        return None

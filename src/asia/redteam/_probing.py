@@ -1,34 +1,32 @@
-"""Reading held-out data out of scores: an agent that submits a baseline plus one cosine at a time
-and solves for what is missing."""
+"""Reading held-out data out of scores, or out of verdicts: an agent that submits a baseline plus
+one cosine at a time and solves for what is missing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from asia.ledger import (
-    Evaluated,
-    Event,
-    Proposed,
-    SearchView,
-    Started,
-    beats,
-    published,
-    replay,
-)
+from asia.errors import Reason
+from asia.evaluation import Evaluation, Evaluator, FoldResult
+from asia.ledger import Evaluated, Event, Proposed, Started, published, replay
 from asia.problem import Array
 from asia.problem._schema import LADDER_STEP
 from asia.redteam._searches import Scene
 from asia.redteam._types import Play, SearchAttack, Stop
-from asia.scoring import Score, combine, score_fold
+from asia.scoring import Failure, Outcome, Score, combine, score_fold
+from asia.search._loop import judge
+from asia.search._rules import decide
 
 QUERIES = 200
 _SAMPLES, _ERROR, _SIZE = 2000, 0.3, 0.3
-_GAIN = 0.8
+_GAIN = 0.9
+_WORSE, _HALVINGS, _STEP = 0.25, 15, 0.01
 
 Ask = Callable[[Array], float]
+Doubt = Callable[[Array], bool]
+Spoil = Callable[[Score], Failure | None]
 
 
 def hidden_error() -> Array:
@@ -61,6 +59,38 @@ def probe(ask: Ask) -> Array:
     return min((solved, greedy, np.zeros(_SAMPLES)), key=ask)
 
 
+def bisect(ask: Ask, doubt: Doubt) -> Array:
+    """The correction (T,) that verdicts give away. doubt: whether a candidate with that correction,
+    breaking a relation on purpose, is told so.
+
+    A baseline made worse is the one to beat. What is added to a better one is bisected to where the
+    verdict turns; beside it each cosine turns the verdict by its sign.
+    """
+    worse = _wave(_SAMPLES // 2)
+    ask(_WORSE * worse)
+    low, high = 0.0, _WORSE
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if doubt(middle * worse) else (low, middle)
+    found = np.zeros(_SAMPLES)
+    for k in range(QUERIES - _HALVINGS):
+        found += _STEP * _wave(k) * (1 if doubt(low * worse + _STEP * _wave(k)) else -1)
+    return min((found, np.zeros(_SAMPLES)), key=exact)
+
+
+def forgetful(score: Score) -> Failure | None:
+    """Answers otherwise when asked again, whatever it scores."""
+    del score
+    return Failure(Reason.SUSPECT, "replay: the same case asked again is answered otherwise", 1)
+
+
+def one_start(bound: float) -> Spoil:
+    """From later starts so far off that the check fails where its own V is below `bound`."""
+    words = "restart: started later on the same record the simulation is far worse"
+    failure = Failure(Reason.RESTART, words, 1)
+    return lambda score: failure if score.value < bound else None
+
+
 def exact(correction: Array) -> float:
     """V in full."""
     return _score(correction).value
@@ -72,24 +102,48 @@ def _score(correction: Array) -> Score:
     return combine([score_fold([y], [y_hat], np.ones(1), "rmse", in_parts=True)])
 
 
-class _Ladder:
-    """V as a search with the Ladder tells it, by the ledger's own rules."""
+class Known(Evaluator):
+    """Comes to a score that is known without a worker, and to an objection."""
 
-    def __init__(self) -> None:
+    def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
+        self._known, self._spoil = score, spoil
+
+    def evaluate(self, source: str) -> Evaluation:
+        """The score."""
+        return Evaluation(self._known)
+
+    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """As the candidate wants it."""
+        return None if self._spoil is None else self._spoil(self._known)
+
+
+class Ladder:
+    """A search with the Ladder: its own rules decide what is judged, kept and told. spoil: how
+    candidates break a relation in `doubt`."""
+
+    def __init__(self, spoil: Spoil | None = None) -> None:
         self._events: list[Event] = [_started()]
-        self._view: SearchView = replay(self._events)
+        self._spoil = spoil
 
     def ask(self, correction: Array) -> float:
-        """Propose, score, publish."""
-        number, outcome = len(self._view.experiments) + 1, _score(correction)
-        status = "keep" if beats(outcome, self._view) else "discard"
-        name = str(number)
+        """V as it is told."""
+        told = self._told(Known(_score(correction)))
+        assert isinstance(told, Score)
+        return told.value
+
+    def doubt(self, correction: Array) -> bool:
+        """Whether the candidate, breaking a relation, is told so."""
+        return isinstance(self._told(Known(_score(correction), self._spoil)), Failure)
+
+    def _told(self, evaluator: Evaluator) -> Outcome:
+        view = replay(self._events)
+        number, outcome = len(view.experiments) + 1, judge(evaluator, "", view).outcome
+        name, status = str(number), decide(outcome, view)
         proposed = Proposed(number, None, "explore", "probe", name, "h", "e", name, name)
         self._events += [proposed, Evaluated(number, status, outcome, (), None, 0.0)]
-        self._view = replay(self._events)
-        told = published(self._view).experiment(number).score
-        assert told is not None
-        return told.value
+        result = published(replay(self._events)).experiment(number).result
+        assert result is not None
+        return result.outcome
 
 
 def _wave(k: int) -> Array:
@@ -119,7 +173,11 @@ def _started() -> Started:
 
 def _with_ladder(scene: Scene) -> Play:
     del scene
-    value = exact(probe(_Ladder().ask))
+    found = [probe(Ladder().ask)]
+    for spoil in (forgetful, one_start(_ERROR + 0.05)):
+        ladder = Ladder(spoil)
+        found.append(bisect(ladder.ask, ladder.doubt))
+    value = min(map(exact, found))
     return Play(value < _GAIN * _ERROR, (Stop.FEEDBACK,), _words(value), flagged=False)
 
 
@@ -129,17 +187,15 @@ def _with_exact(folder: Path) -> bool:
 
 
 def _words(value: float) -> str:
-    return (
-        f"V {_ERROR:.3f} to {value:.3f} after {QUERIES} queries told on a ladder of {LADDER_STEP:g}"
-    )
+    return f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries told on a ladder of {LADDER_STEP:g}"
 
 
 PROBING = (
     SearchAttack(
         29,
         "read the data out of scores",
-        "submits a baseline plus one cosine at a time and solves for the held-out error (with "
-        'feedback = "ladder")',
+        "submits a baseline plus one cosine at a time and solves for the held-out error, by scores "
+        'and by verdicts on models spoilt on purpose (with feedback = "ladder")',
         _with_ladder,
         _with_exact,
         (Stop.FEEDBACK,),

@@ -48,9 +48,15 @@ class SmallProblem:
         return Context(_INPUTS, (Signal("level"),), 1.0, *past, rule.horizon, seed=7)
 
     def evaluator(
-        self, kind: type[E], level: Isolation, seconds: float, memory_mb: int, folds: int = 2
+        self,
+        kind: type[E],
+        level: Isolation,
+        seconds: float,
+        memory_mb: int,
+        folds: int = 2,
+        at_once: int = 1,
     ) -> E:
-        """The real one, or one of its kind, one fold after the other."""
+        """The real one, or one of its kind, one fold after the other unless more are `at_once`."""
         return kind(
             make_folds([self.record], self.rule)[:folds],
             [self.record],
@@ -58,7 +64,7 @@ class SmallProblem:
             self.rule,
             Budget(1, seconds, memory_mb),
             level,
-            LocalExecutor(1),
+            LocalExecutor(at_once),
         )
 
 

@@ -21,6 +21,7 @@ from asia.redteam._off import OFF
 from asia.redteam._outer import inside
 from asia.redteam._searches import Scene
 from asia.redteam._types import (
+    ANY_LEVEL,
     Attack,
     CandidateAttack,
     Finding,
@@ -59,13 +60,21 @@ class Report:
     @property
     def stopped(self) -> int:
         """Attacks that were blocked or flagged at every level."""
-        through = {f.number for f in self.findings if f.through and f.level != OFF}
-        return len(self.plan.attacks) - len(through)
+        played = {f.number for f in self.findings if f.level != OFF}
+        return len(played - {f.number for f in self.findings if f.through and f.level != OFF})
+
+    @property
+    def unproven(self) -> tuple[int, ...]:
+        """Attacks that were to succeed with isolation off and did not."""
+        proven = {f.number for f in self.findings if f.through and f.level == OFF}
+        return tuple(
+            a.number for a in self.plan.attacks if self.plan.prove and a.number not in proven
+        )
 
     @property
     def proven(self) -> int:
         """Attacks that succeeded with isolation off."""
-        return sum(f.through for f in self.findings if f.level == OFF)
+        return len(self.plan.attacks) - len(self.unproven) if self.plan.prove else 0
 
     @property
     def false_alarms(self) -> int:
@@ -74,8 +83,9 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """Nothing got through and nobody was accused."""
-        return self.stopped == len(self.plan.attacks) and self.false_alarms == 0
+        """Nothing got through, nobody was accused, and no attack was too clumsy to tell."""
+        stopped = self.stopped == len(self.plan.attacks)
+        return stopped and self.false_alarms == 0 and not self.unproven
 
 
 def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
@@ -85,7 +95,7 @@ def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
     SandboxError where a worker or the outer sandbox cannot be started.
     """
     results = _run(list(_jobs(plan)), on_result)
-    order = [*map(str, plan.levels), OFF]
+    order = [*map(str, plan.levels), ANY_LEVEL, OFF]
     findings = [one for one in results if isinstance(one, Finding)]
     findings.sort(key=lambda f: (f.number, order.index(f.level)))
     return Report(plan, tuple(findings), tuple(o for o in results if isinstance(o, Honest)))
@@ -135,7 +145,7 @@ def _jobs(plan: Plan) -> Iterator[Job]:
         first.append(partial(_outside, OFF, (), plan.attacks))
     searches = [a for a in plan.attacks if isinstance(a, SearchAttack)]
     if searches:
-        first.append(partial(_played, searches, plan.levels))
+        first.append(partial(_played, searches, plan.levels[0]))
     candidates = [a for a in plan.attacks if isinstance(a, CandidateAttack)]
     for level in plan.levels:
         if level is Isolation.PROCESS:
@@ -159,17 +169,16 @@ def _honest(problem: HonestProblem, row: Family, level: Isolation) -> Iterator[R
     yield try_honest(problem, row, level)
 
 
-def _played(attacks: Sequence[SearchAttack], levels: Sequence[Isolation]) -> Iterator[Result]:
-    """Once, at the strongest level: the walls have no part in it."""
+def _played(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Result]:
+    """Once: the walls have no part in it."""
     with tempfile.TemporaryDirectory(prefix="asia-redteam-") as folder:
-        scene = Scene(Path(folder), levels[0])
+        scene = Scene(Path(folder), level)
         for attack in attacks:
             play = attack.play(scene)
             verdict = Verdict.FLAGGED if play.flagged else Verdict.BLOCKED
             verdict = Verdict.THROUGH if play.won else verdict
             stops = () if play.won else tuple(map(str, play.stops))
-            for level in levels:
-                yield Finding(attack.number, str(level), verdict, stops, play.note)
+            yield Finding(attack.number, ANY_LEVEL, verdict, stops, play.note)
 
 
 def _run(jobs: Sequence[Job], on_result: OnResult) -> list[Result]:

@@ -6,17 +6,21 @@ from collections.abc import Sequence
 
 from asia.redteam._off import OFF
 from asia.redteam._suite import Report
-from asia.redteam._types import Attack, Finding, Honest, Verdict
+from asia.redteam._types import ANY_LEVEL, Attack, Finding, Honest
 
 
 def report_table(report: Report) -> str:
-    """One row an attack, one column a level, in Markdown."""
+    """One row an attack, one column a level, in Markdown. What was played once, whatever the level,
+    stands in the first column."""
     levels = [*map(str, report.plan.levels), *([OFF] if report.plan.prove else [])]
     found = {(f.number, f.level): f for f in report.findings}
     rows = [["#", "attack", *levels]]
     for attack in report.plan.attacks:
-        cells = (found.get((attack.number, level)) for level in levels)
-        rows.append([str(attack.number), attack.name, *map(_cell, cells)])
+        cells = [_cell(found.get((attack.number, level))) for level in levels]
+        played = found.get((attack.number, ANY_LEVEL))
+        if played is not None:
+            cells[0] = f"{ANY_LEVEL}: {_cell(played)}"
+        rows.append([str(attack.number), attack.name, *cells])
     return _aligned(rows)
 
 
@@ -41,7 +45,8 @@ def summary(report: Report, seconds: float) -> str:
         tried = f"{families} families ({len(report.honest)} honest candidates)"
         parts.append(f"{report.false_alarms} {alarms} over {tried}")
     if report.plan.prove:
-        parts.append(f"{report.proven} of {count} succeed with isolation off")
+        which = f" (not {', '.join(map(str, report.unproven))})" if report.unproven else ""
+        parts.append(f"{report.proven} of {count} succeed with isolation off{which}")
     return ", ".join(parts) + f" ({seconds:.0f} s)"
 
 
@@ -59,9 +64,9 @@ def line(result: Finding | Honest, names: dict[int, str]) -> str:
 
 
 def _word(finding: Finding) -> str:
-    if finding.verdict is Verdict.THROUGH:
-        return "succeeds" if finding.level == OFF else "THROUGH"
-    return finding.verdict.value
+    if finding.level == OFF:
+        return "succeeds" if finding.through else "DOES NOT SUCCEED"
+    return "THROUGH" if finding.through else finding.verdict.value
 
 
 def _cell(finding: Finding | None) -> str:

@@ -1,24 +1,20 @@
-"""Something to attack, and what is left when the attack is over."""
+"""Something to attack."""
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import os
 import secrets
 import shutil
-import signal
 import socket
-import subprocess
 import tempfile
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-_PLACES = ("/tmp", "/dev/shm", "/var/tmp")
-_PATIENCE_SECONDS = 3.0
+from asia.redteam._traces import Neighbour, Traces, neighbour
+
+_NOT_TOLD = ("secret", "traces", "neighbour")
 
 
 @dataclass(frozen=True)
@@ -28,7 +24,8 @@ class Targets:
     vault: the test file, whose words the attack must not learn; ledger: a file of the search;
     evaluator: source of an evaluator; other: a neighbouring process, parent: the evaluator's;
     port: of a TCP and a UDP service; daemon, abstract: sockets of services; key: of shared memory;
-    mark: what the attack names its processes and files.
+    mark: what the attack names its processes and files. It is told neither the secret nor what is
+    watched.
     """
 
     playground: str
@@ -42,14 +39,16 @@ class Targets:
     abstract: str
     key: int
     mark: str
-    secret: str
     memory_mb: int
+    secret: str
+    traces: Traces
+    neighbour: Neighbour
 
     @property
     def told(self) -> str:
-        """The names as Python source. The secret is not among them."""
-        facts = {n.upper(): v for n, v in asdict(self).items() if n != "secret"}
-        return repr(facts)
+        """The names as Python source."""
+        names = [one.name for one in fields(self) if one.name not in _NOT_TOLD]
+        return repr({name.upper(): getattr(self, name) for name in names})
 
     @property
     def ran(self) -> bool:
@@ -63,44 +62,6 @@ class Targets:
             return os.stat(self.ledger).st_mtime != 1e9 or not Path(self.ledger).read_text()
         except OSError:
             return True
-
-    @property
-    def hurt(self) -> str:
-        """What became of the neighbour: that it ended, stands still or has another priority; ""
-        for nothing."""
-        try:
-            fields = Path(f"/proc/{self.other}/stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            return "a neighbour ended"
-        usual = os.getpriority(os.PRIO_PROCESS, os.getpid())
-        if fields[0] in "ZXTt":
-            return f"a neighbour ended or stands still (state {fields[0]})"
-        return f"a neighbour runs at priority {fields[16]}" if int(fields[16]) != usual else ""
-
-    def survivors(self) -> tuple[str, ...]:
-        """States of processes that bear the mark and do not end; they are ended."""
-        end = time.monotonic() + _PATIENCE_SECONDS
-        found = _marked(self.mark)
-        while found and time.monotonic() < end:
-            time.sleep(0.02)
-            found = _marked(self.mark)
-        for pid in found:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        return tuple(f"process {pid}" for pid in found)
-
-    def strays(self) -> tuple[str, ...]:
-        """Files and shared memory that bear the mark; they are removed."""
-        found = [
-            path
-            for place in (self.playground, os.getcwd(), str(Path.home()), *_PLACES)
-            for path in _named(place, self.mark)
-        ]
-        for path in found:
-            with contextlib.suppress(OSError):
-                os.remove(path)
-        memory = ["shared memory"] if _remove_shared_memory(self.key) else []
-        return (*found, *memory)
 
 
 @contextmanager
@@ -119,7 +80,7 @@ def targets(memory_mb: int) -> Generator[Targets]:
             socket.socket(type=socket.SOCK_DGRAM) as receiver,
             socket.socket(socket.AF_UNIX) as local,
             socket.socket(socket.AF_UNIX) as hidden,
-            subprocess.Popen(["/bin/sleep", "600"], env={"SECRET": secret}) as other,
+            neighbour(secret) as other,
         ):
             port: int = service.getsockname()[1]
             receiver.bind(("127.0.0.1", port))
@@ -127,51 +88,23 @@ def targets(memory_mb: int) -> Generator[Targets]:
             local.listen()
             hidden.bind(f"\0{mark}")
             hidden.listen()
-            try:
-                yield Targets(
-                    playground=playground,
-                    vault=paths["test.csv"],
-                    ledger=paths["ledger"],
-                    evaluator=paths["judge.py"],
-                    other=other.pid,
-                    parent=os.getpid(),
-                    port=port,
-                    daemon=os.path.join(playground, "socket"),
-                    abstract=f"\0{mark}",
-                    key=secrets.randbits(24) + 1,
-                    mark=mark,
-                    secret=secret,
-                    memory_mb=memory_mb,
-                )
-            finally:
-                other.kill()
+            key = secrets.randbits(24) + 1
+            yield Targets(
+                playground=playground,
+                vault=paths["test.csv"],
+                ledger=paths["ledger"],
+                evaluator=paths["judge.py"],
+                other=other.process.pid,
+                parent=os.getpid(),
+                port=port,
+                daemon=os.path.join(playground, "socket"),
+                abstract=f"\0{mark}",
+                key=key,
+                mark=mark,
+                memory_mb=memory_mb,
+                secret=secret,
+                traces=Traces(mark, key, playground),
+                neighbour=other,
+            )
     finally:
         shutil.rmtree(playground, ignore_errors=True)
-
-
-def _marked(mark: str) -> list[int]:
-    found: list[int] = []
-    for place in Path("/proc").glob("[0-9]*/comm"):
-        with contextlib.suppress(OSError):
-            if place.read_text().strip() == mark:
-                found.append(int(place.parent.name))
-    return found
-
-
-def _named(place: str, mark: str) -> list[str]:
-    try:
-        return [entry.path for entry in os.scandir(place) if mark in entry.name]
-    except OSError:
-        return []
-
-
-def _remove_shared_memory(key: int) -> bool:
-    """Remove the segment of this key; whether there was one."""
-    try:
-        rows = Path("/proc/sysvipc/shm").read_text().splitlines()[1:]
-    except OSError:
-        return False
-    segments = [int(row.split()[1]) for row in rows if int(row.split()[0]) == key]
-    for segment in segments:
-        ctypes.CDLL(None).shmctl(segment, 0, None)
-    return bool(segments)

@@ -32,6 +32,14 @@ class Stop(StrEnum):
     PROBLEM = "problem check"
 
 
+class Mistake(StrEnum):
+    """What an evaluation without isolation does wrong for one attack alone, as others would succeed
+    by failing."""
+
+    DROPS_FOLDS = "failed folds are left out"
+    STARTS_AT_ZERO = "an end without a score counts as 0"
+
+
 class Verdict(StrEnum):
     """blocked: what it tried failed. no gain: it did what it tried, and nothing came of it.
     flagged: it was told apart from an honest candidate and refused. through: it succeeded."""
@@ -49,8 +57,9 @@ class Seen:
     value: its score, None for a failure, whose reason and detail stand beside it; honest: that of
     the honest candidate it is built on; output: what it printed; steps: what it says of each of
     its attempts, `done` or the name of the error; seconds: how long it was judged, of `limit` for a
-    fit; ran: whether code of its ran in the evaluator; ledger: whether it changed one; leaked:
-    whether it printed a secret; hurt: what it did to a neighbour.
+    fit; late: whether nobody ended it at its deadline; ran: whether code of its ran in the
+    evaluator; ledger: whether it changed one; leaked: whether it printed a secret; hurt: what it
+    did to a neighbour.
     """
 
     value: float | None
@@ -61,6 +70,7 @@ class Seen:
     steps: Mapping[str, str] = field(default_factory=dict[str, str])
     seconds: float = 0.0
     limit: float = 0.0
+    late: bool = False
     ran: bool = False
     ledger: bool = False
     leaked: bool = False
@@ -78,7 +88,8 @@ class CandidateAttack:
 
     number: that of docs/redteam.md; tries: one sentence; won: how success would be seen; stops:
     what is expected to stop it; kind: simulation of a record, or of windows; limit: seconds a fit
-    may take; folds: on how many of the two it is tried.
+    may take; folds: on how many of the two it is tried; at_once: the variants whose folds run at
+    the same time; mistake: that it needs where isolation is off.
     """
 
     number: int
@@ -91,6 +102,8 @@ class CandidateAttack:
     limit: float = 20.0
     memory_mb: int = 1024
     folds: int = 2
+    at_once: tuple[str, ...] = ()
+    mistake: Mistake | None = None
 
     @property
     def walled(self) -> bool:
@@ -123,12 +136,14 @@ class SearchAttack:
 
 
 Attack = CandidateAttack | SearchAttack
+ANY_LEVEL = "any level"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What became of one attack in one setting. `level` is a level of isolation, or `off`;
-    `without` are the layers left out; `note` says how it ended."""
+    """What became of one attack in one setting. `level` is a level of isolation, `off`, or
+    `any level` where the walls have no part in it; `without` are the layers left out; `note` says
+    how it ended."""
 
     number: int
     level: str

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from asia.errors import Reason
 from asia.redteam._source import STEPS
-from asia.redteam._types import CandidateAttack, Finding, Seen, Stop, Verdict
+from asia.redteam._types import CandidateAttack, Finding, Seen, Stop, Verdict, Won
 from asia.sandbox import Layer
 
 # Which layer answers with which error, where it is in force.
@@ -25,6 +25,7 @@ _BY_ERROR: dict[str, tuple[Stop, ...]] = {
 _BY_REASON = {
     Reason.LITERAL_DATA: Stop.LINT,
     Reason.SUSPECT: Stop.METAMORPHIC,
+    Reason.RESTART: Stop.METAMORPHIC,
     Reason.FIT_TIMEOUT: Stop.DEADLINE,
     Reason.SIMULATE_TIMEOUT: Stop.DEADLINE,
     Reason.MEMORY: Stop.RLIMITS,
@@ -43,16 +44,17 @@ def said_steps(output: str) -> dict[str, str]:
     return {}
 
 
-def conclude(attack: CandidateAttack, name: str, seen: Seen, layers: Sequence[Layer]) -> Finding:
-    """What became of one variant behind these layers. Where a layer is in force it is named by
-    the error it answers with."""
+def conclude(
+    attack: CandidateAttack, name: str, seen: Seen, layers: Sequence[Layer], won: Won
+) -> Finding:
+    """What became of one variant behind these layers. won: how its success would be seen. Where a
+    layer is in force it is named by the error it answers with."""
 
     def finding(verdict: Verdict, stops: Collection[Stop], note: str) -> Finding:
         words = f"{name}: {note}" if name else note
         return Finding(attack.number, "", verdict, tuple(dict.fromkeys(map(str, stops))), words)
 
-    won = attack.won(seen)
-    traces = [_success(seen)] if won else []
+    traces = [_success(seen)] if won(seen) else []
     traces += [f"left behind: {len(seen.survivors)} processes"] if seen.survivors else []
     traces += [f"left behind: {len(seen.strays)} files"] if seen.strays else []
     traces += ["a secret was read"] if seen.leaked else []
@@ -74,6 +76,8 @@ def conclude(attack: CandidateAttack, name: str, seen: Seen, layers: Sequence[La
         if seen.reason is Reason.SUSPECT:
             words = ", ".join(part.partition(":")[0].strip() for part in seen.detail.split(";"))
         return finding(Verdict.FLAGGED if flagged else Verdict.BLOCKED, [stop], words)
+    if seen.value is None:
+        return finding(Verdict.BLOCKED, [Stop.PARENT], "no score")
     return finding(Verdict.NO_GAIN, [Stop.PARENT], f"V {seen.value:.3g}, honest {seen.honest:.3g}")
 
 

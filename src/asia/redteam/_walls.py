@@ -3,6 +3,7 @@ each opens, asks or allocates, and touches only what it was given to touch."""
 
 from __future__ import annotations
 
+from asia.redteam._folds import FOLDS, PLACES
 from asia.redteam._source import candidate, steps
 from asia.redteam._types import CandidateAttack, Stop
 from asia.redteam._won import (
@@ -18,7 +19,6 @@ from asia.redteam._won import (
 
 _ALL = (Stop.NAMESPACES, Stop.LANDLOCK, Stop.SECCOMP)
 _FILES = (Stop.NAMESPACES, Stop.LANDLOCK)
-_PLACES = "[os.environ.get('HOME', '/tmp'), os.getcwd(), '/tmp', '/dev/shm', '/var/tmp']"
 _FORK = """
 def fork():
     child = os.fork()
@@ -51,7 +51,7 @@ def connect(family, kind, address):
 _FILL = f"""
 def fill(count, size):
     made, ends = [], []
-    for place in {_PLACES}:
+    for place in {PLACES}:
         try:
             for n in range(count):
                 made.append(os.path.join(place, f"{{MARK}}-{{n}}"))
@@ -73,43 +73,6 @@ for number in range(1, 65):
         signal.signal(number, signal.SIG_IGN)
     except (OSError, ValueError):
         pass
-"""
-_KEEP = f"""
-SEEN = 4096
-PLACES = {_PLACES}
-KEPT, ENDS = [], {{}}
-
-def keep(records):
-    y = np.concatenate([np.concatenate([r.u[:, :1], r.y], axis=1) for r in records])
-    for place in PLACES:
-        path = os.path.join(place, MARK + "-kept.npy")
-        try:
-            if os.path.exists(path):
-                KEPT.append(np.load(path))
-            np.save(path, y)
-            ENDS[place] = "done"
-        except OSError as error:
-            ENDS[place] = errno.errorcode[error.errno]
-    libc.shmat.restype = ctypes.c_void_p
-    segment = libc.shmget(KEY, ctypes.c_long(8 * SEEN), 0o1600)
-    if segment >= 0:
-        memory = (ctypes.c_double * SEEN).from_address(libc.shmat(segment, None, 0))
-        old = np.frombuffer(memory)
-        if old[0]:
-            KEPT.append(old[1 : 1 + 2 * int(old[0])].reshape(-1, 2).copy())
-        old[0] = len(y)
-        old[1 : 1 + y.size] = y.ravel()
-    ENDS["shared memory"] = "done" if segment >= 0 else errno.errorcode[ctypes.get_errno()]
-    print("STEPS " + json.dumps(ENDS))
-
-def recall(past_u, past_y, u):
-    answer = honest(past_u, past_y, u)
-    for table in KEPT:
-        for start in range(len(table) - u.shape[1] + 1):
-            part = table[start : start + u.shape[1]]
-            if np.array_equal(part[:, 0], u[0, :, 0]):
-                answer[0, :, 0] = part[:, 1]
-    return answer
 """
 
 WALLS = (
@@ -327,10 +290,11 @@ WALLS = (
     CandidateAttack(
         24,
         "remember another fold",
-        "writes fold 1's training outputs to files and shared memory and reads them in fold 2",
-        {"": candidate(fit="keep(trajectories)", after="recall(past_u, past_y, u)", top=_KEEP)},
+        "hands fold 1's training outputs to fold 2 by files, shared memory and locks",
+        FOLDS,
         better,
         (*_ALL, Stop.FRESH),
+        at_once=("locks",),
     ),
     CandidateAttack(
         36,
@@ -347,7 +311,7 @@ WALLS = (
                 + _NETWORK
                 + f"""
 def install():
-    for place in {_PLACES}:
+    for place in {PLACES}:
         path = os.path.join(place, "p" + MARK + ".py")
         try:
             with open(path, "w") as file:

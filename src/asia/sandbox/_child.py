@@ -49,6 +49,8 @@ def _restrict(memory_mb: int) -> None:
         limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
         limits[resource.RLIMIT_MEMLOCK] = 0
         limits[resource.RLIMIT_MSGQUEUE] = 0
+        # Queued signals are counted over all processes of the user.
+        limits[resource.RLIMIT_SIGPENDING] = 0
     for what, wanted in limits.items():
         hard = resource.getrlimit(what)[1]
         value = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)

@@ -2,16 +2,18 @@
 
 It denies what neither a fit nor a simulation needs and what Landlock leaves open: new processes and
 programs, sockets, signals to others, other processes' memory and limits, the attributes of files,
-kernel objects that outlive a process, namespaces and mounts. Loaded by the worker before candidate
-code runs; a filter cannot be taken off again. Only the standard library is imported here.
+locks and other marks on a file that another worker has open too, kernel objects that outlive a
+process, namespaces and mounts. Loaded by the worker before candidate code runs; a filter cannot be
+taken off again. Only the standard library is imported here.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+import signal
 import struct
-from errno import ENOSYS, EPERM
+from errno import EAGAIN, ENOSYS, EPERM
 
 # Name, number on x86-64, number on aarch64 ("-": does not exist there).
 _DENIED = """
@@ -26,11 +28,14 @@ sched_setaffinity 203 122; ioprio_set 251 30; setrlimit 160 164
 chmod 90 -; fchmod 91 52; fchmodat 268 53; chown 92 -; fchown 93 55; lchown 94 -; fchownat 260 54
 utime 132 -; utimes 235 -; futimesat 261 -; utimensat 280 88; setxattr 188 5; lsetxattr 189 6
 fsetxattr 190 7; removexattr 197 14; lremovexattr 198 15; fremovexattr 199 16; truncate 76 45
-mknod 133 -; mknodat 259 33; sync 162 81; syncfs 306 267
+mknod 133 -; mknodat 259 33; sync 162 81; syncfs 306 267; flock 73 32; mincore 27 232
+fadvise64 221 223; readahead 187 213; preadv2 327 286; pwritev2 328 287; futex_waitv 449 449
+io_setup 206 0
 inotify_init 253 -; inotify_init1 294 26; fanotify_init 300 262; name_to_handle_at 303 264
 open_by_handle_at 304 265; quotactl 179 60; quotactl_fd 443 443
-shmget 29 194; shmat 30 196; shmctl 31 195; semget 64 190; semctl 66 191; msgget 68 186
-msgctl 71 187; mq_open 240 180; mq_unlink 241 181; memfd_create 319 279; memfd_secret 447 447
+shmget 29 194; shmat 30 196; shmctl 31 195; semget 64 190; semctl 66 191; semop 65 193
+semtimedop 220 192; msgget 68 186; msgctl 71 187; msgsnd 69 189; msgrcv 70 188; mq_open 240 180
+mq_unlink 241 181; memfd_create 319 279; memfd_secret 447 447
 add_key 248 217; request_key 249 218; keyctl 250 219; bpf 321 280; userfaultfd 323 282
 io_uring_setup 425 425; io_uring_enter 426 426; io_uring_register 427 427
 unshare 272 97; setns 308 268; mount 165 40; umount2 166 39; pivot_root 155 41; chroot 161 51
@@ -45,18 +50,23 @@ iopl 172 -; ioperm 173 -; modify_ldt 154 -
 """
 _CHECKED = """
 clone 56 220; clone3 435 435; kill 62 129; tgkill 234 131; prlimit64 302 261; fcntl 72 25
-ioctl 16 29; prctl 157 167; seccomp 317 277
+ioctl 16 29; prctl 157 167; futex 202 98; seccomp 317 277
 """
 _LAST_KNOWN = 450  # set_mempolicy_home_node; to the worker, later ones do not exist
 _ARCHITECTURES = {"x86_64": (0xC000003E, 1), "aarch64": (0xC00000B7, 2)}
 _X32 = 0x40000000
 
 _LOAD, _JUMP_EQUAL, _JUMP_ABOVE, _JUMP_SET, _RETURN = 0x20, 0x15, 0x25, 0x45, 0x06
-_ALLOW, _ERROR, _KILL = 0x7FFF0000, 0x00050000, 0x80000000
+_ALLOW, _ERROR, _TRAP, _KILL = 0x7FFF0000, 0x00050000, 0x00030000, 0x80000000
 _CLONE_THREAD, _CLONE_NEW = 0x00010000, 0x7E020000
-_F_SETOWN, _F_SETSIG, _F_SETOWN_EX = 8, 10, 15
-_TIOCSTI, _TIOCLINUX = 0x5412, 0x541C
-_PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS, _PR_GET_SECCOMP = 1, 38, 21
+# Duplicates of a descriptor, its flags, the size of a pipe.
+_FCNTL = (0, 1, 2, 3, 4, 1030, 1032)
+# TCGETS and TCGETS2 (is it a terminal?), TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX.
+_IOCTL = (0x5401, 0x802C542A, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
+_FUTEX_PRIVATE, _FUTEX_CLOCK = 0x80, 0x100
+_FUTEX_WAIT, _FUTEX_WAKE, _FUTEX_WAIT_BITSET = 0, 1, 9
+_PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS, _PR_GET_SECCOMP, _PR_SET_TIMERSLACK = 1, 38, 21, 29
+_SLACK_NANOSECONDS = 500_000
 _SET_MODE_FILTER, _ALL_THREADS = 1, 1
 
 
@@ -79,6 +89,10 @@ def install() -> None:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "no_new_privs was refused")
+    # As a handler, `usleep` takes the signal's number, 31, for microseconds; the slack of timers
+    # makes them half a millisecond, or waiting would keep a core busy.
+    libc.prctl(_PR_SET_TIMERSLACK, _SLACK_NANOSECONDS, 0, 0, 0)
+    libc.signal(signal.SIGSYS, ctypes.cast(libc.usleep, ctypes.c_void_p))
     words = (numbers(machine)["seccomp"], _SET_MODE_FILTER, _ALL_THREADS)
     if libc.syscall(*(ctypes.c_long(word) for word in words), head) != 0:
         raise OSError(ctypes.get_errno(), "the filter was refused")
@@ -114,9 +128,9 @@ def build(machine: str, pid: int) -> bytes:
     reads += _step(_LOAD, _low(0)) + _step(_JUMP_EQUAL, 0, 1, 0)
     reads += _step(_JUMP_EQUAL, pid, 0, 1) + _allow() + _deny()
     code += _when(known["prlimit64"], reads)
-    code += _when(known["fcntl"], _unless(1, _F_SETOWN, _F_SETSIG, _F_SETOWN_EX))
-    code += _when(known["ioctl"], _unless(1, _TIOCSTI, _TIOCLINUX))
+    code += _when(known["fcntl"], _only(1, _FCNTL)) + _when(known["ioctl"], _only(1, _IOCTL))
     code += _when(known["prctl"], _unless(0, _PR_SET_PDEATHSIG))
+    code += _when(known["futex"], _futex())
     for name, number in known.items():
         if name not in checked:
             code += _when(number, _deny())
@@ -149,9 +163,33 @@ def _when(number: int, body: bytes) -> bytes:
     return _step(_JUMP_EQUAL, number, 0, len(body) // 8) + body
 
 
-def _unless(argument: int, *values: int) -> bytes:
-    """Allow but for these values of the argument."""
+def _unless(argument: int, value: int) -> bytes:
+    """Allow but for this value of the argument."""
+    code = _step(_LOAD, _low(argument))
+    return code + _step(_JUMP_EQUAL, value, 0, 1) + _deny() + _allow()
+
+
+def _only(argument: int, values: tuple[int, ...]) -> bytes:
+    """Allow for these values of the argument."""
     code = _step(_LOAD, _low(argument))
     for value in values:
-        code += _step(_JUMP_EQUAL, value, 0, 1) + _deny()
-    return code + _allow()
+        code += _step(_JUMP_EQUAL, value, 0, 1) + _allow()
+    return code + _deny()
+
+
+def _futex() -> bytes:
+    """A futex that is not private to the process lies, on a page of a shared file, between workers.
+
+    XLA waits on such ones in its own memory, and joining a thread does. So no wait on them sleeps
+    in the kernel, where others could wake or count it: it ends at once, as it may without a wake,
+    and the one that XLA uses after the short sleep that `install` hangs on SIGSYS.
+    """
+    code = _step(_LOAD, _low(1)) + _step(_JUMP_SET, _FUTEX_PRIVATE, 0, 1) + _allow()
+    for operation, answer in (
+        (_FUTEX_WAKE, _ALLOW),
+        (_FUTEX_WAIT, _TRAP),
+        (_FUTEX_WAIT_BITSET, _ERROR | EAGAIN),
+        (_FUTEX_WAIT_BITSET | _FUTEX_CLOCK, _ERROR | EAGAIN),
+    ):
+        code += _step(_JUMP_EQUAL, operation, 0, 1) + _step(_RETURN, answer)
+    return code + _deny()

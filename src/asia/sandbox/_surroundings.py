@@ -14,10 +14,11 @@ from asia.sandbox._types import Layer, Limits
 
 SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
 _SYSTEM_CODE = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64")
+# Not all of /proc/self: `status` counts the signals of all processes of the user, `net` shows the
+# machine's network.
 _FACTS = (
+    *(f"/proc/self/{name}" for name in ("cmdline", "environ", "fd", "maps", "stat", "statm")),
     "/proc/cpuinfo",
-    "/proc/meminfo",
-    "/proc/stat",
     "/proc/sys/vm/overcommit_memory",
     "/sys/devices/system/cpu",
     "/sys/devices/system/node",
@@ -76,10 +77,10 @@ def child_command(
 def readable() -> list[str]:
     """All places that a worker under Landlock may read: code, and what libraries ask the system.
 
-    Landlock binds an entry of /proc/self to the process that opens it, the worker.
+    Landlock binds a file of /proc/self to the process that opens it, the worker.
     """
     code = [place for _, place in code_folders()]
-    return [*_SYSTEM_CODE, *SYSTEM_FILES, *code, "/proc/self", *_FACTS]
+    return [*_SYSTEM_CODE, *SYSTEM_FILES, *code, *_FACTS]
 
 
 def shown_in(path: Path) -> str | None:

@@ -255,13 +255,15 @@ class LoopJournal:
 
 def judge(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
     """Evaluate; a would-be winner must also come back bitwise the same from its bytes, and answer
-    like a model."""
+    like a model. With the Ladder all that have a score must, since a verdict on would-be winners
+    alone, and the time it takes, tell who would win. After an objection the folds stay."""
     evaluation = evaluator.evaluate(source)
-    if decide(evaluation.outcome, view) == "keep":
-        failure = evaluator.objection(source, evaluation.folds)
-        if failure is not None:
-            return replace(evaluation, outcome=failure, folds=())
-    return evaluation
+    if isinstance(evaluation.outcome, Failure):
+        return evaluation
+    if view.started.ladder is None and decide(evaluation.outcome, view) != "keep":
+        return evaluation
+    failure = evaluator.objection(source, evaluation.folds)
+    return evaluation if failure is None else replace(evaluation, outcome=failure)
 
 
 def _baseline(source: str) -> Proposal:

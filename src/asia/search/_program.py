@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-from asia.agents import equations, library
+from asia.agents import MODEL_RULES, equations, library
 from asia.problem import ProtocolRule, Signal
 from asia.problem.load import Problem
 from asia.search._agent_view import problem_facts
@@ -83,6 +83,8 @@ threads and `log(step, loss)`. Use `context.seed` for everything random. A fit m
 iterations, not by the clock. numpy, scipy, jax, equinox, optax and the model library `asia.models`
 can be imported; `models.md` says which families it has for this problem and how to call them. There
 is no network and nothing else to read.
+
+{MODEL_RULES}
 """
 
 

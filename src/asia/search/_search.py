@@ -251,6 +251,12 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             raise UserError(
                 f"run '{start.run}' has {what} {there}, not {now}: choose another --name"
             )
+    lost = _absent_layers(wanted) - _absent_layers(start)
+    if lost:
+        raise UserError(
+            f"run '{start.run}' began with layers that this machine does not give "
+            f"({', '.join(sorted(lost))}): go on where it began, or choose another --name"
+        )
     settings = start.agent_settings, wanted.agent_settings
     for what in dict.fromkeys([*settings[0], *settings[1]]):
         there, now = (s.get(what, "its default") for s in settings)
@@ -274,6 +280,12 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         raise UserError(
             f"run '{start.run}' was unsealed; a search ends there: choose another --name"
         )
+
+
+def _absent_layers(start: Started) -> set[str]:
+    """As `probe` notes them: "LEVEL without LAYER: why"."""
+    lead = f"{start.isolation} without "
+    return {n.partition(":")[0] for n in start.isolation_notes if n.startswith(lead)}
 
 
 def _hours(value: float | None) -> float:

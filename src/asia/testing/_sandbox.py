@@ -70,6 +70,44 @@ _DAEMON = """
             time.sleep(600)
         os._exit(0)
 """
+# The null pointer keeps it from any change: to fail with EFAULT is to have come through.
+_ATTRIBUTES = """
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.ioctl(os.open(np.__file__, os.O_RDONLY), ctypes.c_ulong(0x40086602), None)
+    if ctypes.get_errno() != 14:
+        raise PermissionError
+"""
+_SPEAK = """
+    import fcntl
+    global kept
+    kept = open(np.__file__)
+    for lock in (fcntl.flock, fcntl.lockf):
+        try:
+            lock(kept, fcntl.LOCK_SH)
+        except OSError:
+            pass
+    ctypes.CDLL(None).msgget(KEY, 0o1600)
+"""
+_LISTEN = """
+    import errno, fcntl, struct
+    file, libc = open(np.__file__), ctypes.CDLL(None)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno == errno.EWOULDBLOCK:
+            print("flock")
+    try:
+        asked = struct.pack("hhqqi4x", fcntl.F_WRLCK, 0, 0, 0, 0)
+        found = fcntl.fcntl(file, fcntl.F_GETLK, asked)
+        if struct.unpack_from("h", found)[0] != fcntl.F_UNLCK:
+            print("fcntl")
+    except OSError:
+        pass
+    queue = libc.msgget(KEY, 0)
+    if queue >= 0:
+        libc.msgctl(queue, 0, None)
+        print("msgget")
+"""
 
 
 def check_sandbox(open_worker: OpenWorker, *, walled: bool = True) -> None:
@@ -80,7 +118,9 @@ def check_sandbox(open_worker: OpenWorker, *, walled: bool = True) -> None:
     bitwise the same in a fresh worker; each failure has its reason, and those of simulate carry no
     data; deadlines hold; a closed worker answers no more; nothing of the parent's environment is
     inside; no process, file descriptor or child is left; behind walls, a file of the parent is
-    neither read nor changed, nothing is written and no service is reached.
+    neither read nor changed, nothing is written, no service is reached, no attribute of a file is
+    set, no process is started, and two workers at a time do not hear of each other by locks on a
+    file or message queues.
     """
     case = _Case()
     _check_answers(open_worker, case)
@@ -90,6 +130,7 @@ def check_sandbox(open_worker: OpenWorker, *, walled: bool = True) -> None:
     _check_nothing_is_left(open_worker, case)
     if walled:
         _check_walls(open_worker, case)
+        _check_no_messages(open_worker, case)
 
 
 class _Case:
@@ -200,15 +241,32 @@ def _check_walls(open_worker: OpenWorker, case: _Case) -> None:
         attempts = {
             "read a file of the parent": f"open({str(path)!r}).read()",
             "change a file of the parent": f"os.utime({str(path)!r})",
+            "change the mode of a file of the parent": f"os.chmod({str(path)!r}, 0o600)",
             "write a file": "open(os.path.join(os.environ.get('HOME', '/tmp'), 'new'), 'w')",
+            "set attributes of a file": _ATTRIBUTES,
             "reach a service": f"socket.create_connection(('127.0.0.1', {port}), 5)",
             "signal the parent": f"os.kill({os.getpid()}, 0)",
+            "start a process": "os.waitpid(os.fork() or os._exit(0), 0)",
         }
+        possible: list[str] = []
         for name, attempt in attempts.items():
             with open_worker(_LIMITS) as worker:
                 error = _failure(worker, case.source(fit=attempt), case)
-            assert error is not None, f"a candidate could {name}"
-            assert error.reason is Reason.CRASH, f"trying to {name} ended in {error.reason}"
+            if error is None:
+                possible.append(name)
+            else:
+                assert error.reason is Reason.CRASH, f"trying to {name} ended in {error.reason}"
+        assert not possible, f"a candidate could {', '.join(possible)}"
+
+
+def _check_no_messages(open_worker: OpenWorker, case: _Case) -> None:
+    """One worker speaks and stays while another listens."""
+    key = str(1 + secrets.randbits(30))
+    with open_worker(_LIMITS) as speaker, open_worker(_LIMITS) as listener:
+        speaker.fit(case.source(fit=_SPEAK.replace("KEY", key)), case.records, case.context)
+        source = case.source(fit=_LISTEN.replace("KEY", key))
+        heard = listener.fit(source, case.records, case.context).output.split()
+    assert not heard, f"two workers at a time hear of each other by {', '.join(heard)}"
 
 
 def _failure(worker: Worker, source: str, case: _Case) -> CandidateError | None:

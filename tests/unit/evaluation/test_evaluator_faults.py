@@ -19,11 +19,12 @@ from asia.evaluation import _evaluator as evaluator_module
 from asia.executor import LocalExecutor
 from asia.problem import Budget, ProtocolRule, Signal, Trajectory
 from asia.protocol import make_folds
-from asia.sandbox import Isolation, Limits, Worker, _cell, open_worker, probe
+from asia.sandbox import Isolation, Limits, Worker, _cell, open_worker, probe, why_not
 from asia.scoring import Failure, Score
 
 STRONGEST = probe().level
-LEVELS = sorted({Isolation.PROCESS, STRONGEST})
+ENDS = sorted({Isolation.PROCESS, STRONGEST})
+LEVELS = sorted({*ENDS, Isolation.LANDLOCK} if why_not(Isolation.LANDLOCK) is None else ENDS)
 MEAN = """
 import ctypes
 import time
@@ -104,7 +105,7 @@ def test_a_worker_ended_from_outside_is_tried_once_more(level: Isolation) -> Non
     assert len(killed) == 1
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", ENDS)
 def test_a_worker_that_is_ended_again_is_a_failure_and_the_evaluator_goes_on(
     level: Isolation,
 ) -> None:

@@ -100,6 +100,23 @@ def test_a_table_of_moments_is_found_out():
     assert "table" in kinds(nearest_moment)
 
 
+def test_a_model_that_fails_from_later_starts_alone_is_found_out():
+    model, held = Model(honest), fold()
+    assert suspicions_of(model, held.validation, held.scale, None) == ()
+    last = len(model.asked)
+
+    class Failing:
+        calls = 0
+
+        def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
+            self.calls += 1
+            if self.calls >= last:
+                raise CandidateError(Reason.CRASH)
+            return honest(past_u, past_y, u)
+
+    assert kinds(Failing()) == {"restart"}
+
+
 def test_answers_that_change_when_asked_again_are_found_out():
     assert "replay" in kinds(Counting(None))
 

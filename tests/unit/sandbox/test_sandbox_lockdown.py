@@ -13,7 +13,7 @@ import pytest
 from asia.sandbox import Isolation, _landlock, _seccomp, why_not
 from asia.sandbox._surroundings import package_folder
 
-ALLOW, KILL = 0x7FFF0000, 0x80000000
+ALLOW, KILL, TRAP = 0x7FFF0000, 0x80000000, 0x00030000
 EPERM, ENOSYS = 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS
 ARCHITECTURES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 PID = 4321
@@ -52,6 +52,7 @@ def machine(request) -> str:
 def test_every_listed_call_is_denied_and_others_pass(machine):
     known = _seccomp.numbers(machine)
     checked = {"clone", "clone3", "kill", "tgkill", "prlimit64", "fcntl", "ioctl", "prctl"}
+    checked |= {"futex"}
     for name, number in known.items():
         if name not in checked | {"seccomp"}:
             assert decide(machine, number) == EPERM, name
@@ -77,12 +78,24 @@ def test_calls_with_arguments_are_decided_by_them(machine):
     assert decide(machine, limits, 1, 7, 0) == EPERM
     assert decide(machine, limits, 0, 7, 1) == EPERM
     assert decide(machine, limits, 0, 7, 1 << 32) == EPERM
-    for command, verdict in ((1, ALLOW), (8, EPERM), (10, EPERM), (15, EPERM)):
-        assert decide(machine, known["fcntl"], 0, command) == verdict
-    assert decide(machine, known["ioctl"], 0, 0x5412) == EPERM
-    assert decide(machine, known["ioctl"], 0, 0x5401) == ALLOW
     assert decide(machine, known["prctl"], 1) == EPERM
     assert decide(machine, known["prctl"], 15) == ALLOW
+
+
+def test_files_are_marked_and_shared_memory_is_waited_on_by_nobody(machine):
+    known = _seccomp.numbers(machine)
+    for command in range(2000):
+        allowed = command in (0, 1, 2, 3, 4, 1030, 1032)
+        assert decide(machine, known["fcntl"], 0, command) == (ALLOW if allowed else EPERM)
+    for request in (0x5412, 0x541C, 0x5452, 0x40086602, 0x40046602, 0x401C5820, 0xC0045877):
+        assert decide(machine, known["ioctl"], 0, request) == EPERM
+    for request in (0x5401, 0x541B, 0x5421, 0x5451, 0x802C542A):
+        assert decide(machine, known["ioctl"], 0, request) == ALLOW
+    again = 0x00050000 | errno.EAGAIN
+    shared = {0: TRAP, 1: ALLOW, 9: again, 9 | 0x100: again}
+    for operation in range(0x200):
+        verdict = ALLOW if operation & 0x80 else shared.get(operation, EPERM)
+        assert decide(machine, known["futex"], 0, operation) == verdict
 
 
 def test_foreign_and_unknown_calls(machine):

@@ -1,21 +1,28 @@
 """`feedback = "ladder"`: everywhere an agent reads V it reads what is told; the ledger has all."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from asia.agents import AgentView, Proposal
 from asia.agents._llm_problem import problem_text
 from asia.agents._llm_search import search_text, task_of
 from asia.cli._try import result_lines
-from asia.errors import UserError
+from asia.errors import Reason, UserError
+from asia.evaluation import Evaluation, Evaluator, Suspicion, SuspicionKind
+from asia.evaluation import _evaluator as evaluator_module
 from asia.ledger import SearchView, open_run
 from asia.mcp._answers import shown
 from asia.problem.load import load_lock, load_problem, protocol_digest
+from asia.redteam import _probing
+from asia.scoring import Failure, Score
 from asia.search import RunDesk, prepare, search, with_early_stopping
 from asia.search._program import program
+from asia.search._rules import decide
 from asia.search._workspace import write_views
 
 from .toy import Scripted, arx, write_problem
@@ -41,12 +48,13 @@ def with_feedback(root: Path, text: str = LADDER) -> Path:
     return problem
 
 
-@pytest.fixture
-def laddered(tmp_path: Path) -> tuple[SearchView, Path, list[AgentView]]:
+@pytest.fixture(scope="module")
+def laddered(tmp_path_factory: pytest.TempPathFactory) -> tuple[SearchView, Path, list[AgentView]]:
     """arx(1), arx(2) far better, then two that are as good."""
     agent = Watching((arx(2), ALMOST, arx(3)))
     object.__setattr__(agent, "seen", [])
-    ready = prepare(load_problem(with_feedback(tmp_path)), agent.name, seed=0, runs=tmp_path / "r")
+    root = tmp_path_factory.mktemp("laddered")
+    ready = prepare(load_problem(with_feedback(root)), agent.name, seed=0, runs=root / "r")
     view = search(ready, agent, lambda event, view: None, lambda view: None)
     return view, ready.directory, agent.seen
 
@@ -88,6 +96,93 @@ def test_what_agents_see_is_what_is_told(
     assert all(v in written for v in exact)
 
 
+def told(directory: Path, number: int) -> str:
+    """All that an agent can read of an experiment but its number, words and time."""
+    run = RunDesk(directory).run()
+    answer = shown(run, number).model_dump()
+    answer["training"] = len(answer["training"])
+    result = answer["result"]
+    keep = ("status", "V", "folds", "reason", "advice", "detail")
+    return repr([answer["training"], *(result[key] for key in keep)])
+
+
+FORGETFUL = """
+class Forgetful(Model):
+    calls = 0
+
+    def simulate(self, past_u, past_y, u):
+        self.calls += 1
+        return super().simulate(past_u, past_y, u) + SIZE * self.calls
+
+
+def fit(trajectories, context):
+    return Forgetful(train(trajectories, context).weights)
+"""
+
+
+def forgetful(order: int, size: float) -> str:
+    honest = arx(order).replace("def fit(", "def train(")
+    return honest + FORGETFUL.replace("SIZE", str(size))
+
+
+def test_a_verdict_is_the_same_whether_or_not_it_would_have_won(tmp_path: Path) -> None:
+    agent = Scripted((forgetful(2, 0.01), forgetful(1, 0.02)))
+    ready = prepare(load_problem(with_feedback(tmp_path)), agent.name, seed=0, runs=tmp_path / "r")
+    view = search(ready, agent, lambda event, view: None, lambda view: None)
+    winning, losing = (view.experiment(n).failure for n in (2, 3))
+    assert winning is not None
+    assert winning.reason is Reason.SUSPECT
+    assert winning == losing
+    assert told(ready.directory, 2) == told(ready.directory, 3)
+
+
+def test_a_verdict_from_held_out_outputs_is_told_as_no_new_best(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = (Suspicion(SuspicionKind.RESTART, "far worse", 9.0),)
+    calls = iter([(), (), broken, broken])
+    monkeypatch.setattr(evaluator_module, "suspicions", lambda *a: next(calls, ()))
+    agent = Scripted((arx(2), arx(1).replace("n = 1", "n = 1 + 0")))
+    ready = prepare(load_problem(with_feedback(tmp_path)), agent.name, seed=0, runs=tmp_path / "r")
+    view = search(ready, agent, lambda event, view: None, lambda view: None)
+    failure = view.experiment(2).failure
+    assert failure is not None
+    assert failure.reason is Reason.RESTART
+    assert view.best is not None
+    assert view.best.number == 1
+    assert told(ready.directory, 2) == told(ready.directory, 3)
+
+
+def judged_as_without_the_ladder(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
+    """Only a would-be winner is doubted."""
+    evaluation = evaluator.evaluate(source)
+    assert isinstance(evaluation.outcome, Score)
+    if decide(evaluation.outcome, view) != "keep":
+        return evaluation
+    return replace(evaluation, outcome=evaluator.objection(source, ()) or evaluation.outcome)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "part", "otherwise"),
+    [
+        (_probing.forgetful, "judge", judged_as_without_the_ladder),
+        (_probing.one_start(0.35), "published", lambda view: view),
+    ],
+)
+def test_spoilt_candidates_tell_nothing(
+    spoil: Callable[[Score], Failure | None],
+    part: str,
+    otherwise: object,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ladder = _probing.Ladder(spoil)
+    start = _probing.exact(np.zeros_like(_probing.hidden_error()))
+    assert _probing.exact(_probing.bisect(ladder.ask, ladder.doubt)) == start
+    monkeypatch.setattr(_probing, part, otherwise)
+    leaking = _probing.Ladder(spoil)
+    assert _probing.exact(_probing.bisect(leaking.ask, leaking.doubt)) < 0.85 * start
+
+
 def test_prompts_say_how_scores_are_told(
     laddered: tuple[SearchView, Path, list[AgentView]],
 ) -> None:
@@ -97,6 +192,8 @@ def test_prompts_say_how_scores_are_told(
     problem = load_lock(directory / "problem.lock.toml")
     assert problem.protocol.ladder == 0.1
     assert "told on a ladder" in program(problem, 3)
+    assert "causal in u" in problem_text(seen[-1].facts)
+    assert "causal in u" in program(problem, 3)
     exact = replace(problem, protocol=replace(problem.protocol, ladder=None))
     assert "ladder" not in program(exact, 3)
 
