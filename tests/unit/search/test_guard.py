@@ -28,9 +28,9 @@ def guarded(tmp_path: Path) -> Path:
     problem = write_problem(tmp_path / "toy", experiments=2)
     table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
     table[-1] = MARK
-    np.savetxt(problem / "kept.csv", table, delimiter=",", header="u,y", comments="")
+    np.savetxt(problem / "unseen.csv", table, delimiter=",", header="u,y", comments="")
     name = problem / "problem.toml"
-    name.write_text(name.read_text().replace("[data]\n", '[data]\nguard = ["kept.csv"]\n'))
+    name.write_text(name.read_text().replace("[data]\n", '[data]\nguard = ["unseen.csv"]\n'))
     return problem
 
 
@@ -123,13 +123,13 @@ def test_nobody_gets_to_see_it(
     make_workspace(tmp_path / "work", ready, order)
     texts = [p.read_bytes() for p in (tmp_path / "work").rglob("*") if p.is_file()]
     assert texts
-    assert not any(b"7654" in text or b"kept" in text for text in texts)
+    assert not any(b"7654" in text or b"unseen" in text for text in texts)
 
 
 def test_a_guard_that_was_changed_is_not_looked_at(guarded: Path, tmp_path: Path) -> None:
     go(load_problem(guarded), tmp_path / "runs")
-    text = (guarded / "kept.csv").read_text().replace("7.654", "7.655")
-    (guarded / "kept.csv").write_text(text)
+    text = (guarded / "unseen.csv").read_text().replace("7.654", "7.655")
+    (guarded / "unseen.csv").write_text(text)
     with pytest.raises(UserError, match="guard changed"):
         go(extended(guarded, 3), tmp_path / "runs")
 
