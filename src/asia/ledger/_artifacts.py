@@ -13,15 +13,18 @@ from typing import Self
 from asia.errors import UserError
 from asia.ledger._store import Store
 
-_BATCH = 4096
+_BATCH = 512
+_PIPE_BYTES = 1 << 20  # or whoever reads the ledger waits for one helper while others rest
 # Reads names on stdin; ends with 1 at the first file whose sha256 is not its name, or that is gone.
 _HELPER = """
 import hashlib, os, sys
 os.chdir(sys.argv[1])
 for line in sys.stdin:
     fd = os.open(line[:-1], os.O_RDONLY)
-    digest = hashlib.sha256()
-    while part := os.read(fd, 65536):
+    part = os.read(fd, 65536)
+    digest = hashlib.sha256(part)
+    while len(part) == 65536:
+        part = os.read(fd, 65536)
         digest.update(part)
     os.close(fd)
     if digest.hexdigest() != line[:-1]:
@@ -90,7 +93,7 @@ class Artifacts:
 def _helper(directory: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-I", "-S", "-c", _HELPER, str(directory)],
-        stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, pipesize=_PIPE_BYTES,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from asia.ledger import Store
 from asia.ledger._artifacts import Artifacts
 
 
-@pytest.fixture(params=[4, 4096], ids=["shared", "here"])
+@pytest.fixture(params=[4, 512], ids=["shared", "here"])
 def kept(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> list[Path]:
