@@ -84,6 +84,30 @@ _STARTED = Started(
     environment={},
 )
 
+_WORDS = {"source": _SOURCE, "hypothesis": "h", "expected": "e", "family": "f", "title": "t"}
+_ORDER = {
+    "problem": "toy",
+    "agent": "mcp",
+    "seed": 0,
+    "experiments": None,
+    "hours": None,
+    "early_stopping": None,
+    "isolation": None,
+}
+_FORM = b"HYPOTHESIS: a\nEXPECTED: b\nFAMILY: c\nTITLE: d\nPARENT: #3\n```python\n"
+_CLAUDE = {"type": "assistant", "session_id": "a", "message": {"id": "b", "usage": {
+    "input_tokens": 1, "output_tokens": 2, "cache_read_input_tokens": 3}}}  # fmt: skip
+_ENDED = {"type": "result", "subtype": "success", "total_cost_usd": 0.1, "modelUsage": {
+    "m": {"inputTokens": 1, "outputTokens": 2, "cacheReadInputTokens": 3}}}  # fmt: skip
+_CODEX = b'{"type":"turn.completed","usage":{"input_tokens":1,"output_tokens":2}}'
+_GEMINI = b'{"type":"result","status":"success","stats":{"input_tokens":1,"cached":0}}'
+_SAID = {
+    "choices": [{"message": {"content": "x"}, "finish_reason": "length"}],
+    "usage": {"prompt_tokens": 1, "completion_tokens": 2,
+              "prompt_tokens_details": {"cached_tokens": 1}},
+}  # fmt: skip
+_ASKED = {"model": "m", "base_url": "http://h:1/v1", "temperature": "0.5", "extra_body": "{}"}
+
 
 @dataclass(frozen=True)
 class Target:
@@ -232,30 +256,20 @@ def _run_targets(place: Place) -> tuple[Target, ...]:
     def workspace(data: bytes) -> None:
         Workspace.find(place.put("workspace/.asia/workspace.json", data).parents[1])
 
-    words = {"source": _SOURCE, "hypothesis": "h", "expected": "e", "family": "f", "title": "t"}
-    orders = {
-        "problem": "toy",
-        "agent": "mcp",
-        "seed": 0,
-        "experiments": None,
-        "hours": None,
-        "early_stopping": None,
-        "isolation": None,
-    }
     return (
         Target("ledger", ledger, (b"\0" + line, line, line + _events())),
         Target(
             "request",
             request,
             (
-                json.dumps({"op": "submit", **words, "parent": 1}).encode(),
+                json.dumps({"op": "submit", **_WORDS, "parent": 1}).encode(),
                 b'{"op": "job", "ticket": "00000000000000000001-00000000"}',
                 b'{"op": "source", "experiment": 1}',
                 b'{"op": "standing"}',
             ),
         ),
-        Target("submission", submission, (json.dumps({**words, "parent": None}).encode(),)),
-        Target("order", order, (json.dumps(orders).encode(),)),
+        Target("submission", submission, (json.dumps({**_WORDS, "parent": None}).encode(),)),
+        Target("order", order, (json.dumps(_ORDER).encode(),)),
         Target("workspace", workspace, (b'{"run": "/nowhere"}', b'{"run": null}')),
     )
 
@@ -341,31 +355,20 @@ def _model_targets() -> tuple[Target, ...]:
         if isinstance(given, dict) and all(isinstance(v, str) for v in given.values()):
             LlmSettings.from_record(given).record()
 
-    form = b"HYPOTHESIS: a\nEXPECTED: b\nFAMILY: c\nTITLE: d\nPARENT: #3\n```python\n"
-    claude = {"type": "assistant", "session_id": "a", "message": {"id": "b", "usage": {
-        "input_tokens": 1, "output_tokens": 2, "cache_read_input_tokens": 3}}}  # fmt: skip
-    ended = {"type": "result", "subtype": "success", "total_cost_usd": 0.1, "modelUsage": {
-        "m": {"inputTokens": 1, "outputTokens": 2, "cacheReadInputTokens": 3}}}  # fmt: skip
-    codex = b'{"type":"turn.completed","usage":{"input_tokens":1,"output_tokens":2}}'
-    gemini = b'{"type":"result","status":"success","stats":{"input_tokens":1,"cached":0}}'
-    said = {
-        "choices": [{"message": {"content": "x"}, "finish_reason": "length"}],
-        "usage": {"prompt_tokens": 1, "completion_tokens": 2,
-                  "prompt_tokens_details": {"cached_tokens": 1}},
-    }  # fmt: skip
-    asked = {"model": "m", "base_url": "http://h:1/v1", "temperature": "0.5", "extra_body": "{}"}
     return (
-        Target("reply", reply, (b"\0" + form + _SOURCE.encode() + b"```\n", b"\0<think>a</think>")),
+        Target(
+            "reply", reply, (b"\0" + _FORM + _SOURCE.encode() + b"```\n", b"\0<think>a</think>")
+        ),
         Target("source", source, (_SOURCE.encode(), b"try:\n  from a import fit\nexcept E: pass")),
         Target(
             "stream",
             stream,
             (
-                b"\0" + json.dumps(claude).encode() + b"\n" + json.dumps(ended).encode(),
-                b"\1" + codex,
-                b"\2" + gemini,
+                b"\0" + json.dumps(_CLAUDE).encode() + b"\n" + json.dumps(_ENDED).encode(),
+                b"\1" + _CODEX,
+                b"\2" + _GEMINI,
             ),
         ),
-        Target("completion", completion, (json.dumps(said).encode(), b'{"error": "ReadTimeout"}')),
-        Target("settings", settings, (json.dumps(asked).encode(),)),
+        Target("completion", completion, (json.dumps(_SAID).encode(), b'{"error": "ReadTimeout"}')),
+        Target("settings", settings, (json.dumps(_ASKED).encode(),)),
     )

@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asia.cli._options import MORE, Json
+from asia.errors import Reason
 
 if TYPE_CHECKING:
     from asia.search import Desk, Job, Result, Standing
 
 NO_SCORE = 3
+# What ASIA says of a candidate, not the candidate of itself.
+FOUND = (Reason.SUSPECT, Reason.RESTART, Reason.LITERAL_DATA, Reason.NOT_REPRODUCIBLE)
 
 
 def register(app: typer.Typer) -> None:
@@ -113,7 +116,8 @@ def result_lines(result: Result, standing: Standing) -> list[str]:
     else:
         lines = [f"{head}no score: {result.advice}"]
         if result.detail:
-            lines.append(f"    the candidate's own words: {result.detail}")
+            words = "found" if result.reason in FOUND else "the candidate's own words"
+            lines.append(f"    {words}: {result.detail}")
     if result.training is not None:
         values = zip(fields(result.training), astuple(result.training), strict=True)
         said = ", ".join(f"{f.name.replace('_', ' ')} {v:.3g}" for f, v in values)

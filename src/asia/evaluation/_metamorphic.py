@@ -29,6 +29,7 @@ _MOVES = 1e-2
 _ISOLATED = 30.0
 _EARLY = 5
 _WORSE, _MUCH_WORSE = 0.1, 5.0
+_OF_THE_MACHINE = (Reason.SIMULATE_TIMEOUT, Reason.MEMORY)
 _SHORTEST = 10
 
 
@@ -82,9 +83,9 @@ def suspicions(
     all); the second half of the inputs exchanged (`causality`); rows in another order (`order`);
     the same again (`replay`); and, last, as their past windows are held-out outputs, four later
     starts on the same record, where the output moves about as fast (`restart`: all much worse over
-    the rest of it). Raises CandidateError where an answer does not come, but for `restart`, which
-    that breaks; one that is not finite breaks `perturbation`, `restart` and `replay`, and says
-    nothing about the others.
+    the rest of it, or failing). Raises CandidateError where an answer does not come, but for
+    `restart` only where time or memory ran out; one that is not finite breaks `perturbation`,
+    `restart` and `replay`, and says nothing about the others.
     """
     found: list[Suspicion | None] = []
     random = np.random.default_rng(seed)
@@ -224,7 +225,9 @@ def _restart(checks: Sequence[_Check]) -> Suspicion | None:
     """Over all requests: the best of the later starts against the scored one."""
     try:
         known = [error for check in checks if (error := check.restart()) is not None]
-    except CandidateError:
+    except CandidateError as error:
+        if error.reason in _OF_THE_MACHINE:
+            raise
         words = "started later on the same record the simulation fails"
         return Suspicion(SuspicionKind.RESTART, words, np.inf)
     if not known:

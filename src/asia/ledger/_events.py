@@ -26,7 +26,7 @@ class Started:
     `validation` candidates saw their score on the held-out parts: V is not leak-free.
     `agent_settings` are those of the agent that shape the search; `ladder` is the share of V
     by which a new best must be better for whoever proposes to be told, None where all is told;
-    `guard_digest` commits the guard records."""
+    `guard_digest` commits the guard records; `layers` are those of the isolation."""
 
     run: str
     problem: str
@@ -45,6 +45,7 @@ class Started:
     agent_settings: dict[str, str] = field(default_factory=dict[str, str])
     ladder: float | None = None
     guard_digest: str | None = None
+    layers: tuple[str, ...] = ()
     event: Literal["started"] = "started"
 
 

@@ -105,6 +105,7 @@ def prepare(
         agent_settings=dict(agent_settings or {}),
         ladder=problem.protocol.ladder,
         guard_digest=sealed.guard,
+        layers=tuple(layer.value for layer in found.layers),
     )
     if not (directory / "ledger.jsonl").is_file() or not (directory / LOCK).is_file():
         return Prepared(problem, directory, lock, started, resumes=False)
@@ -251,11 +252,11 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             raise UserError(
                 f"run '{start.run}' has {what} {there}, not {now}: choose another --name"
             )
-    lost = _absent_layers(wanted) - _absent_layers(start)
+    lost = [layer for layer in start.layers if layer not in wanted.layers]
     if lost:
         raise UserError(
-            f"run '{start.run}' began with layers that this machine does not give "
-            f"({', '.join(sorted(lost))}): go on where it began, or choose another --name"
+            f"run '{start.run}' began with a layer of isolation that is not there "
+            f"({', '.join(lost)}): go on where it began, or choose another --name"
         )
     settings = start.agent_settings, wanted.agent_settings
     for what in dict.fromkeys([*settings[0], *settings[1]]):
@@ -280,12 +281,6 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         raise UserError(
             f"run '{start.run}' was unsealed; a search ends there: choose another --name"
         )
-
-
-def _absent_layers(start: Started) -> set[str]:
-    """As `probe` notes them: "LEVEL without LAYER: why"."""
-    lead = f"{start.isolation} without "
-    return {n.partition(":")[0] for n in start.isolation_notes if n.startswith(lead)}
 
 
 def _hours(value: float | None) -> float:

@@ -100,21 +100,31 @@ def test_a_table_of_moments_is_found_out():
     assert "table" in kinds(nearest_moment)
 
 
+class FailingLate:
+    """Fails at the last request, a later start."""
+
+    def __init__(self, reason: Reason) -> None:
+        self.reason = reason
+        model, held = Model(honest), fold()
+        assert suspicions_of(model, held.validation, held.scale, None) == ()
+        self.left = len(model.asked)
+
+    def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        self.left -= 1
+        if self.left <= 0:
+            raise CandidateError(self.reason)
+        return honest(past_u, past_y, u)
+
+
 def test_a_model_that_fails_from_later_starts_alone_is_found_out():
-    model, held = Model(honest), fold()
-    assert suspicions_of(model, held.validation, held.scale, None) == ()
-    last = len(model.asked)
+    assert kinds(FailingLate(Reason.CRASH)) == {"restart"}
 
-    class Failing:
-        calls = 0
 
-        def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
-            self.calls += 1
-            if self.calls >= last:
-                raise CandidateError(Reason.CRASH)
-            return honest(past_u, past_y, u)
-
-    assert kinds(Failing()) == {"restart"}
+@pytest.mark.parametrize("reason", [Reason.SIMULATE_TIMEOUT, Reason.MEMORY])
+def test_what_the_machine_had_a_part_in_is_no_suspicion(reason):
+    with pytest.raises(CandidateError) as caught:
+        kinds(FailingLate(reason))
+    assert caught.value.reason is reason
 
 
 def test_answers_that_change_when_asked_again_are_found_out():

@@ -1,35 +1,34 @@
 """A run goes on with the layers it began with."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from asia.errors import UserError
-from asia.ledger import SearchView, Started
-from asia.search._search import check_same_search
+from asia.problem.load import load_problem
+from asia.sandbox import Isolation, _confined, probe
+from asia.search import prepare, search
 
-ALL = Started(
-    run="toy",
-    problem="toy",
-    agent="expert",
-    seed=0,
-    experiments=3,
-    hours=None,
-    outputs=("y",),
-    lock_digest="",
-    protocol_digest="",
-    test_digest=None,
-    isolation="namespace",
-    isolation_notes=(),
-    environment={},
-)
-FEWER = replace(ALL, isolation_notes=("namespace without landlock: this kernel has none of it",))
+from .toy import Scripted, arx, write_problem
 
 
-def test_a_run_that_would_go_on_with_fewer_layers_is_refused() -> None:
-    with pytest.raises(UserError, match=r"'toy' began .*\(namespace without landlock\): go on"):
-        check_same_search(SearchView(ALL, 3, None), FEWER)
-    for began in (ALL, FEWER):
-        check_same_search(SearchView(began, 3, None), ALL)
-    other = replace(FEWER, isolation_notes=("namespace without landlock: another reason",))
-    check_same_search(SearchView(FEWER, 3, None), other)
+@pytest.mark.skipif(probe().level is not Isolation.NAMESPACE, reason="the level namespace fails")
+def test_a_run_that_would_go_on_with_fewer_layers_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = load_problem(write_problem(tmp_path / "toy"))
+    agent = Scripted((arx(1),))
+
+    def go(experiments: int) -> int:
+        budget = replace(problem.budget, experiments=experiments)
+        ready = prepare(replace(problem, budget=budget), agent.name, seed=0, runs=tmp_path / "runs")
+        view = search(ready, agent, lambda event, view: None, lambda view: None)
+        return len(view.finished)
+
+    assert go(1) == 1
+    monkeypatch.setattr(_confined, "missing", lambda: {"landlock": "taken away"})
+    with pytest.raises(UserError, match=r"a layer .* not there \(landlock\): go on where it began"):
+        go(2)
+    monkeypatch.undo()
+    assert go(2) == 2

@@ -70,6 +70,8 @@ def test_a_table_of_answers_is_recorded_and_never_kept(problem: Path, tmp_path: 
     assert "perturbation" in failure.detail
     assert "causal" in failure.advice
     assert [e.result.status for e in view.finished if e.result] == ["keep", "invalid", "keep"]
+    # What its training side shows is told as of any other.
+    assert [len(e.result.folds) for e in view.finished if e.result] == [2, 2, 2]
     directory = tmp_path / "runs" / "toy-scripted-s0"
     verify(directory)
     assert "invalid" in (directory / "results.tsv").read_text()
