@@ -93,7 +93,7 @@ def _print_sealed(made: NewProblem, what: str) -> None:
         print(f"removed  {path}")
     if made.removed:
         print(
-            "note     removing a file does not wipe the disk, and no backup, snapshot or version "
+            "note     removing a file wipes neither the disk nor backups, snapshots and version "
             "control"
         )
     for note in made.notes:

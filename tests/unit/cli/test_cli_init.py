@@ -90,7 +90,7 @@ def test_a_test_file_is_moved_into_the_store(
     assert done.code == 0, done.err
     assert f"set ASIA_KEYS={tmp_path / 'keys'}" in done.out
     assert f"removed  {tmp_path / data[1]}" in done.out
-    assert "does not wipe" in done.out
+    assert "wipes neither" in done.out
     (key,) = (tmp_path / "keys").iterdir()
     assert f"key      {key}" in done.out
     assert not (tmp_path / data[1]).exists()
