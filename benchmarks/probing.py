@@ -19,31 +19,27 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.evaluation._evaluator import score_outputs
-from asia.ledger import Evaluated, Event, Proposed, SearchView, Started, published, replay
 from asia.models import linear
 from asia.models.methods import LevenbergMarquardt
 from asia.problem import Array
 from asia.problem.load import Problem, load_problem
 from asia.protocol import Fold, make_folds
-from asia.redteam._probing import Known, Spoil, forgetful, one_start
-from asia.scoring import Failure, Outcome, Score
-from asia.search._loop import judge
-from asia.search._rules import decide
+from asia.redteam._desk import HALVINGS, Desk, Spoil, forgetful, one_start, turn
+from asia.scoring import Failure, Score
 
 Outputs = list[list[Array]]
 AMPLITUDES = (0.03, 0.1, 0.3, 0.6)
 STEPS = (0.02, 0.05, 0.1)
-HALVINGS = 15
 
 
 @dataclass
-class Desk:
+class Attacked:
     """Scores simulations, and tells what the search would tell. digits: significant ones of every
     score told, None for all."""
 
@@ -51,17 +47,9 @@ class Desk:
     metric: str
     ladder: float | None = None
     digits: int | None = None
-    events: list[Event] = field(default_factory=list[Event])
 
     def __post_init__(self) -> None:
-        words = ("probing", "probing", "probing")
-        self.events.append(
-            Started(
-                *words[:2], agent=words[2], seed=0, experiments=1000, hours=None, outputs=("y",),
-                lock_digest="", protocol_digest="", test_digest=None, isolation="none",
-                isolation_notes=(), environment={}, ladder=self.ladder,
-            )
-        )  # fmt: skip
+        self._desk = Desk(self.ladder)
 
     def true(self, outputs: Outputs) -> Score:
         """All of V."""
@@ -71,32 +59,17 @@ class Desk:
 
     def ask(self, outputs: Outputs) -> tuple[bool, tuple[float, ...]]:
         """Whether it is a new best, and what is told: V of each fold, or V alone."""
-        kept, told = self._submit(outputs)
+        result = self._desk.submit(self.true(outputs))
+        told = result.outcome
         assert isinstance(told, Score)
         numbers = [fold.value for fold in told.folds] or [told.value]
         if self.digits is not None:
             numbers = [float(f"{v:.{self.digits - 1}e}") for v in numbers]
-        return kept, tuple(numbers)
+        return result.status == "keep", tuple(numbers)
 
     def doubt(self, outputs: Outputs, spoil: Spoil) -> bool:
         """Whether a candidate that breaks a relation on purpose is told so."""
-        return isinstance(self._submit(outputs, spoil)[1], Failure)
-
-    def _submit(self, outputs: Outputs, spoil: Spoil | None = None) -> tuple[bool, Outcome]:
-        view = self._view()
-        number = len(view.experiments) + 1
-        outcome = judge(Known(self.true(outputs), spoil), "", view).outcome
-        word, status = str(number), decide(outcome, view)
-        self.events += (
-            Proposed(number, None, "explore", word, word, word, word, "", word),
-            Evaluated(number, status, outcome, (), None, 0.0),
-        )
-        result = published(self._view()).experiments[-1].result
-        assert result is not None
-        return result.status == "keep", result.outcome
-
-    def _view(self) -> SearchView:
-        return replay(self.events)
+        return isinstance(self._desk.submit(self.true(outputs), spoil).outcome, Failure)
 
 
 def baseline(problem: Problem, folds: Sequence[Fold]) -> Outputs:
@@ -136,7 +109,7 @@ def plus(one: Outputs, other: Outputs, factor: float = 1.0) -> Outputs:
     ]
 
 
-def regression(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+def regression(desk: Attacked, start: Outputs, queries: int, size: float) -> Outputs:
     """From mean((e + c)^2) = mean(e^2) + 2 mean(e c) + mean(c^2): one component a query, for all
     folds at once where each is told, else for one fold after the other."""
     folds, found = desk.folds, start
@@ -163,7 +136,7 @@ def regression(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs
     return found
 
 
-def climbing(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+def climbing(desk: Attacked, start: Outputs, queries: int, size: float) -> Outputs:
     """What is told to be a new best stays: one pattern after the other, in one fold, up or down."""
     count = len(desk.folds)
     moves = [np.eye(count)[f] * sign for f in range(count) for sign in (size, -size)]
@@ -171,14 +144,14 @@ def climbing(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
     return _climbed(desk, start, queries, tries)
 
 
-def together(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+def together(desk: Attacked, start: Outputs, queries: int, size: float) -> Outputs:
     """The same, in all folds at once, with all combinations of signs."""
     moves = list(itertools.product((size, -size), repeat=len(desk.folds)))
     tries = (pattern(desk.folds, k, move) for k in range(queries) for move in moves)
     return _climbed(desk, start, queries, tries)
 
 
-def mixtures(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+def mixtures(desk: Attacked, start: Outputs, queries: int, size: float) -> Outputs:
     """The same, with random sums of the slowest patterns."""
     random = np.random.default_rng(0)
 
@@ -191,27 +164,21 @@ def mixtures(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
     return _climbed(desk, start, queries, (mixture() for _ in range(queries)))
 
 
-def spoilt(desk: Desk, start: Outputs, queries: int, size: float) -> Outputs:
+def spoilt(desk: Attacked, start: Outputs, queries: int, size: float) -> Outputs:
     """The verdict on a candidate that breaks a relation: always, or where its V is low enough."""
     spoils = forgetful, one_start(1.1 * desk.true(start).value)
-    ends = [_turned(replace(desk, events=[]), start, queries, size, spoil) for spoil in spoils]
+    ends = [_turned(replace(desk), start, queries, size, spoil) for spoil in spoils]
     return min(ends, key=lambda end: desk.true(end).value)
 
 
-def _turned(desk: Desk, start: Outputs, queries: int, size: float, spoil: Spoil) -> Outputs:
+def _turned(desk: Attacked, start: Outputs, queries: int, size: float, spoil: Spoil) -> Outputs:
     """A worse model is the one to beat. What is added to a better one is bisected to where the
     verdict turns; beside it each pattern, in one fold, turns the verdict by its sign."""
     folds, value = desk.folds, desk.true(start).value
     worse = pattern(folds, 499, [value] * len(folds))
     desk.ask(plus(start, worse))
-    least, most = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = (least + most) / 2
-        if desk.doubt(plus(start, worse, middle), spoil):
-            least = middle
-        else:
-            most = middle
-    edge, found = plus(start, worse, least), start
+    share = turn(lambda share: desk.doubt(plus(start, worse, share), spoil), 1.0)
+    edge, found = plus(start, worse, share), start
     for query in range(queries - HALVINGS - 1):
         sizes = [0.2 * size if f == query % len(folds) else 0.0 for f in range(len(folds))]
         tried = pattern(folds, query // len(folds), sizes)
@@ -219,7 +186,7 @@ def _turned(desk: Desk, start: Outputs, queries: int, size: float, spoil: Spoil)
     return found
 
 
-def _climbed(desk: Desk, start: Outputs, queries: int, tries: Iterable[Outputs]) -> Outputs:
+def _climbed(desk: Attacked, start: Outputs, queries: int, tries: Iterable[Outputs]) -> Outputs:
     found = start
     desk.ask(start)
     for tried in itertools.islice(tries, queries - 1):
@@ -237,7 +204,7 @@ def main() -> None:
     problem = load_problem(options.problem)
     folds, metric = make_folds(problem.train, problem.protocol), problem.protocol.metric
     start = baseline(problem, folds)
-    value = Desk(folds, metric).true(start).value
+    value = Attacked(folds, metric).true(start).value
     print(
         f"{problem.name}, linear model, V = {value:.4f}; {options.queries} queries, best of sizes"
     )
@@ -252,10 +219,10 @@ def main() -> None:
         after = []
         for attack in (regression, climbing, together, mixtures, spoilt):
             ends = [
-                attack(Desk(folds, metric, **options_of), start, options.queries, size)  # type: ignore[arg-type]
+                attack(Attacked(folds, metric, **options_of), start, options.queries, size)  # type: ignore[arg-type]
                 for size in AMPLITUDES
             ]
-            after.append(min(Desk(folds, metric).true(end).value for end in ends))
+            after.append(min(Attacked(folds, metric).true(end).value for end in ends))
         gain = 1.0 - min(*after, value) / value
         print(f"| {name} | {' | '.join(f'{v:.4f}' for v in after)} | {gain:.1%} |", flush=True)
 

@@ -67,10 +67,14 @@ def init(
         seal=bool(seal),
         keys=keys,
     )
+    _print_made(made, name, has_test=bool(test))
+
+
+def _print_made(made: NewProblem, name: Path, *, has_test: bool) -> None:
     print(f"wrote    {made.path}")
     if made.store is not None:
-        _print_sealed(made, "the last 20 % of each record" if not test else "the test records")
-    elif test:
+        _print_sealed(made, "the test records" if has_test else "the last 20 % of each record")
+    elif has_test:
         print("note     the test files stay where they are, in plain text; --seal encrypts them")
     else:
         print("note     no test data: asia unseal will have nothing to open")

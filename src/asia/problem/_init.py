@@ -109,19 +109,12 @@ def init_problem(
     rule = ProtocolRule()
     columns = Columns(tuple(inputs), tuple(outputs), sampling_time)
     records = _read(train, columns)
-    if test and seal:
-        sealing = seal_files(test, train, columns)
-        _check_test(sealing.records, rule)
-        plan = _Plan(tuple(_written(p, directory) for p in train), sealing=sealing)
-    elif test or seal_fraction is None:
-        _check_test(_read(test, columns), rule)
-        paths = [_written(p, directory) for p in train], [_written(p, directory) for p in test]
-        plan = _Plan(tuple(paths[0]), tuple(paths[1]))
+    if test or seal_fraction is None:
+        plan = _plan(train, test, columns, directory, seal=seal and bool(test))
     else:
         plan = _split(train, columns, seal_fraction)
         records = [r[: len(r) - round(seal_fraction * len(r))] for r in records]
-        assert plan.sealing is not None
-        _check_test(plan.sealing.records, rule)
+    _check_test(plan.sealing.records if plan.sealing else _read(test, columns), rule)
     require_length(records, rule)
     files = (
         *plan.files,
@@ -175,6 +168,16 @@ def _check_test(records: Sequence[Trajectory], rule: ProtocolRule) -> None:
                 f"test record '{record.name}' has {len(record)} samples, the past window alone "
                 f"takes {rule.past}: bring a longer record"
             )
+
+
+def _plan(
+    train: Sequence[Path], test: Sequence[Path], columns: Columns, directory: Path, *, seal: bool
+) -> _Plan:
+    """All records where they are, but for a test that is to be sealed."""
+    kept = tuple(_written(path, directory) for path in train)
+    if seal:
+        return _Plan(kept, sealing=seal_files(test, train, columns))
+    return _Plan(kept, tuple(_written(path, directory) for path in test))
 
 
 def _split(train: Sequence[Path], columns: Columns, share: float) -> _Plan:

@@ -100,7 +100,7 @@ def _look(
         steps=said_steps(output),
         seconds=seconds,
         limit=limit,
-        late=not failed or outcome.reason not in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT),
+        overran=not failed or outcome.reason not in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT),
         ran=given.ran,
         ledger=given.ledger_changed,
         leaked=given.secret in output,

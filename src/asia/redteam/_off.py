@@ -90,7 +90,7 @@ def _see(
         steps=said_steps(ended.output),
         seconds=seconds,
         limit=limit,
-        late=ended.code is None,
+        overran=ended.code is None,
         ran=given.ran,
         ledger=given.ledger_changed,
         leaked=given.secret in ended.output,

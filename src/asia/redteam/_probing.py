@@ -3,30 +3,25 @@ one cosine at a time and solves for what is missing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from asia.errors import Reason
-from asia.evaluation import Evaluation, Evaluator, FoldResult
-from asia.ledger import Evaluated, Event, Proposed, Started, published, replay
 from asia.problem import Array
 from asia.problem._schema import LADDER_STEP
+from asia.redteam._desk import HALVINGS, Desk, Spoil, forgetful, one_start, turn
 from asia.redteam._searches import Scene
 from asia.redteam._types import Play, SearchAttack, Stop
-from asia.scoring import Failure, Outcome, Score, combine, score_fold
-from asia.search._loop import judge
-from asia.search._rules import decide
+from asia.scoring import Failure, Score, combine, score_fold
 
 QUERIES = 200
 _SAMPLES, _ERROR, _SIZE = 2000, 0.3, 0.3
 _GAIN = 0.9
-_WORSE, _HALVINGS, _STEP = 0.25, 15, 0.01
+_WORSE, _STEP = 0.25, 0.01
 
 Ask = Callable[[Array], float]
 Doubt = Callable[[Array], bool]
-Spoil = Callable[[Score], Failure | None]
 
 
 def hidden_error() -> Array:
@@ -68,27 +63,11 @@ def bisect(ask: Ask, doubt: Doubt) -> Array:
     """
     worse = _wave(_SAMPLES // 2)
     ask(_WORSE * worse)
-    low, high = 0.0, _WORSE
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if doubt(middle * worse) else (low, middle)
+    edge = turn(lambda share: doubt(share * worse), _WORSE) * worse
     found = np.zeros(_SAMPLES)
-    for k in range(QUERIES - _HALVINGS):
-        found += _STEP * _wave(k) * (1 if doubt(low * worse + _STEP * _wave(k)) else -1)
+    for k in range(QUERIES - HALVINGS):
+        found += _STEP * _wave(k) * (1 if doubt(edge + _STEP * _wave(k)) else -1)
     return min((found, np.zeros(_SAMPLES)), key=exact)
-
-
-def forgetful(score: Score) -> Failure | None:
-    """Answers otherwise when asked again, whatever it scores."""
-    del score
-    return Failure(Reason.SUSPECT, "replay: the same case asked again is answered otherwise", 1)
-
-
-def one_start(bound: float) -> Spoil:
-    """From later starts so far off that the check fails where its own V is below `bound`."""
-    words = "restart: started later on the same record the simulation is far worse"
-    failure = Failure(Reason.RESTART, words, 1)
-    return lambda score: failure if score.value < bound else None
 
 
 def exact(correction: Array) -> float:
@@ -102,73 +81,27 @@ def _score(correction: Array) -> Score:
     return combine([score_fold([y], [y_hat], np.ones(1), "rmse", in_parts=True)])
 
 
-class Known(Evaluator):
-    """Comes to a score that is known without a worker, and to an objection."""
-
-    def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
-        self._known, self._spoil = score, spoil
-
-    def evaluate(self, source: str) -> Evaluation:
-        """The score."""
-        return Evaluation(self._known)
-
-    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """As the candidate wants it."""
-        return None if self._spoil is None else self._spoil(self._known)
-
-
 class Ladder:
-    """A search with the Ladder: its own rules decide what is judged, kept and told. spoil: how
-    candidates break a relation in `doubt`."""
+    """A search with the Ladder. spoil: how candidates break a relation in `doubt`."""
 
     def __init__(self, spoil: Spoil | None = None) -> None:
-        self._events: list[Event] = [_started()]
+        self._desk = Desk(LADDER_STEP)
         self._spoil = spoil
 
     def ask(self, correction: Array) -> float:
         """V as it is told."""
-        told = self._told(Known(_score(correction)))
+        told = self._desk.submit(_score(correction)).outcome
         assert isinstance(told, Score)
         return told.value
 
     def doubt(self, correction: Array) -> bool:
         """Whether the candidate, breaking a relation, is told so."""
-        return isinstance(self._told(Known(_score(correction), self._spoil)), Failure)
-
-    def _told(self, evaluator: Evaluator) -> Outcome:
-        view = replay(self._events)
-        number, outcome = len(view.experiments) + 1, judge(evaluator, "", view).outcome
-        name, status = str(number), decide(outcome, view)
-        proposed = Proposed(number, None, "explore", "probe", name, "h", "e", name, name)
-        self._events += [proposed, Evaluated(number, status, outcome, (), None, 0.0)]
-        result = published(replay(self._events)).experiment(number).result
-        assert result is not None
-        return result.outcome
+        return isinstance(self._desk.submit(_score(correction), self._spoil).outcome, Failure)
 
 
 def _wave(k: int) -> Array:
     times = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     return np.sqrt(2.0) * np.cos(np.pi * (k + 1) * times)
-
-
-def _started() -> Started:
-    digest = "0" * 64
-    return Started(
-        run="probe",
-        problem="probe",
-        agent="probe",
-        seed=0,
-        experiments=2 * QUERIES,
-        hours=None,
-        outputs=("y",),
-        lock_digest=digest,
-        protocol_digest=digest,
-        test_digest=None,
-        isolation="process",
-        isolation_notes=(),
-        environment={},
-        ladder=LADDER_STEP,
-    )
 
 
 def _with_ladder(scene: Scene) -> Play:

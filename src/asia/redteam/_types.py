@@ -57,7 +57,7 @@ class Seen:
     value: its score, None for a failure, whose reason and detail stand beside it; honest: that of
     the honest candidate it is built on; output: what it printed; steps: what it says of each of
     its attempts, `done` or the name of the error; seconds: how long it was judged, of `limit` for a
-    fit; late: whether nobody ended it at its deadline; ran: whether code of its ran in the
+    fit; overran: whether its judge ended it at no deadline; ran: whether code of its ran in the
     evaluator; ledger: whether it changed one; leaked: whether it printed a secret; hurt: what it
     did to a neighbour.
     """
@@ -70,7 +70,7 @@ class Seen:
     steps: Mapping[str, str] = field(default_factory=dict[str, str])
     seconds: float = 0.0
     limit: float = 0.0
-    late: bool = False
+    overran: bool = False
     ran: bool = False
     ledger: bool = False
     leaked: bool = False

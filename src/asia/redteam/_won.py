@@ -59,7 +59,7 @@ def flooded(seen: Seen) -> bool:
 
 def overran(seen: Seen) -> bool:
     """Nobody ended it at its deadline."""
-    return seen.late
+    return seen.overran
 
 
 def spoke(seen: Seen) -> bool:

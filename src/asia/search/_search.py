@@ -77,9 +77,7 @@ def prepare(
     Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
     other settings.
     """
-    check_baseline(problem)
-    _check_budget(problem.budget)
-    make_folds(problem.train, problem.protocol)
+    _check(problem)
     sealed = replace(seal(problem), guard=guard_digest(problem))
     setting = "" if problem.protocol.early_stopping == "inner" else "-validation"
     run_name = name or f"{problem.name}-{agent_name}-s{seed}{setting}"
@@ -107,10 +105,10 @@ def prepare(
         guard_digest=sealed.guard,
         layers=tuple(layer.value for layer in found.layers),
     )
-    if not (directory / "ledger.jsonl").is_file() or not (directory / LOCK).is_file():
-        return Prepared(problem, directory, lock, started, resumes=False)
-    _compare(problem, sealed, directory)
-    return Prepared(problem, directory, lock, started, resumes=True)
+    resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
+    if resumes:
+        _compare(problem, sealed, directory)
+    return Prepared(problem, directory, lock, started, resumes)
 
 
 def search(
@@ -205,6 +203,12 @@ def check_baseline(problem: Problem) -> None:
         check_source(problem.baseline)
     except CandidateError as error:
         raise UserError(f"baseline.py of problem '{problem.name}': {error.reason.advice}") from None
+
+
+def _check(problem: Problem) -> None:
+    check_baseline(problem)
+    _check_budget(problem.budget)
+    make_folds(problem.train, problem.protocol)
 
 
 def _check_budget(budget: Budget) -> None:

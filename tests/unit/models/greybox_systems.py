@@ -72,6 +72,13 @@ def duffing_record(samples: int, seed: int, noise: float = 0.0, sampling_time: f
     return Trajectory(u, y, sampling_time, f"duffing {seed}")
 
 
+def inverted(length: int, seed: int) -> Trajectory:
+    """An unstable pendulum, both states measured."""
+    u = held_steps(length, seed, -0.4, 0.4, hold=3)
+    x = simulated(lambda x, u: np.array([x[1], 2.0 * x[0] + 3.0 * u[0]]), u, np.zeros(2), 0.05)
+    return Trajectory(u, x, 0.05, f"run{seed}")
+
+
 def context_for(physics: Physics | None, inputs: str, outputs: str, sampling_time: float, **more):
     """A context with space-separated signal names and past windows of 5 samples."""
     settings = {"n_past_u": 5, "n_past_y": 5} | more

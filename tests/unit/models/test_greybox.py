@@ -24,6 +24,7 @@ from .greybox_systems import (
     context_for,
     duffing_record,
     held_steps,
+    inverted,
     simulated,
 )
 
@@ -374,13 +375,6 @@ def test_use_before_training_and_wrong_past_windows_are_refused(
         greybox.build(greybox.Config(), duffing_context).simulate(past_u, past_y, u)
     with pytest.raises(ValueError, match="past windows of 4 and 5 samples"):
         duffing.simulate(past_u[:, :4], past_y, u)
-
-
-def inverted(length: int, seed: int) -> Trajectory:
-    """An unstable pendulum, both states measured."""
-    u = held_steps(length, seed, -0.4, 0.4, hold=3)
-    x = simulated(lambda x, u: np.array([x[1], 2.0 * x[0] + 3.0 * u[0]]), u, np.zeros(2), 0.05)
-    return Trajectory(u, x, 0.05, f"run{seed}")
 
 
 def test_measured_states_start_the_windows_of_an_unstable_system() -> None:

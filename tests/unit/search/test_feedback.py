@@ -18,7 +18,7 @@ from asia.evaluation import _evaluator as evaluator_module
 from asia.ledger import SearchView, open_run
 from asia.mcp._answers import shown
 from asia.problem.load import load_lock, load_problem, protocol_digest
-from asia.redteam import _probing
+from asia.redteam import _desk, _probing
 from asia.scoring import Failure, Score
 from asia.search import RunDesk, prepare, search, with_early_stopping
 from asia.search._program import program
@@ -165,8 +165,8 @@ def judged_as_without_the_ladder(evaluator: Evaluator, source: str, view: Search
 @pytest.mark.parametrize(
     ("spoil", "part", "otherwise"),
     [
-        (_probing.forgetful, "judge", judged_as_without_the_ladder),
-        (_probing.one_start(0.35), "published", lambda view: view),
+        (_desk.forgetful, "judge", judged_as_without_the_ladder),
+        (_desk.one_start(0.35), "published", lambda view: view),
     ],
 )
 def test_spoilt_candidates_tell_nothing(
@@ -178,7 +178,7 @@ def test_spoilt_candidates_tell_nothing(
     ladder = _probing.Ladder(spoil)
     start = _probing.exact(np.zeros_like(_probing.hidden_error()))
     assert _probing.exact(_probing.bisect(ladder.ask, ladder.doubt)) == start
-    monkeypatch.setattr(_probing, part, otherwise)
+    monkeypatch.setattr(_desk, part, otherwise)
     leaking = _probing.Ladder(spoil)
     assert _probing.exact(_probing.bisect(leaking.ask, leaking.doubt)) < 0.85 * start
 

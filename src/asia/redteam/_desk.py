@@ -1,0 +1,92 @@
+"""A search that hears nothing but scores, to be asked over and over; its own rules decide what is
+judged, kept and told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from asia.errors import Reason
+from asia.evaluation import Evaluation, Evaluator, FoldResult
+from asia.ledger import Evaluated, Event, Proposed, Started, published, replay
+from asia.scoring import Failure, Score
+from asia.search._loop import judge
+from asia.search._rules import decide
+
+HALVINGS = 15
+
+Spoil = Callable[[Score], Failure | None]
+
+
+class Desk:
+    """A search with a Ladder of this step, or none."""
+
+    def __init__(self, ladder: float | None) -> None:
+        self._events: list[Event] = [_started(ladder)]
+
+    def submit(self, score: Score, spoil: Spoil | None = None) -> Evaluated:
+        """What is told of a candidate with this score; spoil: how it breaks a relation."""
+        view, evaluator = replay(self._events), _Known(score, spoil)
+        number, outcome = len(view.experiments) + 1, judge(evaluator, "", view).outcome
+        name, status = str(number), decide(outcome, view)
+        proposed = Proposed(number, None, "explore", "probe", name, "h", "e", name, name)
+        self._events += [proposed, Evaluated(number, status, outcome, (), None, 0.0)]
+        result = published(replay(self._events)).experiment(number).result
+        assert result is not None
+        return result
+
+
+def turn(doubt: Callable[[float], bool], most: float) -> float:
+    """Where a verdict turns, by halving: the largest share in [0, most] found to be doubted."""
+    low, high = 0.0, most
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if doubt(middle) else (low, middle)
+    return low
+
+
+def forgetful(score: Score) -> Failure | None:
+    """Answers otherwise when asked again, whatever it scores."""
+    del score
+    return Failure(Reason.SUSPECT, "replay: the same case asked again is answered otherwise", 1)
+
+
+def one_start(bound: float) -> Spoil:
+    """From later starts so far off that the check fails where its own V is below `bound`."""
+    words = "restart: started later on the same record the simulation is far worse"
+    failure = Failure(Reason.RESTART, words, 1)
+    return lambda score: failure if score.value < bound else None
+
+
+class _Known(Evaluator):
+    """Comes to a score that is known without a worker, and to an objection."""
+
+    def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
+        self._known, self._spoil = score, spoil
+
+    def evaluate(self, source: str) -> Evaluation:
+        """The score."""
+        return Evaluation(self._known)
+
+    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """As the candidate wants it."""
+        return None if self._spoil is None else self._spoil(self._known)
+
+
+def _started(ladder: float | None) -> Started:
+    digest = "0" * 64
+    return Started(
+        run="probe",
+        problem="probe",
+        agent="probe",
+        seed=0,
+        experiments=1000,
+        hours=None,
+        outputs=("y",),
+        lock_digest=digest,
+        protocol_digest=digest,
+        test_digest=None,
+        isolation="process",
+        isolation_notes=(),
+        environment={},
+        ladder=ladder,
+    )
