@@ -18,7 +18,7 @@ from scipy.optimize import isotonic_regression
 
 from asia.ledger import Control, Experiment, SearchView
 from asia.problem import Array
-from asia.report._style import BLUE, FAINT, INK, QUIET, RED, WIDTH, number, plain, quiet_grid
+from asia.report._style import BLUE, FAINT, GREEN, INK, QUIET, RED, WIDTH, number, plain, quiet_grid
 from asia.report._tags import Surroundings, Tag, place
 from asia.scoring import Score
 
@@ -40,21 +40,21 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Search:
-    """What is drawn: kept, discarded and off-scale experiments, numbers of the failed ones, rungs
-    as (name, V), and the number of experiments."""
+    """What is drawn: kept, discarded and off-scale experiments, those on the guard records, numbers
+    of the failed ones, rungs as (name, V), and the number of experiments."""
 
     kept: tuple[_Point, ...]
     discarded: tuple[_Point, ...]
     beyond: tuple[_Point, ...]
+    guard: tuple[_Point, ...]
     failed: tuple[int, ...]
     rungs: tuple[tuple[str, float], ...]
     count: int
 
     @property
     def values(self) -> tuple[float, ...]:
-        return tuple(p.value for p in (*self.kept, *self.discarded)) + tuple(
-            v for _, v in self.rungs
-        )
+        points = (*self.kept, *self.discarded, *self.guard)
+        return (*(p.value for p in points), *(v for _, v in self.rungs))
 
     @property
     def log(self) -> bool:
@@ -63,8 +63,8 @@ class _Search:
 
 def draw_progress(view: SearchView, metric: str, beside: Control | None = None) -> Figure:
     """A point each experiment, the incumbent as a step line, failures as crosses on the upper
-    edge, tags at improvements, the rungs and the control arm `beside` as thin lines. metric: `rmse`
-    or `mae`."""
+    edge, the last look at the guard as diamonds, tags at improvements, the rungs and the control
+    arm `beside` as thin lines. metric: `rmse` or `mae`."""
     search = _gather(view, beside)
     figure = Figure(figsize=(WIDTH, _HEIGHT), layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -94,16 +94,27 @@ def _gather(view: SearchView, beside: Control | None) -> _Search:
     scored = [(e, e.score.value) for e in view.finished if e.score]
     kept = tuple(_point(e, v) for e, v in scored if _is_kept(e))
     others = [_point(e, v) for e, v in scored if not _is_kept(e)]
+    guard = _guarded(view)
     usual = [v for _, v in rungs] + [p.value for p in kept]
     ceiling = _OFF_SCALE * max(usual, default=float("inf"))
     return _Search(
         kept,
         tuple(p for p in others if p.value <= ceiling),
-        tuple(p for p in others if p.value > ceiling),
+        tuple(p for p in (*others, *guard) if p.value > ceiling),
+        tuple(p for p in guard if p.value <= ceiling),
         tuple(e.number for e in view.finished if e.failure),
         rungs,
         max((e.number for e in view.finished), default=0),
     )
+
+
+def _guarded(view: SearchView) -> list[_Point]:
+    scores = view.looks[-1].scores if view.looks else ()
+    return [
+        _Point(s.experiment, s.outcome.value, "guard")
+        for s in scores
+        if isinstance(s.outcome, Score)
+    ]
 
 
 def _is_kept(e: Experiment) -> bool:
@@ -167,6 +178,11 @@ def _mark(axes: Axes, search: _Search) -> None:
     if search.discarded:
         x, y = [p.number for p in search.discarded], [p.value for p in search.discarded]
         axes.plot(x, y, "o", mfc="white", mec=QUIET, ms=5.0, zorder=4, label="discarded")
+    if search.guard:
+        x, y = [p.number for p in search.guard], [p.value for p in search.guard]
+        axes.plot(
+            x, y, "D", mfc="white", mec=GREEN, mew=1.4, ms=5.0, zorder=6, label="guard records"
+        )
     for numbers, marker, colour, label in (
         ([p.number for p in search.beyond], "^", QUIET, "off scale"),
         (search.failed, "x", RED, "failed, no score"),
@@ -278,7 +294,7 @@ def _most_telling(kept: Sequence[_Point]) -> list[_Point]:
 def _surroundings(axes: Axes, search: _Search, dpi: float) -> Surroundings:
     frame = axes.get_window_extent()
     to_pixels = axes.transData.transform
-    shown = [(p.number, p.value) for p in (*search.kept, *search.discarded)]
+    shown = [(p.number, p.value) for p in (*search.kept, *search.discarded, *search.guard)]
     left, right = axes.get_xlim()
     lines: list[Array] = [to_pixels([(left, v), (right, v)]).ravel() for _, v in search.rungs]
     for a, b in zip(search.kept, (*search.kept[1:], None), strict=True):

@@ -14,6 +14,8 @@ from asia.ledger import (
     Chain,
     Evaluated,
     FoldRecord,
+    GuardLooked,
+    GuardScore,
     Proposed,
     RungScored,
     Started,
@@ -91,9 +93,11 @@ def write_run(
     outcomes: Outcomes,
     rungs: Sequence[tuple[str, float]] = (("linear model", 0.345), ("last output held", 1.21)),
     unsealed: int = 0,
+    guard: Sequence[tuple[int, float]] = (),
 ) -> Path:
     """A run directory. outcomes: title and V of each experiment, None for a failure; V is not what
-    the artifacts would score. unsealed: number of test trajectories, 0 leaves the test sealed."""
+    the artifacts would score. unsealed: number of test trajectories, 0 leaves the test sealed.
+    guard: experiments and what they score there."""
     folds = make_folds(problem.train, problem.protocol)
     store = Store(directory / "artifacts")
     best = float("inf")
@@ -121,6 +125,9 @@ def write_run(
             )
             best = min(best, value)
         chain.append(Stopped("budget"))
+        if guard:
+            scores = [GuardScore(n, _score(folds, problem, value)[0]) for n, value in guard]
+            chain.append(GuardLooked(1, tuple(scores), guard[-1][0]))
         if unsealed:
             chain.append(_opened(store, problem, unsealed))
     return directory

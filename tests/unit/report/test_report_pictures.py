@@ -128,6 +128,20 @@ def test_progress_shows_what_the_ledger_tells(tmp_path: Path) -> None:
     assert axes.get_yscale() == "log"
 
 
+def test_progress_shows_the_guard(tmp_path: Path) -> None:
+    run = write_run(
+        tmp_path / "run", make_problem(Shape()), FIVE, RUNGS, guard=[(4, 0.3), (5, 9e4)]
+    )
+    with drawing():
+        _, draw = next(pictures(open_run(run), make_problem(Shape())))
+        figure = draw()
+        assert_readable(figure)
+    curves = {line.get_label(): line for line in figure.axes[0].get_lines()}
+    assert list(curves["guard records"].get_xdata()) == [4]
+    assert list(curves["guard records"].get_ydata()) == [0.3]
+    assert list(curves["off scale"].get_xdata()) == [5]
+
+
 def test_a_huge_value_does_not_squeeze_the_others(tmp_path: Path) -> None:
     outcomes = [*FIVE, ("diverges", 3e5)]
     figure = draw_all(tmp_path / "run", Shape(), outcomes, 0)["progress"]
