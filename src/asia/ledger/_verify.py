@@ -121,5 +121,5 @@ def _artifacts(event: Event) -> Iterator[str]:
             for record in (event.ensemble, event.refit):
                 if isinstance(record, TestRecord):
                     yield record.y_hat
-        case Started() | _:
+        case _:
             return

@@ -12,7 +12,7 @@ from dataclasses import asdict
 from asia.errors import SandboxError
 from asia.redteam._types import Finding, Verdict
 from asia.sandbox import Isolation, why_not
-from asia.sandbox._namespace import walls
+from asia.sandbox._namespace import worker_walls
 from asia.sandbox._surroundings import interpreter
 
 # Numbers of processes that an inner namespace has too would be mistaken for those in it.
@@ -36,7 +36,7 @@ def inside(job: Sequence[str], *, nested: bool = False) -> Iterator[Finding]:
     if reason is not None:
         raise SandboxError(f"attacks run unprotected in an outer sandbox only, and {reason}")
     python = [interpreter(), "-B", "-m", "asia.redteam", *job]
-    command = [*_command(nested), "--", "/bin/sh", "-c", _HIGH_PID, "sh", *python]
+    command = [*outer_command(nested), "--", "/bin/sh", "-c", _HIGH_PID, "sh", *python]
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, env={}, cwd="/"
     ) as process:
@@ -63,17 +63,11 @@ def read_finding(line: str) -> Finding:
     return Finding(verdict=Verdict(body.pop("verdict")), stops=stops, without=without, **body)
 
 
-def _command(nested: bool) -> list[str]:
+def outer_command(nested: bool) -> list[str]:
     """Command line up to the program. Workers with namespaces of their own need /proc whole, which
     the one that unshare mounts is and bubblewrap's is not."""
     bwrap = shutil.which("bwrap")
     assert bwrap is not None
-    options = [word for word in walls() if word != "--disable-userns"]
-    place = options.index("/tmp")
-    options[place - 2] = str(_TMP_BYTES)
-    if not nested:
-        return [bwrap, *options]
-    options.remove("--unshare-pid")
-    place = options.index("--proc")
-    options[place : place + 4] = ["--bind", "/proc", "/proc"]
-    return ["unshare", "-Urpf", "--mount-proc", bwrap, *options]
+    options = worker_walls(_TMP_BYTES, shared=("pid",) if nested else (), nesting=True)
+    unshare = ["unshare", "-Urpf", "--mount-proc"] if nested else []
+    return [*unshare, bwrap, *options]

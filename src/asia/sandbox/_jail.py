@@ -8,13 +8,14 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from asia.sandbox._surroundings import code_folders, interpreter, interpreter_links
+from asia.sandbox._namespace import walls
+from asia.sandbox._surroundings import code_folders, interpreter
 
 INSIDE = "/workspace"
 SOCKET_FOLDER = "/run/asia"
 _HOME = "/home/agent"
-_ETC = ("ld.so.cache", "localtime", "alternatives", "ssl/certs", "ssl/openssl.cnf",
-        "ca-certificates", "pki/tls/certs", "pki/ca-trust", "crypto-policies")  # fmt: skip
+_ETC = ("ssl/certs", "ssl/openssl.cnf", "ca-certificates", "pki/tls/certs", "pki/ca-trust",
+        "crypto-policies")  # fmt: skip
 _TMPFS_BYTES = 2 * 1024**3
 _SHM_BYTES = 256 * 1024**2
 _FILE_BYTES = 1024**3
@@ -43,37 +44,18 @@ class Jail:
 
     def command(self, arguments: list[str]) -> list[str]:
         """The command line that runs `arguments` inside."""
-        bwrap = shutil.which("bwrap") or "bwrap"
-        options = [f"--unshare-{w}" for w in ("user", "ipc", "pid", "uts", "cgroup-try")]
-        options += [] if self.network else ["--unshare-net"]
-        options += ["--disable-userns", "--die-with-parent", "--new-session"]
-        options += ["--ro-bind", "/usr", "/usr", "--dir", "/etc"]
-        for name in ("/bin", "/sbin", "/lib", "/lib32", "/lib64"):
-            if os.path.islink(name):
-                options += ["--symlink", os.readlink(name), name]
-            elif os.path.isdir(name):
-                options += ["--ro-bind", name, name]
-        for name in (*_ETC, *(_NET if self.network else ())):
-            options += ["--ro-bind-try", f"/etc/{name}", f"/etc/{name}"]
-        options += ["--proc", "/proc", "--remount-ro", "/proc", "--dev", "/dev"]
-        options += ["--size", str(_SHM_BYTES), "--tmpfs", "/dev/shm"]
-        for place in ("/tmp", _HOME):
-            options += ["--size", str(_TMPFS_BYTES), "--tmpfs", place]
-        options += ["--dir", SOCKET_FOLDER]
-        for outside, inside in code_folders():
-            options += ["--ro-bind", outside, inside]
-        for target, place in interpreter_links():
-            options += ["--symlink", target, place]
-        for path in self.mounts:
-            options += ["--ro-bind", str(path), str(path)]
+        memory = {"/dev/shm": _SHM_BYTES, "/tmp": _TMPFS_BYTES, _HOME: _TMPFS_BYTES}
+        files = [f"/etc/{name}" for name in (*_ETC, *(_NET if self.network else ()))]
+        shown = [word for path in self.mounts for word in ("--ro-bind", str(path), str(path))]
         for path in self.configs:
-            options += ["--bind", str(path), f"{_HOME}/{path.name}"]
-        options += ["--ro-bind", str(self.socket), SOCKET_FOLDER]
-        options += ["--bind", str(self.workspace), INSIDE, "--chdir", INSIDE]
-        options += ["--remount-ro", "/", "--cap-drop", "ALL"]
+            shown += ["--bind", str(path), f"{_HOME}/{path.name}"]
+        shown += ["--ro-bind", str(self.socket), SOCKET_FOLDER]
+        shown += ["--bind", str(self.workspace), INSIDE, "--chdir", INSIDE]
+        shared = ("net",) if self.network else ()
+        options = walls(memory, SOCKET_FOLDER, shown, files=files, shared=shared)
         options += ["--uid", "1000", "--gid", "1000", "--hostname", "workspace"]
-        limited = [interpreter(), "-I", "-S", "-c", _LIMITED]
-        return [bwrap, *options, "--", *limited, *arguments]
+        options += ["--", interpreter(), "-I", "-S", "-c", _LIMITED]
+        return [shutil.which("bwrap") or "bwrap", *options, *arguments]
 
     def find(self, program: str) -> str | None:
         """Path of a program that can be run inside, None where there is none."""

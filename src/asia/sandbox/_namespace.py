@@ -16,7 +16,8 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from typing import Literal
 
 from asia.errors import SandboxError
 from asia.sandbox._cell import Cell, PipePairs, kill_quietly, parent_ends, start
@@ -30,6 +31,7 @@ from asia.sandbox._surroundings import (
 )
 from asia.sandbox._types import Layer, Limits
 
+Shared = Literal["net", "pid"]
 _HOME = "/tmp/scratch"
 _TMP_BYTES = 64 * 1024 * 1024
 _SHM_BYTES = 16 * 1024 * 1024
@@ -49,7 +51,7 @@ def why_not() -> str | None:
         found = re.search(r"(\d+)\.(\d+)", version.stdout)
         if found is None or (int(found[1]), int(found[2])) < _OLDEST:
             return f"bubblewrap 0.8 or newer is needed, found '{version.stdout.strip()}'"
-        trial = _run([bwrap, *walls(), "--", interpreter(), "-I", "-S", "-c", "pass"])
+        trial = _run([bwrap, *worker_walls(), "--", interpreter(), "-I", "-S", "-c", "pass"])
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"bubblewrap did not start: {error}"
     if trial.returncode != 0:
@@ -66,7 +68,7 @@ def open_cell(limits: Limits, layers: Collection[Layer]) -> Cell:
     pipes = PipePairs(os.pipe(), os.pipe())
     info, info_write = os.pipe()
     worker = child_command(*pipes.child_ends, limits, layers)
-    command = [bwrap, *walls(), "--info-fd", str(info_write), "--", *worker]
+    command = [bwrap, *worker_walls(), "--info-fd", str(info_write), "--", *worker]
     try:
         # env={}: bwrap stays process 1 inside, where its environment can be read.
         process = start(command, pipes, env={}, cwd="/", also_pass=(info_write,))
@@ -104,32 +106,53 @@ def open_cell(limits: Limits, layers: Collection[Layer]) -> Cell:
     )
 
 
-def walls() -> list[str]:
-    """bwrap options, up to the command."""
-    options = [f"--unshare-{what}" for what in ("user", "ipc", "pid", "net", "uts", "cgroup-try")]
-    options += ["--disable-userns", "--die-with-parent", "--new-session"]
-    options += ["--ro-bind", "/usr", "/usr"]
+def worker_walls(
+    tmp_bytes: int = _TMP_BYTES, *, shared: Collection[Shared] = (), nesting: bool = False
+) -> list[str]:
+    """bwrap options of a worker, up to the command. `shared`, `nesting`: as of `walls`."""
+    memory = {"/dev/shm": _SHM_BYTES, "/tmp": tmp_bytes}
+    options = walls(memory, _HOME, ["--chdir", _HOME], shared=shared, nesting=nesting)
+    options += ["--uid", "65534", "--gid", "65534", "--hostname", "sandbox", "--clearenv"]
+    for name, value in environment(_HOME).items():
+        options += ["--setenv", name, value]
+    return options
+
+
+def walls(
+    memory: Mapping[str, int],
+    folder: str,
+    shown: Collection[str],
+    *,
+    files: Collection[str] = (),
+    shared: Collection[Shared] = (),
+    nesting: bool = False,
+) -> list[str]:
+    """bwrap options that show code alone, read-only. memory: bytes of each file system in memory;
+    folder: one to make; shown: options after the code's; files: of the system, where they exist;
+    shared: namespaces that stay the caller's, with its /proc; nesting: whether more can be made."""
+    spaces = ("user", "ipc", "pid", "net", "uts", "cgroup-try")
+    options = [f"--unshare-{space}" for space in spaces if space not in shared]
+    options += [] if nesting else ["--disable-userns"]
+    options += ["--die-with-parent", "--new-session", "--ro-bind", "/usr", "/usr"]
     for name in ("/bin", "/sbin", "/lib", "/lib32", "/lib64"):
         if os.path.islink(name):
             options += ["--symlink", os.readlink(name), name]
         elif os.path.isdir(name):
             options += ["--ro-bind", name, name]
     options += ["--dir", "/etc"]
-    for name in SYSTEM_FILES:
+    for name in (*SYSTEM_FILES, *files):
         options += ["--ro-bind-try", name, name]
     # A root of the host owns /proc/sys inside too: without the remount it could write there.
-    options += ["--proc", "/proc", "--remount-ro", "/proc", "--dev", "/dev"]
-    options += ["--size", str(_SHM_BYTES), "--tmpfs", "/dev/shm"]
-    options += ["--size", str(_TMP_BYTES), "--tmpfs", "/tmp", "--dir", _HOME]
+    own = ["--proc", "/proc", "--remount-ro", "/proc"]
+    options += [*(["--bind", "/proc", "/proc"] if "pid" in shared else own), "--dev", "/dev"]
+    for place, most in memory.items():
+        options += ["--size", str(most), "--tmpfs", place]
+    options += ["--dir", folder]
     for outside, inside in code_folders():
         options += ["--ro-bind", outside, inside]
     for target, place in interpreter_links():
         options += ["--symlink", target, place]
-    options += ["--chdir", _HOME, "--remount-ro", "/", "--cap-drop", "ALL"]
-    options += ["--uid", "65534", "--gid", "65534", "--hostname", "sandbox", "--clearenv"]
-    for name, value in environment(_HOME).items():
-        options += ["--setenv", name, value]
-    return options
+    return [*options, *shown, "--remount-ro", "/", "--cap-drop", "ALL"]
 
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
