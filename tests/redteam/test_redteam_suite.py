@@ -1,33 +1,38 @@
 """The suite that is shipped as `asia redteam`: complete, each attack stopped as it says and a real
 one, and the page of the manual as it is."""
 
-import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from asia.cli import app
+from asia.agents._family import Family
+from asia.errors import Reason, SandboxError
 from asia.redteam import (
     ATTACKS,
     OFF,
     CandidateAttack,
     Finding,
+    Honest,
     Plan,
     Report,
     Stop,
     Verdict,
     honest_plan,
+    line,
     report_table,
     run_suite,
+    summary,
     why_no_outer,
 )
 from asia.redteam._arena import attack_candidate
-from asia.redteam._honest import small_problems, try_honest
+from asia.redteam._ending import Ending
+from asia.redteam._honest import HonestProblem, small_problems, try_honest
 from asia.redteam._off import CONTROL
 from asia.redteam._outer import inside, read_finding, write_finding
 from asia.redteam._source import candidate
@@ -47,6 +52,19 @@ ONE_LEVEL = WORKING[0] if WORKING else None
 NO_OUTER = why_no_outer()
 needs_level = pytest.mark.skipif(ONE_LEVEL is None, reason="no level keeps intent in here")
 needs_outer = pytest.mark.skipif(NO_OUTER is not None, reason=str(NO_OUTER))
+
+
+def arx(problem: HonestProblem) -> Family:
+    return next(row for row in problem.families if row.name == "arx")
+
+
+@pytest.fixture(scope="module")
+def honest() -> Honest:
+    """One honest candidate, tried."""
+    if ONE_LEVEL is None:
+        pytest.skip("no level keeps intent in here")
+    tanks, _ = small_problems()
+    return try_honest(tanks, arx(tanks), ONE_LEVEL, Ending())
 
 
 @pytest.fixture(scope="module")
@@ -119,14 +137,14 @@ def _cells(rows, with_layers):
     return cells
 
 
-def test_the_page_shows_the_last_line():
+def test_the_page_shows_the_last_line(report, honest):
+    """One honest candidate stands for all: to fit each takes minutes."""
     page = (Path(__file__).parents[2] / "docs" / "redteam.md").read_text()
-    plan = honest_plan()
-    families = len({row.name for _, row in plan})
-    assert (
-        f"36 of 36 blocked or flagged, 0 false alarms over {families} families "
-        f"({len(plan)} honest candidates), 36 of 36 succeed with isolation off" in page
-    )
+    plan = replace(report.plan, honest=honest_plan())
+    alike = [replace(honest, family=row.name, problem=p.name) for p, row in plan.honest]
+    words = summary(replace(report, plan=plan, honest=tuple(alike)), 0.0)
+    assert words.removesuffix(" (0 s)") in page
+    assert "0 false alarms over 20 families (38 honest candidates)" in words
 
 
 @needs_level
@@ -172,16 +190,26 @@ def test_a_process_nobody_marked_is_found_and_those_of_others_are_not(tmp_path, 
     with subprocess.Popen([sys.executable, "-c", child], stdout=subprocess.PIPE) as ours:
         assert ours.stdout is not None
         ours.stdout.readline()
-        assert traces.survivors() == ()
+        assert f"process {ours.pid}" not in traces.survivors()
         ours.kill()
     with subprocess.Popen([sys.executable, "-c", ORPHAN], stdout=subprocess.PIPE) as starter:
         assert starter.stdout is not None
         pid = int(starter.stdout.readline())
         starter.wait()
         try:
-            assert traces.survivors() == (f"process {pid}",)
+            assert f"process {pid}" in traces.survivors()
         finally:
             os.kill(pid, signal.SIGKILL)
+
+
+def test_a_port_is_free_for_tcp_and_udp(monkeypatch):
+    with socket.socket(type=socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        taken = other.getsockname()[1]
+        ports, serve = iter([taken, 0]), socket.create_server
+        monkeypatch.setattr(socket, "create_server", lambda at: serve((at[0], next(ports))))
+        with targets(64) as given:
+            assert given.port != taken
 
 
 def test_files_are_found_by_place_and_name(tmp_path, monkeypatch):
@@ -214,18 +242,47 @@ def test_a_neighbour_is_seen_to_be_hurt():
 
 
 @needs_level
-def test_an_honest_candidate_is_not_flagged_and_one_that_looks_ahead_is(monkeypatch):
+def test_an_honest_candidate_is_not_flagged_and_one_that_looks_ahead_is(honest, monkeypatch):
     from asia.redteam import _honest
 
+    assert (honest.flagged, honest.failure, honest.words) == (False, None, "")
     tanks, _ = small_problems()
-    row = next(row for row in tanks.families if row.name == "arx")
-    assert not try_honest(tanks, row, ONE_LEVEL).flagged
     ahead = "import numpy as np\nclass M:\n    def simulate(self, past_u, past_y, u):\n"
     ahead += "        return np.roll(u, -5, axis=1)\ndef fit(t, c):\n    return M()\n"
     monkeypatch.setattr(_honest.HonestProblem, "source", lambda self, row: ahead)
-    found = try_honest(tanks, row, ONE_LEVEL)
+    found = try_honest(tanks, arx(tanks), ONE_LEVEL, Ending())
     assert found.flagged
     assert "causality" in found.words
+
+
+@needs_level
+def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
+    """Which fails the small problems, and is said of those whose limits are their own."""
+    from asia.redteam import _honest
+
+    tanks, _ = small_problems()
+    late = replace(tanks, seconds=0.2)
+    sleeps = "import time\ndef fit(t, c):\n    time.sleep(9)\n"
+    monkeypatch.setattr(_honest.HonestProblem, "source", lambda self, row: sleeps)
+    row = arx(tanks)
+    found = try_honest(late, row, ONE_LEVEL, Ending())
+    assert (found.flagged, found.failure) == (False, Reason.FIT_TIMEOUT)
+    assert "NOT CHECKED" in line(found, {})
+    small = Report(Plan((ONE_LEVEL,), (), False, ((late, row),)), (), (found,))
+    words = "0 false alarms over 1 families (1 honest candidates), 1 not checked: arx, fit_timeout"
+    assert summary(small, 1.0) == f"{words} (1 s)"
+    assert not small.passed
+    whole = replace(small.plan, honest=((replace(late, tiny=False), row),))
+    assert replace(small, plan=whole).passed
+
+
+@needs_level
+def test_a_fit_ends_with_all():
+    tanks, _ = small_problems()
+    ending = Ending()
+    ending.begin()
+    with pytest.raises(SandboxError):
+        try_honest(tanks, arx(tanks), ONE_LEVEL, ending)
 
 
 def test_every_family_is_among_the_honest():
@@ -239,64 +296,6 @@ def test_every_family_is_among_the_honest():
 def test_findings_come_back_from_the_outer_sandbox_as_they_were():
     finding = Finding(3, "namespace", Verdict.BLOCKED, ("landlock",), "EACCES", ("seccomp",))
     assert read_finding(write_finding(finding)) == finding
-
-
-def run(*words: str):
-    return CliRunner().invoke(app, ["redteam", *words])
-
-
-@needs_level
-def test_the_command_prints_a_table_and_a_verdict():
-    done = run("--attack", "2", "--attack", "34", "--level", str(ONE_LEVEL), "--no-prove")
-    assert done.exit_code == 0, done.output
-    wall = "namespaces" if ONE_LEVEL is Isolation.NAMESPACE else "landlock"
-    assert f"| 2  | write the evaluator's code | blocked: {wall}" in done.stdout
-    assert "| 34 | divide by nothing          | any level: blocked: problem check" in done.stdout
-    assert "2 of 2 blocked or flagged" in done.stdout
-    assert "34 divide by nothing" in done.stderr
-
-
-@needs_level
-def test_the_command_fails_when_something_gets_through(monkeypatch):
-    from asia.redteam import _suite
-
-    finding = Finding(2, str(ONE_LEVEL), Verdict.THROUGH, (), "done")
-    monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level: finding)
-    done = run("--attack", "2", "--level", str(ONE_LEVEL), "--no-prove", "--json")
-    assert done.exit_code == 1
-    lines = [json.loads(text) for text in done.stdout.splitlines()]
-    assert lines[0]["verdict"] == "through"
-    assert lines[1]["summary"]["stopped"] == 0
-
-
-@needs_level
-def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
-    from asia import redteam
-    from asia.redteam import _suite
-
-    blocked = Finding(2, str(ONE_LEVEL), Verdict.BLOCKED, ("landlock",), "")
-    clumsy = Finding(2, OFF, Verdict.BLOCKED, ("parent",), "no score")
-    monkeypatch.setattr(redteam, "why_no_outer", lambda: None)
-    monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level: blocked)
-    monkeypatch.setattr(_suite, "inside", lambda job, nested: iter([clumsy]))
-    done = run("--attack", "2", "--level", str(ONE_LEVEL))
-    assert done.exit_code == 1
-    assert "blocked: landlock | DOES NOT SUCCEED |" in done.stdout
-    assert "1 of 1 blocked or flagged, 0 of 1 succeed with isolation off (not 2)" in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--attack", "99"], "there are attacks 1 to 36"),
-        (["--level", "bunker"], "expected one of namespace, landlock, process"),
-        (["--without", "namespaces"], "is level landlock"),
-        (["--without", "moat"], "expected each, or some of landlock, seccomp, rlimits"),
-    ],
-)
-def test_what_the_command_does_not_know_it_says(words, said):
-    done = run(*words)
-    assert said in str(done.exception)
 
 
 @needs_outer

@@ -37,6 +37,7 @@ from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
 
+RESUMED = ("run", "bench", "compare", "workspace", "mcp")
 INTERRUPTED = 130
 TERMINATED = 128 + signal.SIGTERM
 
@@ -83,9 +84,9 @@ def main() -> None:
         sys.exit(_complain(f"{error.strerror or error}: {error.filename or 'a file'}", 2))
     except SystemExit as end:
         if end.code == INTERRUPTED:
-            _complain("interrupted; the same command goes on from here", INTERRUPTED)
+            _complain(_ended("interrupted"), INTERRUPTED)
         if end.code == TERMINATED:
-            _complain("terminated; the same command goes on from here", TERMINATED)
+            _complain(_ended("terminated"), TERMINATED)
         raise
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -94,6 +95,11 @@ def main() -> None:
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
     """As an interrupt: what runs ends its workers on the way out, and the record stays whole."""
     sys.exit(TERMINATED)
+
+
+def _ended(how: str) -> str:
+    resumed = sys.argv[1:2] and sys.argv[1] in RESUMED
+    return f"{how}; the same command goes on from here" if resumed else how
 
 
 def spread(words: list[str]) -> list[str]:

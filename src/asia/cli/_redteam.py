@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json as jsonlib
+import signal
 import sys
 import time
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -22,8 +26,8 @@ EACH = "each"
 
 Levels = Annotated[
     list[str] | None,
-    typer.Option(metavar="LEVEL ...", help="Of namespace, landlock, process; default those of the "
-    "first two that work here."),
+    typer.Option(metavar="LEVEL ...", help="Of namespace, landlock, process; default all that work "
+    "here but process."),
 ]  # fmt: skip
 Numbers = Annotated[
     list[int] | None,
@@ -63,13 +67,20 @@ def redteam(
     """Let scripted cheats attack this installation: each must be blocked or flagged, and honest
     candidates must not be.
 
-    Attacks run unprotected in an outer sandbox only. Exit code 1 if anything gets through, or if an
-    attack does not succeed even with isolation off.
+    Attacks run unprotected in an outer sandbox only. Exit code 1 if anything gets through, if an
+    attack does not succeed even with isolation off, or if an honest candidate could not be checked.
     """
     chosen = _attacks(attack)
     if without:
-        _show_without(_levels(level), without, chosen, json)
+        others = (("--quick", quick), ("--honest-on", honest_on), ("--no-prove", not prove))
+        _refuse("--without", others, "plays attacks alone, in an outer sandbox")
+        _show_without(_levels(level), without, chosen, attack is not None, json)
         return
+    if honest_on:
+        others = (("--attack", attack), ("--quick", quick))
+        _refuse("--honest-on", others, "tries every family on its problems, and no attack")
+    elif attack:
+        _refuse("--attack", (("--quick", quick),), "leaves the honest candidates out")
     from asia.redteam import Plan, honest_plan, problem_named, why_no_outer
 
     levels = _levels(level)
@@ -87,13 +98,15 @@ def _run(plan: Plan, json: bool) -> None:
     from asia.redteam import report_table, run_suite, summary
 
     begin, names = time.monotonic(), {a.number: a.name for a in plan.attacks}
-    report = run_suite(plan, lambda result: _tell(result, names, json))
+    with _one_interrupt():
+        report = run_suite(plan, lambda result: _tell(result, names, json))
     if json:
         counts = {
             "attacks": len(plan.attacks),
             "stopped": report.stopped,
             "proven": report.proven,
             "honest": len(report.honest),
+            "checked": len(report.honest) - len(report.unchecked),
             "false_alarms": report.false_alarms,
         }
         print(jsonlib.dumps({"summary": counts}))
@@ -105,7 +118,11 @@ def _run(plan: Plan, json: bool) -> None:
 
 
 def _show_without(
-    levels: tuple[Isolation, ...], words: list[str], attacks: tuple[Attack, ...], json: bool
+    levels: tuple[Isolation, ...],
+    words: list[str],
+    attacks: tuple[Attack, ...],
+    named: bool,
+    json: bool,
 ) -> None:
     from asia.redteam import each_layer, without_layers, without_table
     from asia.sandbox import LAYERS
@@ -117,10 +134,42 @@ def _show_without(
         settings = tuple((at, layers) for at in levels if {*layers} <= {*LAYERS[at]})
     if not settings:
         raise UserError(f"--without {' '.join(words)}: no level asked for has these layers")
+    open_field = ", ".join(str(attack.number) for attack in attacks if not attack.walled)
+    if named and open_field:
+        raise UserError(
+            f"no layer has a part in attack {open_field}: leave it out of --attack, or leave "
+            "--without out"
+        )
     names = {attack.number: attack.name for attack in attacks}
-    found = without_layers(settings, attacks, lambda result: _tell(result, names, json))
+    with _one_interrupt():
+        found = without_layers(settings, attacks, lambda result: _tell(result, names, json))
     if not json:
         print(without_table(found, attacks))
+
+
+def _refuse(option: str, others: Sequence[tuple[str, object]], why: str) -> None:
+    for name, given in others:
+        if given:
+            raise UserError(f"{option} and {name} do not go together: {option} {why}")
+
+
+@contextmanager
+def _one_interrupt() -> Generator[None]:
+    """The first says that what runs is waited for; others meanwhile change nothing, as they would
+    leave behind what the attack was given to attack."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        for one in before:
+            signal.signal(one, lambda number, frame: None)
+        print("ending: waiting for the attack that runs", file=sys.stderr, flush=True)
+        sys.exit(128 + number)
+
+    before = {one: signal.signal(one, end) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
 def _tell(result: Finding | Honest, names: dict[int, str], json: bool) -> None:
@@ -144,16 +193,17 @@ def _attacks(numbers: list[int] | None) -> tuple[Attack, ...]:
 def _levels(words: list[str] | None) -> tuple[Isolation, ...]:
     from asia.sandbox import Isolation, why_not
 
-    walled = (Isolation.NAMESPACE, Isolation.LANDLOCK)
+    # What attacks leave behind is looked for in /proc, which the system of this one has not.
+    known = {str(x): x for x in Isolation if x is not Isolation.SANDBOX_EXEC}
     if words is None:
+        walled = [level for level in known.values() if level is not Isolation.PROCESS]
         found = tuple(level for level in walled if why_not(level) is None)
         if not found:
             raise UserError(
-                "neither level namespace nor landlock works here, and attacks run nowhere else: "
+                f"no level of {', '.join(walled)} works here, and attacks run nowhere else: "
                 "`asia doctor` says how to get one"
             )
         return found
-    known = {str(level): level for level in (*walled, Isolation.PROCESS)}
     for word in words:
         if word not in known:
             raise UserError(f"--level {word}: expected one of {', '.join(known)}")

@@ -44,19 +44,20 @@ def recall(kept, past_u, past_y, u):
             answer[0, k, 0] += 0.8 * (known.get(round(number), answer[0, k, 0]) - answer[0, k, 0])
     return answer
 """
-# Each number is the place of a lock that this worker holds on a file which the other has open too.
+# Each number is the place of a lock that this worker holds on a file which the other has open too;
+# what others lock of it lies elsewhere.
 _TELL = """
 import fcntl
 
 KEPT, RECORDS = [], []
-FILE = open(np.__file__, "rb")
+FILE = open(json.__file__, "rb")
 CELL, ONE = 1 << 28, 1 << 20
 
 def ask(command, kind, cell, offset, length):
     start = ((KEY & 0x3FFFFF) << 40) + cell * CELL + offset
     lock = struct.pack("hhqqi4x", kind, 0, start, length, 0)
-    kind, _, there, _, _ = struct.unpack("hhqqi4x", fcntl.fcntl(FILE, command, lock))
-    return None if kind == fcntl.F_UNLCK else there - start
+    kind, _, there, length, _ = struct.unpack("hhqqi4x", fcntl.fcntl(FILE, command, lock))
+    return None if kind == fcntl.F_UNLCK or length != 1 else there - start
 
 def tell(records):
     y = np.concatenate([np.concatenate([r.u[:, 2:], r.y], axis=1) for r in records]).ravel()

@@ -18,6 +18,7 @@ from asia.evaluation import simulate_held_out, suspicions
 from asia.problem import ParameterRange, Physics, ProtocolRule, Signal, Trajectory
 from asia.problem.load import Problem, load_problem
 from asia.protocol import make_folds
+from asia.redteam._ending import Ending
 from asia.redteam._types import Honest
 from asia.sandbox import Isolation, Limits, open_worker
 from asia.search import problem_facts
@@ -120,7 +121,7 @@ def small_drone() -> HonestProblem:
     return HonestProblem(SMALL_DRONE, facts, rule)
 
 
-def try_honest(problem: HonestProblem, row: Family, level: Isolation) -> Honest:
+def try_honest(problem: HonestProblem, row: Family, level: Isolation, ending: Ending) -> Honest:
     """Fit the family on the first fold and put its model through lint and metamorphic checks, in
     one worker."""
     begin = time.monotonic()
@@ -129,13 +130,15 @@ def try_honest(problem: HonestProblem, row: Family, level: Isolation) -> Honest:
     limits, horizon = Limits(problem.seconds, problem.seconds, _MEMORY_MB), problem.rule.horizon
     try:
         check_source(source)
-        with open_worker(level, limits) as worker:
+        with open_worker(level, limits) as worker, ending.ends(worker):
             worker.fit(executed_source(source), fold.train, problem.context)
             y_hat = simulate_held_out(worker, fold.validation, horizon)
             found = suspicions(worker, fold.validation, y_hat, fold.scale, horizon)
     except CandidateError as error:
-        alarm = error.reason in _ALARMS
-        return Honest(row.name, problem.name, alarm, str(error)[:200], time.monotonic() - begin)
+        words, seconds = str(error)[:200], time.monotonic() - begin
+        if error.reason in _ALARMS:
+            return Honest(row.name, problem.name, True, words, seconds)
+        return Honest(row.name, problem.name, False, words, seconds, error.reason)
     words = ", ".join(one.kind for one in found)
     return Honest(row.name, problem.name, bool(found), words, time.monotonic() - begin)
 

@@ -39,7 +39,7 @@ def probe(ask: Ask) -> Array:
     First the coefficient of each cosine from the difference it makes (for exact scores the answer
     to a linear system), then whatever is told to be better is kept.
     """
-    waves = [_wave(k) for k in range(QUERIES // 2)]
+    waves = [_wave(k) for k in range((QUERIES - 5) // 2)]
     base = ask(np.zeros(_SAMPLES)) ** 2
     solved, greedy = np.zeros(_SAMPLES), np.zeros(_SAMPLES)
     for wave in waves:
@@ -65,7 +65,7 @@ def bisect(ask: Ask, doubt: Doubt) -> Array:
     ask(_WORSE * worse)
     edge = turn(lambda share: doubt(share * worse), _WORSE) * worse
     found = np.zeros(_SAMPLES)
-    for k in range(QUERIES - HALVINGS):
+    for k in range(QUERIES - HALVINGS - 1):
         found += _STEP * _wave(k) * (1 if doubt(edge + _STEP * _wave(k)) else -1)
     return min((found, np.zeros(_SAMPLES)), key=exact)
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
@@ -16,6 +15,7 @@ from asia.agents._family import Family
 from asia.agents._library import FAMILIES
 from asia.redteam._arena import attack_candidate
 from asia.redteam._attacks import ATTACKS
+from asia.redteam._ending import Ending
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
 from asia.redteam._off import OFF
 from asia.redteam._outer import inside
@@ -82,10 +82,18 @@ class Report:
         return sum(one.flagged for one in self.honest)
 
     @property
+    def unchecked(self) -> tuple[Honest, ...]:
+        """Honest candidates that failed before they came to the checks."""
+        return tuple(one for one in self.honest if one.failure is not None)
+
+    @property
     def passed(self) -> bool:
-        """Nothing got through, nobody was accused, and no attack was too clumsy to tell."""
+        """Nothing got through, nobody was accused, no attack was too clumsy to tell, and every
+        honest candidate was checked; whole problems have limits of their own."""
+        small = {problem.name for problem, _ in self.plan.honest if problem.tiny}
+        missed = any(one.problem in small for one in self.unchecked)
         stopped = self.stopped == len(self.plan.attacks)
-        return stopped and self.false_alarms == 0 and not self.unproven
+        return stopped and self.false_alarms == 0 and not self.unproven and not missed
 
 
 def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
@@ -94,7 +102,8 @@ def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
     Attacks without protection run in an outer sandbox, and so does level `process`. Raises
     SandboxError where a worker or the outer sandbox cannot be started.
     """
-    results = _run(list(_jobs(plan)), on_result)
+    ending = Ending()
+    results = _run(list(_jobs(plan, ending)), on_result, ending)
     order = [*map(str, plan.levels), ANY_LEVEL, OFF]
     findings = [one for one in results if isinstance(one, Finding)]
     findings.sort(key=lambda f: (f.number, order.index(f.level)))
@@ -119,9 +128,9 @@ def without_layers(
 ) -> tuple[Finding, ...]:
     """What comes back without these layers, in an outer sandbox. Attacks that no layer of the
     sandbox has a part in are left out. Raises SandboxError."""
-    walled = [a for a in attacks if isinstance(a, CandidateAttack) and a.walled]
+    walled = [attack for attack in attacks if attack.walled]
     jobs = [partial(_outside, level, layers, walled) for level, layers in settings]
-    return tuple(one for one in _run(jobs, on_result) if isinstance(one, Finding))
+    return tuple(one for one in _run(jobs, on_result, Ending()) if isinstance(one, Finding))
 
 
 def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]:
@@ -137,9 +146,9 @@ def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]
     return tuple(chosen)
 
 
-def _jobs(plan: Plan) -> Iterator[Job]:
+def _jobs(plan: Plan, ending: Ending) -> Iterator[Job]:
     """Quick and slow ones in turns, so that none of the slow ones is left for the end."""
-    honest: list[Job] = [partial(_honest, p, row, plan.levels[0]) for p, row in plan.honest]
+    honest: list[Job] = [partial(_honest, p, row, plan.levels[0], ending) for p, row in plan.honest]
     first: list[Job] = []
     if plan.prove:
         first.append(partial(_outside, OFF, (), plan.attacks))
@@ -165,8 +174,10 @@ def _outside(level: str, layers: Sequence[Layer], attacks: Sequence[Attack]) -> 
     return inside([str(level), ",".join(layers), *numbers], nested=level == Isolation.NAMESPACE)
 
 
-def _honest(problem: HonestProblem, row: Family, level: Isolation) -> Iterator[Result]:
-    yield try_honest(problem, row, level)
+def _honest(
+    problem: HonestProblem, row: Family, level: Isolation, ending: Ending
+) -> Iterator[Result]:
+    yield try_honest(problem, row, level, ending)
 
 
 def _played(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Result]:
@@ -181,26 +192,25 @@ def _played(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Resul
             yield Finding(attack.number, ANY_LEVEL, verdict, stops, play.note)
 
 
-def _run(jobs: Sequence[Job], on_result: OnResult) -> list[Result]:
+def _run(jobs: Sequence[Job], on_result: OnResult, ending: Ending) -> list[Result]:
+    """The first failure or interrupt ends it: what has not begun is not begun, a job of many
+    attacks ends with the one it is at, and a fit at once."""
     results: list[Result] = []
 
     def collect(job: Job) -> None:
         for result in job():
+            if ending.begun:
+                return
             results.append(result)
             on_result(result)
 
-    with _pool() as pool:
+    pool = ThreadPoolExecutor(min(_MOST_AT_ONCE, os.cpu_count() or 1))
+    try:
         futures: list[Future[None]] = [pool.submit(collect, job) for job in jobs]
         for future in as_completed(futures):
             future.result()
-    return results
-
-
-@contextmanager
-def _pool() -> Generator[ThreadPoolExecutor]:
-    """The first failure ends it: what has not begun is not begun."""
-    pool = ThreadPoolExecutor(min(_MOST_AT_ONCE, os.cpu_count() or 1))
-    try:
-        yield pool
     finally:
-        pool.shutdown(cancel_futures=True)
+        pool.shutdown(wait=False, cancel_futures=True)
+        ending.begin()
+        pool.shutdown()
+    return results

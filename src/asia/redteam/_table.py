@@ -44,6 +44,8 @@ def summary(report: Report, seconds: float) -> str:
         alarms = "false alarm" if report.false_alarms == 1 else "false alarms"
         tried = f"{families} families ({len(report.honest)} honest candidates)"
         parts.append(f"{report.false_alarms} {alarms} over {tried}")
+        missed = [f"{one.family}, {one.failure}" for one in report.unchecked]
+        parts += [f"{len(missed)} not checked: {'; '.join(missed)}"] if missed else []
     if report.plan.prove:
         which = f" (not {', '.join(map(str, report.unproven))})" if report.unproven else ""
         parts.append(f"{report.proven} of {count} succeed with isolation off{which}")
@@ -53,7 +55,8 @@ def summary(report: Report, seconds: float) -> str:
 def line(result: Finding | Honest, names: dict[int, str]) -> str:
     """Progress."""
     if isinstance(result, Honest):
-        words = "FLAGGED" if result.flagged else ("failed" if result.words else "not flagged")
+        words = "FLAGGED" if result.flagged else "not flagged"
+        words = words if result.failure is None else "NOT CHECKED"
         more = f": {result.words}" if result.words else ""
         return f"honest {result.family} on {result.problem}: {words}{more}"
     without = f" without {', '.join(result.without)}" if result.without else ""

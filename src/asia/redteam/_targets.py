@@ -8,13 +8,15 @@ import shutil
 import socket
 import tempfile
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from asia.errors import SandboxError
 from asia.redteam._traces import Neighbour, Traces, neighbour
 
 _NOT_TOLD = ("secret", "traces", "neighbour")
+_PORTS_TRIED = 50
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,18 @@ class Targets:
             return True
 
 
+def _serve(services: ExitStack) -> int:
+    """The port of a TCP and of a UDP service, open as long as `services`."""
+    for _ in range(_PORTS_TRIED):
+        service = socket.create_server(("127.0.0.1", 0))
+        receiver = services.enter_context(socket.socket(type=socket.SOCK_DGRAM))
+        port: int = services.enter_context(service).getsockname()[1]
+        with suppress(OSError):  # UDP has another user there
+            receiver.bind(("127.0.0.1", port))
+            return port
+    raise SandboxError(f"none of {_PORTS_TRIED} free TCP ports of this machine is free for UDP too")
+
+
 @contextmanager
 def targets(memory_mb: int) -> Generator[Targets]:
     """Files, services and a neighbour, gone at the end."""
@@ -76,14 +90,12 @@ def targets(memory_mb: int) -> Generator[Targets]:
     Path(paths["judge.py"]).write_text("")
     try:
         with (
-            socket.create_server(("127.0.0.1", 0)) as service,
-            socket.socket(type=socket.SOCK_DGRAM) as receiver,
+            ExitStack() as services,
             socket.socket(socket.AF_UNIX) as local,
             socket.socket(socket.AF_UNIX) as hidden,
             neighbour(secret) as other,
         ):
-            port: int = service.getsockname()[1]
-            receiver.bind(("127.0.0.1", port))
+            port = _serve(services)
             local.bind(os.path.join(playground, "socket"))
             local.listen()
             hidden.bind(f"\0{mark}")

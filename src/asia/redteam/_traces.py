@@ -94,7 +94,7 @@ class Traces:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A process that sleeps, in a session of its own, so that what is sent to ours is not sent to
+    """A process that waits, in a session of its own, so that what is sent to ours is not sent to
     it. nice: its priority at the start."""
 
     process: subprocess.Popen[bytes]
@@ -120,9 +120,16 @@ class Neighbour:
 
 @contextmanager
 def neighbour(secret: str) -> Generator[Neighbour]:
-    """One with a secret in its environment, ended at the end."""
-    command = ["/bin/sleep", "600"]
-    with subprocess.Popen(command, env={"SECRET": secret}, start_new_session=True) as process:
+    """One with a secret in its environment, ended at the end; if this process is killed, by the end
+    of its pipe."""
+    with subprocess.Popen(
+        "/bin/cat",
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={"SECRET": secret},
+        start_new_session=True,
+    ) as process:
         try:
             yield Neighbour(process, os.getpriority(os.PRIO_PROCESS, process.pid))
         finally:

@@ -134,6 +134,11 @@ class SearchAttack:
     naive: Callable[[Path], bool]
     stops: tuple[Stop, ...]
 
+    @property
+    def walled(self) -> bool:
+        """Layers of the sandbox have no part in it."""
+        return False
+
 
 Attack = CandidateAttack | SearchAttack
 ANY_LEVEL = "any level"
@@ -161,10 +166,11 @@ class Finding:
 @dataclass(frozen=True)
 class Honest:
     """An honest candidate under the same checks. flagged: whether it was taken for a cheat; words:
-    by which checks, or why it failed otherwise."""
+    by which checks, or how it failed; failure: why it came to no check."""
 
     family: str
     problem: str
     flagged: bool
     words: str
     seconds: float
+    failure: Reason | None = None
