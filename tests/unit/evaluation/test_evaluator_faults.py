@@ -5,7 +5,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,7 +80,8 @@ def killing(name: str, times: int) -> Iterator[list[int]]:
     def kill() -> None:
         while len(killed) < times and not over.is_set():
             for pid in [p for p in named(name) if p not in killed][: times - len(killed)]:
-                os.kill(pid, signal.SIGKILL)
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
                 killed.append(pid)
             time.sleep(0.02)
 
