@@ -16,6 +16,7 @@ from rich.text import Text
 from asia import __version__
 from asia.cli._format import (
     NOT_LEAK_FREE,
+    again_words,
     duration,
     event_object,
     experiment_line,
@@ -194,6 +195,8 @@ class TextDisplay:
             beside = control(self.prepared.directory, view.started, len(view.finished))
             if beside is not None:
                 self._print(f"control  {control_words(beside, view.started)}")
+            if words := again_words(view):
+                self._print(f"again    {words}")
             if view.looks:
                 self._print(f"guard    {guard_words(view)}")
             rungs = " · ".join(f"{r.name} {rung_value(r)}" for r in view.rungs)

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from asia.cli._format import again_words
 from asia.ledger import Experiment, Run, describe_result, error_value
 from asia.scoring import Score
 
@@ -33,6 +34,10 @@ def describe(console: Console, run: Run, experiment: Experiment) -> None:
     if r is None:
         return
     console.print(f"decision    {r.status}")
+    refitted = run.view.refitted
+    if refitted and refitted.again and refitted.experiment == experiment.number:
+        same = f"fold {refitted.again.fold}, fitted a second time, comes out the same"
+        console.print(f"again       {again_words(run.view) or same}")
     if experiment.score:
         _fold_table(console, run, experiment)
     if experiment.failure and experiment.failure.detail:

@@ -9,6 +9,7 @@ from asia.ledger import (
     Event,
     Experiment,
     GuardLooked,
+    Refitted,
     RungScored,
     SearchView,
     Usage,
@@ -102,6 +103,20 @@ def guard_words(view: SearchView) -> str:
     return f"{scores}; it picks {pick}{winner} (look {look.look})"
 
 
+def again_words(view: SearchView) -> str:
+    """What a second fit of one of the winner's folds says against it; "" where it came out the
+    same."""
+    again = view.refitted.again if view.refitted else None
+    if again is None or again.ratio == 1.0:
+        return ""
+    if again.ratio is None:
+        return f"fold {again.fold}, fitted a second time, fails ({again.failed}): V is in part luck"
+    return (
+        f"fold {again.fold}, fitted a second time, has {again.ratio:.4g} times its error: "
+        "V is in part luck"
+    )
+
+
 def stop_words(reason: str, view: SearchView) -> str:
     """Why a search ended, in words."""
     return {
@@ -156,4 +171,8 @@ def event_object(event: Event, view: SearchView) -> dict[str, Any]:
                 for s in event.scores
             },
         }
+    if isinstance(event, Refitted):
+        again = event.again
+        beside = {} if again is None else {"again_fold": again.fold, "again_ratio": again.ratio}
+        return {"event": "refitted", "experiment": event.experiment, **beside}
     return {"event": event.event}

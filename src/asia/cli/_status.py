@@ -65,6 +65,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
 
 def _print(directory: Path, found: Brief) -> None:
     from asia.cli._format import (
+        again_words,
         duration,
         experiment_line,
         guard_words,
@@ -91,6 +92,8 @@ def _print(directory: Path, found: Brief) -> None:
         print(f"agent   {usage_words(view.usage)}")
     if view.started.early_stopping == "validation":
         print(f"V is {told(found.validation_scores)}")
+    if words := again_words(view):
+        print(f"again   {words}")
     if view.looks:
         print(f"guard   {guard_words(view)}")
     if view.unsealed is not None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json as jsonlib
+from dataclasses import asdict
+
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, RunName, Runs
+from asia.cli._options import DEFAULT_RUNS, MORE, Json, RunName, Runs
 
 
 def register(app: typer.Typer) -> None:
@@ -12,15 +15,20 @@ def register(app: typer.Typer) -> None:
     app.command("verify", rich_help_panel=MORE)(verify)
 
 
-def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
-    """Check the chain of records and every artifact they name."""
+def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
+    """Check the chain of records and every artifact they name.
+
+    Note the head elsewhere: it alone tells a whole record from one with its end cut off.
+    """
     from asia.ledger import find_run
     from asia.ledger import verify as check
 
     directory = find_run(runs, run)
     found = check(directory)
-    print(
-        f"{directory.name}: {found.records} records and {found.artifacts} artifacts verify, "
-        f"head {found.head[:16]}"
-        + (f"; {found.torn} bytes of a record cut off while it was written" if found.torn else "")
-    )
+    if json:
+        print(jsonlib.dumps({"run": directory.name, **asdict(found)}))
+        return
+    print(f"{directory.name}: {found.records} records and {found.artifacts} artifacts verify")
+    print(f"head {found.head}")
+    if found.torn:
+        print(f"{found.torn} bytes of a record cut off while it was written are passed over")

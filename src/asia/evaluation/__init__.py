@@ -1,7 +1,7 @@
 """Folds, sandbox and scoring put together. Holds targets and runs candidates, never both at once:
 what goes to a worker is a `Case`, what is scored stays here."""
 
-from asia.evaluation._evaluator import Evaluation, Evaluator, FoldResult, derive_seed
+from asia.evaluation._evaluator import Evaluation, Evaluator, FoldResult, Refit, derive_seed
 from asia.evaluation._metamorphic import Suspicion, SuspicionKind, suspicions
 from asia.evaluation._requests import simulate_held_out
 from asia.evaluation._rungs import LINEAR, TRUTH, Rung, score_rungs
@@ -12,6 +12,7 @@ __all__ = [
     "Evaluation",
     "Evaluator",
     "FoldResult",
+    "Refit",
     "Rung",
     "Suspicion",
     "SuspicionKind",

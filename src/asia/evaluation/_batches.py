@@ -11,7 +11,7 @@ from asia.evaluation._requests import held_out_requests
 from asia.problem import Array
 from asia.protocol import Block
 
-MOST_BATCHES = 3
+MOST_BATCHES = 6
 _MOTION = 3
 
 
@@ -94,13 +94,17 @@ class Batch:
 
 
 def batches(
-    blocks: Sequence[Block], y_hat: Sequence[Array], horizon: int | None
+    blocks: Sequence[Block],
+    y_hat: Sequence[Array],
+    horizon: int | None,
+    random: np.random.Generator,
 ) -> tuple[Batch, ...]:
-    """A few of the requests that `simulate_held_out` sends, the first and the last among them, in
-    the same shapes. y_hat: the answers (H, ny)."""
+    """A few of the requests that `simulate_held_out` sends, drawn at random, in the same shapes and
+    order. y_hat: the answers (H, ny)."""
     requests = held_out_requests(blocks, horizon)
     size = max((len(request) for request in requests), default=0)
-    places = np.unique(np.linspace(0, len(requests) - 1, MOST_BATCHES).round().astype(int))
+    count = min(len(requests), MOST_BATCHES)
+    places = np.sort(random.choice(len(requests), count, replace=False))
     return tuple(_batch(blocks, y_hat, requests[place], size) for place in places)
 
 

@@ -63,6 +63,16 @@ class Evaluation:
 
 
 @dataclass(frozen=True)
+class Refit:
+    """A candidate fitted on all training records: the opaque model, or why there is none; and what
+    came of fold `fold` (from 1) fitted a second time."""
+
+    model: bytes | CandidateError
+    fold: int
+    again: FoldResult | Failure
+
+
+@dataclass(frozen=True)
 class _FoldEnd:
     result: FoldResult | Failure
     output: str
@@ -87,13 +97,16 @@ class Evaluator:
         budget: Budget,
         isolation: Isolation,
         executor: Executor,
+        salt: str = "",
     ) -> None:
+        """salt: what no candidate or agent knows, so that none knows which cases are checked."""
         self.folds = tuple(folds)
         self.horizon = rule.horizon
         self._records = tuple(records)
         self._context = context
         self._rule = rule
         self.isolation = isolation
+        self._salt = salt
         self._executor = executor
         # Processes that the kernel does not let die, by pid: they keep their core and memory.
         self.left_behind: list[int] = []
@@ -132,7 +145,7 @@ class Evaluator:
             return Failure(error.reason, error.detail)
 
     def _doubt(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
-        place, seed = fold.index + 1, derive_seed(self._context.seed, "suspicions", fold.index)
+        place, seed = fold.index + 1, derive_seed(self._context.seed, self._salt, fold.index)
         with self._worker() as worker:
             try:
                 worker.load(executed_source(source), result.model, self._fold_context("load"))
@@ -152,16 +165,25 @@ class Evaluator:
         words = "; ".join(f"{one.kind}: {one.words}" for one in known or found)
         return Failure(reason, words, place) if found else None
 
-    def refit(self, source: str) -> bytes:
-        """Fit on all training records; the opaque model. Nothing is held out, so that the
-        candidate has no validation score to ask for. Raises CandidateError."""
+    def refit(self, source: str) -> Refit:
+        """Fit on all training records, where nothing is held out, so that the candidate has no
+        validation score to ask for; and on one of the folds a second time."""
+        source = executed_source(source)
+        fold = self.folds[derive_seed(self._context.seed, self._salt) % len(self.folds)]
 
-        def fit() -> bytes:
-            with self._worker() as worker:
-                worker.fit(executed_source(source), self._records, self._fold_context("all"))
-                return worker.dump()
+        models: list[bytes | CandidateError] = []
+        results: list[FoldResult | Failure] = []
 
-        return self._run([fit])[0]
+        def on_all() -> None:
+            try:
+                with self._worker() as worker:
+                    worker.fit(source, self._records, self._fold_context("all"))
+                    models.append(worker.dump())
+            except CandidateError as error:
+                models.append(error)
+
+        self._run([on_all, lambda: results.append(self._guarded_fold(source, fold).result)])
+        return Refit(models[0], fold.index + 1, results[0])
 
     def simulate(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]

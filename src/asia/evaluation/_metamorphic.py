@@ -75,10 +75,11 @@ def suspicions(
 
     y_hat: its answers (H, ny) to `blocks`, which `simulator` must have given in the order of
     `asia.evaluation.simulate_held_out` before; scale (ny,): standard deviations of the outputs;
-    horizon: that of the protocol; seed: for the signs of the perturbations.
+    horizon: that of the protocol; seed: for the choice of requests and the signs of perturbations,
+    unknown to whoever wrote the model.
 
-    On at most three requests, in the shapes of the scored ones so that nothing compiles anew, it
-    asks for: inputs and past moved by 1e-6 of their standard deviations, there and back
+    On at most six requests, in the shapes of the scored ones so that nothing compiles anew, it asks
+    for: inputs and past moved by 1e-6 of their standard deviations, there and back
     (`perturbation`: an isolated answer, or a jump at once), and by 1e-2 (`table`: no change at
     all); the second half of the inputs exchanged (`causality`); rows in another order (`order`);
     the same again (`replay`); and, last, as their past windows are held-out outputs, four later
@@ -89,7 +90,7 @@ def suspicions(
     """
     found: list[Suspicion | None] = []
     random = np.random.default_rng(seed)
-    chosen = batches(blocks, y_hat, horizon)
+    chosen = batches(blocks, y_hat, horizon, random)
     checks = [_Check(simulator, batch, scale, random) for batch in chosen]
     for check in checks:
         found += check.perturbation(), check.table(), check.causality(), check.order()

@@ -5,6 +5,7 @@ from asia.ledger._control import Control, control, control_words
 from asia.ledger._disk import write_whole
 from asia.ledger._events import (
     RESUMABLE,
+    Again,
     Evaluated,
     Event,
     Exchanged,
@@ -50,6 +51,7 @@ from asia.scoring import Diagnostics
 
 __all__ = [
     "RESUMABLE",
+    "Again",
     "Brief",
     "Chain",
     "Control",

@@ -26,7 +26,8 @@ class Started:
     `validation` candidates saw their score on the held-out parts: V is not leak-free.
     `agent_settings` are those of the agent that shape the search; `ladder` is the share of V
     by which a new best must be better for whoever proposes to be told, None where all is told;
-    `guard_digest` commits the guard records; `layers` are those of the isolation."""
+    `guard_digest` commits the guard records; `layers` are those of the isolation; `salt` is what
+    the choice of cases that would-be winners are checked on hangs on, and told to nobody."""
 
     run: str
     problem: str
@@ -46,6 +47,7 @@ class Started:
     ladder: float | None = None
     guard_digest: str | None = None
     layers: tuple[str, ...] = ()
+    salt: str = ""
     event: Literal["started"] = "started"
 
 
@@ -204,12 +206,24 @@ class SessionEnded:
 
 
 @dataclass(frozen=True)
+class Again:
+    """A fold of the winner fitted a second time, with the same seed: its error over that of the
+    first time, 1 where the fit repeats itself; None and the reason where it failed."""
+
+    fold: int
+    ratio: float | None
+    failed: str = ""
+
+
+@dataclass(frozen=True)
 class Refitted:
-    """The winner fitted once more on all training data: `model`, or None when that fit failed."""
+    """The winner fitted once more on all training data: `model`, or None when that fit failed; and
+    on one fold `again`, None in records from before that was done."""
 
     experiment: int
     model: str | None
     detail: str
+    again: Again | None = None
     event: Literal["refitted"] = "refitted"
 
 

@@ -20,8 +20,9 @@ from asia.agents import (
     Proposal,
 )
 from asia.errors import CandidateError
-from asia.evaluation import Evaluation, Evaluator, FoldResult, score_rungs
+from asia.evaluation import Evaluation, Evaluator, FoldResult, Refit, score_rungs
 from asia.ledger import (
+    Again,
     Chain,
     Evaluated,
     Event,
@@ -213,11 +214,15 @@ class Loop:
             return
         source = self.store.text(best.proposed.source)
         try:
-            model = self.store.put(self.evaluator.refit(source))
+            refit = self.evaluator.refit(source)
         except CandidateError as error:
             self.record(Refitted(best.number, None, str(error)))
+            return
+        again = _compared(best, refit)
+        if isinstance(refit.model, CandidateError):
+            self.record(Refitted(best.number, None, str(refit.model), again))
         else:
-            self.record(Refitted(best.number, model, ""))
+            self.record(Refitted(best.number, self.store.put(refit.model), "", again))
 
 
 @dataclass(frozen=True)
@@ -274,6 +279,17 @@ def _baseline(source: str) -> Proposal:
         hypothesis="The problem's own baseline, untouched, is where every search starts.",
         expected="A reference value that the rest must beat.",
     )
+
+
+def _compared(best: Experiment, refit: Refit) -> Again:
+    """The fold that was fitted a second time, beside the first time."""
+    assert best.score is not None
+    first, second = best.score.folds[refit.fold - 1], refit.again
+    if isinstance(second, Failure):
+        return Again(refit.fold, None, second.reason.value)
+    value = second.score.value
+    ratio = value / first.value if first.value > 0 else float(value == first.value)
+    return Again(refit.fold, ratio)
 
 
 def _touched_deadline(evaluation: Evaluation) -> bool:

@@ -6,6 +6,7 @@ import hashlib
 import importlib.metadata
 import math
 import platform
+import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -104,6 +105,7 @@ def prepare(
         ladder=problem.protocol.ladder,
         guard_digest=sealed.guard,
         layers=tuple(layer.value for layer in found.layers),
+        salt=secrets.token_hex(16),
     )
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
@@ -178,6 +180,7 @@ def make_evaluator(
         budget=problem.budget,
         isolation=Isolation(view.started.isolation),
         executor=executor or LocalExecutor(),
+        salt=view.started.salt,
     )
 
 

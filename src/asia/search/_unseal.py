@@ -21,6 +21,7 @@ from asia.ledger import (
     check_lock,
     open_run,
     replay,
+    verify,
     write_exports,
 )
 from asia.problem import Array, Trajectory
@@ -56,8 +57,9 @@ def unseal(
     A second call returns the first result. A model that fails on the test is recorded as a
     Failure. process_consent: open it though the candidates ran at level process; recorded. keys:
     folder of the key of an encrypted test, None for the person's own. Raises UserError when the
-    search is not finished, has no winner or no test, when problem or test data are not those of its
-    first record, when the key is missing, and at level process without consent.
+    search is not finished, has no winner or no test, when a record or an artifact does not verify,
+    when problem or test data are not those of its first record, when the key is missing, and at
+    level process without consent.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = replay(line.event for line in chain.lines)
@@ -71,6 +73,7 @@ def unseal(
                 f"{CONSENT.format(run=view.started.run)}; to open the test all the same say "
                 "--yes-process (in Python: process_consent=True), and the ledger keeps it"
             )
+        verify(directory)
         problem = load_lock(directory / LOCK)
         check_openable(problem, keys)
         before = _openers(directory, digest)

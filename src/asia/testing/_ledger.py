@@ -9,6 +9,7 @@ from typing import Protocol, Self
 
 from asia.errors import Reason, UserError
 from asia.ledger import (
+    Again,
     Evaluated,
     Event,
     Extended,
@@ -151,5 +152,5 @@ def _events() -> list[Event]:
         Stopped("user"),
         Resumed(),
         Extended(5, None),
-        Refitted(1, None, "it failed"),
+        Refitted(1, None, "it failed", Again(2, 1.04)),
     ]

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from asia.errors import CandidateError, Reason
-from asia.evaluation import SuspicionKind
+from asia.evaluation import SuspicionKind, simulate_held_out, suspicions
+from asia.evaluation._batches import MOST_BATCHES
+from asia.evaluation._requests import held_out_requests
 from asia.problem import Array
 from tests.unit.evaluation.relations import Answer, Model, fold, found, honest, suspicions_of
 
@@ -229,7 +231,7 @@ def test_requests_are_few_and_in_the_shapes_of_the_scored_ones(horizon: int | No
     suspicions_of(model, held_out.validation, held_out.scale, horizon)
     scored = len(held_out.validation) if horizon is None else -(-len(held_out.validation) // 3)
     assert len(set(model.asked)) == 1
-    assert len(model.asked) <= scored + 3 * 11
+    assert len(model.asked) <= scored + MOST_BATCHES * 11
 
 
 def test_the_same_checks_twice_say_the_same():
@@ -237,6 +239,24 @@ def test_the_same_checks_twice_say_the_same():
     assert first == second
     assert {s.kind for s in first} >= {SuspicionKind.PERTURBATION}
     assert all(s.figure > 0 for s in first)
+
+
+def test_nobody_knows_which_windows_are_checked():
+    held_out = fold(10)
+    requests = held_out_requests(held_out.validation, 10)
+    assert len(requests) > 9
+    spared = {0, len(requests) // 2, len(requests) - 1}
+    u = [held_out.validation[i].case.u for k in spared for i in requests[k]]
+    known = looked_up(10, 12)
+
+    def answer(past_u: Array, past_y: Array, given: Array) -> Array:
+        if any(np.array_equal(given[0], one) for one in u):
+            return honest(past_u, past_y, given)
+        return known(past_u, past_y, given)
+
+    y_hat = simulate_held_out(Model(answer), held_out.validation, 10)
+    for seed in range(10):
+        assert suspicions(Model(answer), held_out.validation, y_hat, held_out.scale, 10, seed)
 
 
 def test_a_model_that_does_not_answer_fails():
@@ -247,8 +267,6 @@ def test_a_model_that_does_not_answer_fails():
 
     def crash(past_u: Array, past_y: Array, u: Array) -> Array:
         raise CandidateError(Reason.CRASH)
-
-    from asia.evaluation import suspicions
 
     with pytest.raises(CandidateError):
         suspicions(Model(crash), held_out.validation, y_hat, held_out.scale, None)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from asia.agents import Agent
+from asia.cli._format import again_words
 from asia.errors import Reason, UserError
 from asia.ledger import Evaluated, SearchView, in_use, open_run, verify
 from asia.problem.load import load_problem
@@ -62,6 +63,9 @@ def test_a_search_end_to_end(problem: Path, tmp_path: Path) -> None:
     assert {r.name for r in view.rungs} == {"training mean", "last output held", "linear model"}
     assert view.refitted is not None
     assert view.refitted.model is not None
+    assert view.refitted.again is not None
+    assert view.refitted.again.ratio == 1.0
+    assert again_words(view) == ""
     directory = tmp_path / "runs" / "toy-scripted-s0"
     verify(directory)
     assert (directory / "results.tsv").read_text().count("\n") == 5
@@ -132,6 +136,18 @@ def test_a_model_that_does_not_come_back_the_same_is_invalid(problem: Path, tmp_
     assert failure.reason is Reason.NOT_REPRODUCIBLE
     assert view.best is not None
     assert view.best.number == 2
+
+
+def test_a_winner_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
+    draw = "import os\n    weights *= 1 - int.from_bytes(os.urandom(4), 'big') / 2**36\n    "
+    lucky = arx(2).replace("context.log", draw + "context.log")
+    view = go(problem, tmp_path / "runs", Scripted((lucky,)), experiments=2)
+    assert view.best is not None
+    assert view.best.number == 2
+    assert view.refitted is not None
+    assert view.refitted.again is not None
+    assert view.refitted.again.ratio not in (None, 1.0)
+    assert "V is in part luck" in again_words(view)
 
 
 def test_unseal_once(problem: Path, tmp_path: Path) -> None:

@@ -75,6 +75,18 @@ def test_the_digest_stands_before_experiment_1_and_the_key_is_not_needed(
     assert result.record.trajectories == ("test",)
 
 
+def test_a_run_that_does_not_verify_is_not_opened(problem: Path) -> None:
+    directory = go(problem)
+    view = open_run(directory).view
+    assert view.best is not None
+    assert view.best.result is not None
+    model = directory / "artifacts" / view.best.result.folds[0].model
+    model.write_bytes(model.read_bytes() + b" ")
+    with pytest.raises(UserError, match="artifact"):
+        unseal(directory, process_consent=True)
+    assert open_run(directory).view.unsealing is None
+
+
 def test_the_opening_is_on_record_before_its_result_and_ends_the_search(problem: Path) -> None:
     directory = go(problem)
     unseal(directory, process_consent=True)
