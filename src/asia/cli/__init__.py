@@ -37,7 +37,7 @@ from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
 
-RESUMED = ("run", "bench", "compare", "workspace", "mcp")
+RESUMED = frozenset({"run", "bench", "compare", "workspace", "mcp"})
 INTERRUPTED = 130
 TERMINATED = 128 + signal.SIGTERM
 
@@ -98,7 +98,7 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def _ended(how: str) -> str:
-    resumed = sys.argv[1:2] and sys.argv[1] in RESUMED
+    resumed = RESUMED.intersection(sys.argv[1:2])
     return f"{how}; the same command goes on from here" if resumed else how
 
 

@@ -53,7 +53,8 @@ def main() -> None:
     if SCENARIO == "greedy":
         for number in range(1000):
             reply(number, 1000)
-            time.sleep(0.05)
+            # Long enough for a slow machine to read one before the next.
+            time.sleep(0.5)
     if SCENARIO == "probe":
         probe()
     first = not any("resume" in a for a in ARGUMENTS)
