@@ -7,7 +7,6 @@ import pytest
 
 from asia.errors import CandidateError, Reason
 from asia.evaluation import SuspicionKind, simulate_held_out, suspicions
-from asia.evaluation._batches import MOST_BATCHES
 from asia.evaluation._requests import held_out_requests
 from asia.problem import Array
 from tests.unit.evaluation.relations import Answer, Model, fold, found, honest, suspicions_of
@@ -231,7 +230,7 @@ def test_requests_are_few_and_in_the_shapes_of_the_scored_ones(horizon: int | No
     suspicions_of(model, held_out.validation, held_out.scale, horizon)
     scored = len(held_out.validation) if horizon is None else -(-len(held_out.validation) // 3)
     assert len(set(model.asked)) == 1
-    assert len(model.asked) <= scored + MOST_BATCHES * 11
+    assert len(model.asked) <= scored + 6 * 11
 
 
 def test_the_same_checks_twice_say_the_same():

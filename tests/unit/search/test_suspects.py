@@ -120,6 +120,19 @@ def test_a_record_in_the_source_starts_no_worker(
     assert started == []
 
 
+def test_what_is_checked_is_another_in_every_run(
+    problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[object] = []
+    check = evaluator_module.suspicions
+    monkeypatch.setattr(evaluator_module, "suspicions", lambda *a: drawn.append(a[-1]) or check(*a))
+    for runs in ("one", "another"):
+        go(problem, tmp_path / runs, arx(2))
+    half = len(drawn) // 2
+    assert half > 0
+    assert set(drawn[:half]).isdisjoint(drawn[half:])
+
+
 def test_seeds_are_the_evaluators(problem: Path, tmp_path: Path) -> None:
     """The same for every candidate on a fold: another source is no other luck."""
     telling = arx(1).replace("context.log(1,", "context.log(context.seed,")
