@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context, Model
+from asia.data import Signal, Trajectory
 from asia.models import (
     autoregressive,
     cascaded_ltc,
@@ -35,7 +36,6 @@ from asia.models import (
     transformer,
 )
 from asia.models.methods import Adam
-from asia.problem import Signal, Trajectory
 from asia.problem.load import load_problem
 from asia.protocol import make_folds
 

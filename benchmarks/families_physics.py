@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.candidate import Context, Model
+from asia.data import Signal, Trajectory
 from asia.models import greybox, hybrid, kinematic, linear, physics_net
 from asia.models.methods import Adam, LevenbergMarquardt
-from asia.problem import ParameterRange, Physics, Signal, Trajectory
+from asia.problem import ParameterRange, Physics
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from functools import partial
 from statistics import median, quantiles
 
 from asia.sandbox import Isolation, Limits, Worker, machine, open_worker, why_not
-from asia.sandbox._confined import open_cell
+from asia.sandbox.levels.landlock import open_cell
 
 LIMIT_MS = 30.0
 LIMITS = Limits(60.0, 60.0, 4096)

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from asia.models._lm import LevenbergMarquardt, levenberg_marquardt
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt, levenberg_marquardt
 
 Array = NDArray[np.float64]
 SAMPLES, STEP, SUBSTEPS = 510, 4.0, 2

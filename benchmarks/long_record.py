@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.models import linear, neural_ss
 from asia.models.methods import Adam, LevenbergMarquardt
-from asia.problem import Signal, Trajectory
 
 LIMIT_GIB = 4.0
 PAST = 10

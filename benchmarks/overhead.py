@@ -26,9 +26,10 @@ from typing import TypeVar, cast
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Signal, Trajectory
 from asia.evaluation import Evaluator
-from asia.problem import Array, Budget, ProtocolRule, Signal, Trajectory
-from asia.protocol import Fold, make_folds, whole
+from asia.problem import Budget
+from asia.protocol import Fold, ProtocolRule, make_folds, whole
 from asia.sandbox import FitReply, Isolation, Worker, probe
 from asia.scoring import Score
 

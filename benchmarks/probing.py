@@ -24,13 +24,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array
 from asia.evaluation._evaluator import score_outputs
 from asia.models import linear
 from asia.models.methods import LevenbergMarquardt
-from asia.problem import Array
 from asia.problem.load import Problem, load_problem
 from asia.protocol import Fold, make_folds
-from asia.redteam._desk import HALVINGS, Desk, Spoil, forgetful, one_start, turn
+from asia.redteam._prober import HALVINGS, Desk, Spoil, forgetful, one_start, turn
 from asia.scoring import Failure, Score
 
 Outputs = list[list[Array]]

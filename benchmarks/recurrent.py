@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.models import ltc, recurrent
-from asia.models._network import NetworkModel, as_built, rollout, train_network
+from asia.models._networks.network import NetworkModel, as_built, rollout, train_network
 from asia.models.methods import Adam
-from asia.problem import Signal, Trajectory
 
 SAMPLES, HIDDEN, PAST = 510, 64, 5
 WANTED = 20.0

@@ -8,10 +8,10 @@ from unittest import mock
 import numpy as np
 
 from asia.candidate import Context
-from asia.problem import Signal, Trajectory
+from asia.data import Signal, Trajectory
 from asia.sandbox import Limits, Worker
-from asia.sandbox import _channel as channel
-from asia.sandbox._cell import Cell, Pipes
+from asia.sandbox.worker import channel as channel
+from asia.sandbox.worker.cell import Cell, Pipes
 
 _TOKEN = b"\xa5sesame\x5a"
 _SOURCE = "def fit(trajectories, context):\n    return None\n"

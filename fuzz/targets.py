@@ -18,22 +18,22 @@ from pathlib import Path
 import numpy as np
 from fuzz import hostile
 
-from asia.agents._cassette import may_have_cost, request_key
-from asia.agents._llm_client import ChatClient, _answer
-from asia.agents._llm_reply import MalformedReplyError, read_reply
-from asia.agents._llm_settings import LlmSettings
-from asia.agents._stream import Stream
+from asia.agents.llm.cassette import may_have_cost, request_key
+from asia.agents.llm.client import ChatClient, _answer
+from asia.agents.llm.reply import MalformedReplyError, read_reply
+from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source, source_digest
+from asia.data._store import read_seal
+from asia.data.sources.csv import column_names, read_csv, split_csv
+from asia.drive import Order, RunDesk, Workspace
+from asia.drive._desk import tidy
+from asia.drive._queue import Queue
+from asia.drive._socket import _answer as answer_request
+from asia.drive.command.stream import Stream
 from asia.errors import CandidateError, UserError
 from asia.ledger import Chain, Exchanged, Started, open_run
-from asia.problem._csv import column_names, read_csv, split_csv
-from asia.problem._expressions import parse_expression
-from asia.problem._sealed_store import read_seal
 from asia.problem.load import load_lock, load_problem
-from asia.search import Order, RunDesk, Workspace
-from asia.search._desk import tidy
-from asia.search._queue import Queue
-from asia.search._socket import _answer as answer_request
+from asia.problem.physics.expressions import parse_expression
 
 EXPECTED = (UserError, CandidateError, MalformedReplyError)
 

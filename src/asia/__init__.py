@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from asia._api import run
     from asia.candidate import Context, Model
+    from asia.data import Signal, Trajectory
     from asia.ledger import open_run
-    from asia.problem import Signal, Trajectory
     from asia.problem.load import Problem, load_problem
     from asia.report import write_report
     from asia.search import simulate, unseal

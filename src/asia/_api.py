@@ -7,8 +7,8 @@ from pathlib import Path
 
 from asia.agents import Agent, SpaceName, make_agent, settings_of
 from asia.ledger import Event, Run, SearchView, open_run
-from asia.problem import EarlyStopping
 from asia.problem.load import Problem, load_problem
+from asia.protocol import EarlyStopping
 from asia.search import prepare, search, with_early_stopping
 
 

@@ -9,10 +9,11 @@ import pytest
 
 import asia.models
 from asia.agents import Facts
-from asia.agents._library import FAMILIES, Family
-from asia.agents._recipe import Settings
+from asia.agents.library.recipe import Settings
+from asia.agents.library.table import FAMILIES, Family
 from asia.candidate import Context
-from asia.problem import ParameterRange, Physics, Signal, Trajectory
+from asia.data import Signal, Trajectory
+from asia.problem import ParameterRange, Physics
 from asia.redteam._honest import SMALL_CONFIG, SMALL_METHOD
 from asia.testing import check_candidate
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from asia.evaluation._velocity import constant_velocity, find_rates
-from asia.problem._expressions import parse_expression
 from asia.problem.load import Problem, Seal, load_lock, load_problem, lock_text
+from asia.problem.physics.expressions import parse_expression
 from asia.protocol import Fold, make_folds, whole
-from asia.protocol._sealed import open_test, seal
 from asia.scoring import mee_table, score_fold
+from asia.seal._test import open_test, seal
 
 pytestmark = [
     pytest.mark.data,

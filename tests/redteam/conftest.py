@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
-from asia.problem import Signal, Trajectory
-from asia.redteam import _source
-from asia.redteam._verdict import said_steps
+from asia.data import Signal, Trajectory
+from asia.redteam.attacks import source as source_of
+from asia.redteam.evidence.verdict import said_steps
 from asia.sandbox import Isolation, Layer, Limits, open_worker, why_not
 
 REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}
@@ -27,7 +27,7 @@ def candidate(
     fit: str = "pass", before: str = "pass", after: str = "0.5 * u", top: str = ""
 ) -> str:
     """As in the shipped suite, with another honest answer."""
-    return _source.candidate(fit, before, after, top)
+    return source_of.candidate(fit, before, after, top)
 
 
 @dataclass
@@ -76,7 +76,7 @@ class Arena:
     def ends(self, attempts: Mapping[str, str]) -> dict[str, str]:
         """How each of these pieces of code ends, in one worker: an error's name, or `done`."""
         with open_worker(self.level, Limits(30.0, 30.0, 2048, 64)) as worker:
-            source = self.filled(_source.steps(attempts))
+            source = self.filled(source_of.steps(attempts))
             return said_steps(worker.fit(source, self.records, self.context).output)
 
     def survivors(self) -> list[str]:

@@ -4,8 +4,8 @@ shipped suite plays are not repeated."""
 import pytest
 
 from asia.errors import CandidateError, Reason
-from asia.redteam._scores import STEAL
-from asia.redteam._walls import _DAEMON
+from asia.redteam.attacks.scores import STEAL
+from asia.redteam.attacks.walls import _DAEMON
 
 from .conftest import candidate
 

@@ -7,8 +7,13 @@ import subprocess
 import pytest
 
 from asia.redteam import why_no_outer
-from asia.redteam._outer import outer_command
-from asia.sandbox._surroundings import SYSTEM_FILES, code_folders, interpreter, interpreter_links
+from asia.redteam.outside.outer_sandbox import outer_command
+from asia.sandbox.walls.surroundings import (
+    SYSTEM_FILES,
+    code_folders,
+    interpreter,
+    interpreter_links,
+)
 
 KINDS = [
     pytest.param(nested, marks=pytest.mark.skipif(reason is not None, reason=str(reason)))

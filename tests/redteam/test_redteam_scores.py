@@ -4,7 +4,7 @@ weakest level, where the parent stands alone."""
 import pytest
 
 from asia.errors import CandidateError, Reason
-from asia.redteam._scores import STEAL
+from asia.redteam.attacks.scores import STEAL
 from asia.sandbox import Limits, ScoreRefusedError, open_worker
 
 from .conftest import candidate

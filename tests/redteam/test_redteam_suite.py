@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents._family import Family
+from asia.agents.library.family import Family
 from asia.errors import Reason, SandboxError
 from asia.redteam import (
     ATTACKS,
@@ -31,18 +31,18 @@ from asia.redteam import (
     why_no_outer,
 )
 from asia.redteam._arena import attack_candidate
-from asia.redteam._ending import Ending
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
-from asia.redteam._off import CONTROL
-from asia.redteam._outer import inside, read_finding, write_finding
-from asia.redteam._source import candidate
-from asia.redteam._targets import targets
-from asia.redteam._traces import Traces
+from asia.redteam._stopping import Ending
 from asia.redteam._types import ANY_LEVEL, Seen
-from asia.redteam._verdict import conclude
-from asia.redteam._won import better, reached
+from asia.redteam.attacks.source import candidate
+from asia.redteam.evidence.success import better, reached
+from asia.redteam.evidence.targets import targets
+from asia.redteam.evidence.traces import Traces
+from asia.redteam.evidence.verdict import conclude
+from asia.redteam.outside.off import CONTROL
+from asia.redteam.outside.outer_sandbox import inside, read_finding, write_finding
 from asia.sandbox import Isolation, Layer, why_not
-from asia.sandbox._landlock import abi
+from asia.sandbox.walls.landlock import abi
 
 from .conftest import page_tables, tables
 
@@ -182,9 +182,9 @@ if os.fork() == 0:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_a_process_nobody_marked_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
-    from asia.redteam import _traces
+    from asia.redteam.evidence import traces as module
 
-    monkeypatch.setattr(_traces, "_PATIENCE_SECONDS", 0.0)
+    monkeypatch.setattr(module, "_PATIENCE_SECONDS", 0.0)
     traces = Traces("rt", 1, str(tmp_path))
     child = ORPHAN.replace("if os.fork() == 0:", "if True:")
     with subprocess.Popen([sys.executable, "-c", child], stdout=subprocess.PIPE) as ours:
@@ -286,7 +286,7 @@ def test_a_fit_ends_with_all():
 
 
 def test_every_family_is_among_the_honest():
-    from asia.agents._library import FAMILIES
+    from asia.agents.library.table import FAMILIES
 
     assert {row.name for _, row in honest_plan(quick=True)} == {row.name for row in FAMILIES}
     assert {row.name for _, row in honest_plan()} == {row.name for row in FAMILIES}

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from asia.errors import CandidateError, Reason
-from asia.redteam._walls import _DAEMON
+from asia.redteam.attacks.walls import _DAEMON
 from asia.sandbox import Isolation, Layer
 
 from .conftest import LEVELS, arena_at, candidate

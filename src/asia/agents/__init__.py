@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from asia.agents._bayes import BayesAgent
 from asia.agents._driving import (
     AgentStoppedError,
     Attached,
@@ -18,21 +17,19 @@ from asia.agents._driving import (
     Journal,
     settings_of,
 )
-from asia.agents._expert import ExpertAgent
-from asia.agents._llm import LlmAgent
-from asia.agents._llm_problem import MODEL_RULES, briefing, equations, library
-from asia.agents._llm_settings import LlmSettings
-from asia.agents._presets import PRESETS, Preset, filled, make_preset
-from asia.agents._random import SPACES, RandomAgent, SpaceName
-from asia.agents._stream import Stream, StreamFormat
 from asia.agents._submitted import SubmittedAgent
 from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
+from asia.agents.controls.bayes import BayesAgent
+from asia.agents.controls.random import SPACES, RandomAgent, SpaceName
+from asia.agents.expert.agent import ExpertAgent
+from asia.agents.llm.agent import LlmAgent
+from asia.agents.llm.problem import MODEL_RULES, briefing, equations, library
+from asia.agents.llm.settings import LlmSettings
 from asia.errors import UserError
 
 __all__ = [
     "AGENTS",
     "MODEL_RULES",
-    "PRESETS",
     "SPACES",
     "Agent",
     "AgentStoppedError",
@@ -48,20 +45,15 @@ __all__ = [
     "Journal",
     "LlmAgent",
     "LlmSettings",
-    "Preset",
     "Proposal",
     "RandomAgent",
     "SpaceName",
-    "Stream",
-    "StreamFormat",
     "SubmittedAgent",
     "Trial",
     "briefing",
     "equations",
-    "filled",
     "library",
     "make_agent",
-    "make_preset",
     "settings_of",
 ]
 

@@ -11,8 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics, Phase, Status
-from asia.problem import EarlyStopping, Metric, Physics, Signal, Trajectory
+from asia.problem import Physics
+from asia.protocol import EarlyStopping, Metric
 
 
 @dataclass(frozen=True)

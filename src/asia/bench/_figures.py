@@ -9,7 +9,7 @@ from asia.bench._paper import PaperMee
 from asia.bench._plan import Plan
 from asia.bench._rows import Finished
 from asia.bench._test import TestResult
-from asia.problem import EarlyStopping
+from asia.protocol import EarlyStopping
 from asia.report import (
     BenchPictures,
     Curve,

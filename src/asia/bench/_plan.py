@@ -10,8 +10,9 @@ from typing import Literal
 from asia.agents import Agent
 from asia.bench._paper import Paper
 from asia.errors import UserError
-from asia.problem import Budget, EarlyStopping
+from asia.problem import Budget
 from asia.problem.load import Problem
+from asia.protocol import EarlyStopping
 
 QUICK_EXPERIMENTS = 3
 _QUICK_SECONDS = 120.0

@@ -10,7 +10,7 @@ from asia.bench._paper import Paper
 from asia.bench._plan import PlannedRun
 from asia.bench._references import TITLES
 from asia.ledger import Experiment, SearchView
-from asia.problem import EarlyStopping
+from asia.protocol import EarlyStopping
 from asia.scoring import Score
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from asia.bench._paper import Paper
 from asia.bench._rows import Comparison, Reached, Row
 from asia.ledger import error_value
-from asia.problem import EarlyStopping
+from asia.protocol import EarlyStopping
 
 _TITLES: dict[EarlyStopping, str] = {
     "inner": "V with inner early stopping: nothing of the held-out fold is seen in training",

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from asia.problem import Array, Physics, Signal, Trajectory
+from asia.data import Array, Signal, Trajectory
+from asia.problem import Physics
 
 VALIDATION_SCORES = 200
 

@@ -11,8 +11,8 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from asia._syntax import syntax_tree
 from asia.errors import CandidateError, Reason
-from asia.problem._syntax import syntax_tree
 
 MOST_LITERALS = 1024
 MOST_NAMES = 2048

@@ -6,9 +6,9 @@ import ast
 import hashlib
 import warnings
 
+from asia._syntax import syntax_tree
 from asia.candidate._lint import check_content, without_words
 from asia.errors import CandidateError, Reason
-from asia.problem._syntax import syntax_tree
 
 LARGEST_SOURCE = 64 * 1024
 

@@ -15,8 +15,8 @@ from asia.cli._options import DEFAULT_RUNS, MORE, Json, Runs, YesProcess
 if TYPE_CHECKING:
     from asia.bench import Arm, Paper, Plan, PlannedRun, Result
     from asia.ledger import Event, SearchView
-    from asia.problem import EarlyStopping
     from asia.problem.load import Problem
+    from asia.protocol import EarlyStopping
 
 LISTS = ("--seeds", "--arms")
 DEFAULT_SEEDS = 3

@@ -24,8 +24,8 @@ def check(
     """Print what was understood of a problem, and draw its data."""
     from asia.problem.load import check_problem, load_problem
     from asia.protocol import make_folds
-    from asia.protocol._sealed import seal
     from asia.report import draw_problem
+    from asia.seal._test import seal
     from asia.search import check_baseline
 
     loaded = load_problem(problem)

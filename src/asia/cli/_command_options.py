@@ -13,7 +13,7 @@ import typer
 from asia.cli._driver import Driver
 
 if TYPE_CHECKING:
-    from asia.search import CommandRules
+    from asia.drive.command import CommandRules
 
 PREFIX = "command:"
 _OTHERS = ("llm", "mcp", "workspace")
@@ -77,10 +77,10 @@ def command_driver(
 ) -> Driver:
     """The program, its rules and its jail. Raises UserError for what is not there, and for a cap
     that cannot be kept."""
-    from asia.agents import AGENTS, make_preset
+    from asia.agents import AGENTS
+    from asia.drive.command import CommandRules, check_rules, make_preset, run_command
     from asia.errors import UserError
     from asia.sandbox import Isolation, probe
-    from asia.search import CommandRules, check_rules, run_command
 
     name = agent.removeprefix(PREFIX)
     if not name.replace("-", "").isalnum():

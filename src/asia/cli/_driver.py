@@ -27,7 +27,8 @@ class Driver:
 
 def built_in(name: str, space: str | None) -> Agent:
     """As `make_agent`; who names a coding agent is told how to call it."""
-    from asia.agents import PRESETS, make_agent
+    from asia.agents import make_agent
+    from asia.drive.command import PRESETS
     from asia.errors import UserError
 
     if name in PRESETS:

@@ -58,9 +58,9 @@ def mcp(
     process of its own, and outlives this one; asia status, steer and stop work on it.
     """
     from asia.cli._run import check_level, check_name
+    from asia.drive import Order
     from asia.errors import UserError
     from asia.mcp import AGENT, open_search, require_sdk, serve_http, serve_stdio
-    from asia.search import Order
 
     require_sdk()
     check_name(name)

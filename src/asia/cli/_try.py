@@ -14,7 +14,7 @@ from asia.cli._options import MORE, Json
 from asia.errors import Reason
 
 if TYPE_CHECKING:
-    from asia.search import Desk, Job, Result, Standing
+    from asia.drive import Desk, Job, Result, Standing
 
 NO_SCORE = 3
 # What ASIA says of a candidate, not the candidate of itself.
@@ -45,8 +45,8 @@ def try_(
     Exit code 3: judged, and it has no score. Interrupt it and the candidate is judged all the same.
     """
     from asia.agents import Proposal
+    from asia.drive import CANDIDATE, Workspace
     from asia.errors import UserError
-    from asia.search import CANDIDATE, Workspace
 
     place = Workspace.find(folder)
     path = place.folder / CANDIDATE
@@ -71,8 +71,8 @@ def try_(
 
 
 def _waited(desk: Desk, job: Job) -> Result:
+    from asia.drive import wait
     from asia.errors import UserError
-    from asia.search import wait
 
     said = ""
 

@@ -43,7 +43,7 @@ def workspace(
     The same command again renews the texts, keeps your candidate, and raises the budget.
     """
     from asia.cli._run import check_level, check_name
-    from asia.search import Order, make_workspace, prepare_order
+    from asia.drive import Order, make_workspace, prepare_order
 
     check_name(name)
     level = check_level(isolation)

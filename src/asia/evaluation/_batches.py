@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asia.data import Array
 from asia.evaluation._requests import held_out_requests
-from asia.problem import Array
 from asia.protocol import Block
 
 MOST_BATCHES = 6

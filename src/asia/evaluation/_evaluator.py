@@ -11,13 +11,14 @@ from functools import partial
 from typing import TypeVar
 
 from asia.candidate import Context, check_source, executed_source
+from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.evaluation._metamorphic import SuspicionKind, suspicions
 from asia.evaluation._oracle import Oracle
 from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.executor import Executor
-from asia.problem import Array, Budget, ProtocolRule, Trajectory
-from asia.protocol import Block, Fold, whole
+from asia.problem import Budget
+from asia.protocol import Block, Fold, ProtocolRule, whole
 from asia.sandbox import FitReply, Isolation, Limits, Worker, WorkerKilledError, open_worker
 from asia.scoring import (
     METRICS,

@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
+from asia.data import Array
 from asia.errors import CandidateError, Reason
 from asia.evaluation._batches import Batch, batches
-from asia.problem import Array
 from asia.protocol import Block
 
 TINY, COARSE = 1e-6, 1e-2

@@ -10,8 +10,7 @@ from typing import Self
 from asia.candidate import VALIDATION_SCORES, Context
 from asia.errors import CandidateError, Reason
 from asia.evaluation._requests import simulate_held_out
-from asia.problem import ProtocolRule
-from asia.protocol import Fold
+from asia.protocol import Fold, ProtocolRule
 from asia.sandbox import ScoreRefusedError, Worker
 from asia.scoring import score_fold
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asia.problem import Array
+from asia.data import Array
 from asia.protocol import Block
 from asia.sandbox import Worker
 from asia.scoring import check_reply

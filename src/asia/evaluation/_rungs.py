@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia.data import Array
 from asia.evaluation._evaluator import Evaluator, score_outputs
 from asia.evaluation._velocity import constant_velocity, find_rates
-from asia.problem import Array
 from asia.protocol import Block, Fold
 from asia.scoring import Outcome
 

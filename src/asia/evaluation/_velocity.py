@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from asia.problem import Array
-from asia.problem._motion import LARGEST_GAIN, LEAST_CORRELATION, motion
+from asia.data import Array
+from asia.data._motion import LARGEST_GAIN, LEAST_CORRELATION, motion
 from asia.protocol import Block, Fold
 
 Rates = tuple[int | None, ...]

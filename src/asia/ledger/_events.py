@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from asia.problem import EarlyStopping
+from asia.protocol import EarlyStopping
 from asia.scoring import Diagnostics, Failure, MeeTable, Outcome, TestScore
 
 Status = Literal["keep", "discard", "crash", "timeout", "invalid"]

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from asia.data import Array
 from asia.errors import UserError
 from asia.ledger._disk import write_whole, writing
-from asia.problem import Array
 
 _PART = 64 * 1024
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from asia.drive import Order, RunDesk, prepare_order, start_search
 from asia.errors import UserError
 from asia.mcp._config import CLIENTS, client_configuration
 from asia.problem.load import Problem
-from asia.search import Order, RunDesk, prepare_order, start_search
 
 __all__ = [
     "AGENT",

@@ -6,9 +6,9 @@ from dataclasses import asdict
 
 from pydantic import BaseModel, ConfigDict
 
+from asia.drive import Job, Result, Standing
+from asia.drive._desk import result_of
 from asia.ledger import Run
-from asia.search import Job, Result, Standing
-from asia.search._desk import result_of
 
 _DIGITS = 6
 

@@ -13,12 +13,12 @@ from mcp.server.mcpserver.exceptions import ResourceError, ResourceNotFoundError
 from mcp_types import ToolAnnotations
 
 import asia
+from asia.drive import RunDesk
 from asia.errors import AsiaError, UserError
 from asia.ledger import describe_result, journal, one_line, results_table
 from asia.mcp import Opened
 from asia.mcp._texts import INSTRUCTIONS, problem_page, search_prompt
 from asia.mcp._tools import Tools
-from asia.search import RunDesk
 
 # More than the longest hypothesis; a candidate's error is cut.
 _LINE = 2200

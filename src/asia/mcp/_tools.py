@@ -14,6 +14,7 @@ from mcp.server.mcpserver.exceptions import ToolError
 from pydantic import Field
 
 from asia.agents import Proposal
+from asia.drive import Job, RunDesk
 from asia.errors import AsiaError
 from asia.ledger import one_line
 from asia.mcp._answers import (
@@ -27,7 +28,6 @@ from asia.mcp._answers import (
     ticket,
     verdict,
 )
-from asia.search import Job, RunDesk
 
 LONGEST_WAIT = 45.0
 _POLL = 0.25

@@ -15,8 +15,13 @@ from typing import Literal
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._free_model import (
+from asia.models._data.lags import History, Lags, fit_history
+from asia.models._data.records import Record, check, past_length, scaled
+from asia.models._data.scaling import Scaling
+from asia.models._data.segments import segments, simulation_error
+from asia.models._one_step.free_model import (
     FreeRunModel,
     LagChoice,
     choose_lags,
@@ -25,14 +30,9 @@ from asia.models._free_model import (
     selection,
     usable,
 )
-from asia.models._lags import History, Lags, fit_history
-from asia.models._least_squares import LeastSquares
-from asia.models._lm import LevenbergMarquardt
-from asia.models._polynomial import PolynomialRun, refine, refinement_samples
-from asia.models._records import Record, check, past_length, scaled
-from asia.models._scaling import Scaling
-from asia.models._segments import segments, simulation_error
-from asia.problem import Array, Trajectory
+from asia.models._one_step.polynomial import PolynomialRun, refine, refinement_samples
+from asia.models._solvers.least_squares import LeastSquares
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 
 # An unstable model is held within so many times the width of the training range.
 _MARGIN = 10.0

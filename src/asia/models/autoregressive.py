@@ -18,19 +18,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.models import recurrent
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._network import NetworkModel, Params, train_network, window_size, zeros
-from asia.models._records import Record
-from asia.models._scaling import Scaling
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._data.records import Record
+from asia.models._data.scaling import Scaling
+from asia.models._networks.network import NetworkModel, Params, train_network, window_size, zeros
 from asia.models.methods import NetworkMethod
-from asia.problem import Signal, Trajectory
 
 
 @dataclass(frozen=True)
 class Config:
     """cell; hidden: units a layer; layers; encoder: units of the initial-state network; features:
-    functions of the inputs, see `asia.models._features`."""
+    functions of the inputs, see `asia.models._data.features`."""
 
     cell: Literal["rnn", "gru", "lstm"] = "lstm"
     hidden: int = 32
@@ -56,7 +56,7 @@ State = tuple[Any, jax.Array]
 
 @dataclass(frozen=True)
 class AutoregressiveCell(Driven):
-    """Structure of the network: see `asia.models._network.Cell` and `OutputFeedback`; ny outputs,
+    """Structure of the network: see `Cell` and `OutputFeedback` in `_networks`; ny outputs,
     the last of them in the past window where `measured`."""
 
     config: Config

@@ -16,19 +16,19 @@ from typing import Any, Literal
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import linear, neural_ss
-from asia.models._encoder import Encoder, fit_encoder
-from asia.models._linear_fit import Refinement
-from asia.models._lm import LevenbergMarquardt
-from asia.models._records import Record, check, past_length, scaled, windows
-from asia.models._scaling import Scaling
-from asia.models._segments import window_pieces
-from asia.models._series import SeriesStructure, series_starts
-from asia.models._state_fit import StateFit, fit_states, of_records
-from asia.models._structure import Basis, Nonlinearity
+from asia.models._data.encoder import Encoder, fit_encoder
+from asia.models._data.records import Record, check, past_length, scaled, windows
+from asia.models._data.scaling import Scaling
+from asia.models._data.segments import window_pieces
+from asia.models._linear.fit import Refinement
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._state_space.fit import StateFit, fit_states, of_records
+from asia.models._state_space.structure import Basis, Nonlinearity
+from asia.models._state_space.wiener_hammerstein import SeriesStructure, series_starts
 from asia.models.neural_ss import Fitted, NeuralStateSpace
-from asia.problem import Trajectory
 
 __all__ = ["Config", "NeuralStateSpace", "build", "train"]
 

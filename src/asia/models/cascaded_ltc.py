@@ -18,10 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._layers import mlp, mlp_params
-from asia.models._network import (
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._networks.layers import mlp, mlp_params
+from asia.models._networks.network import (
     NetworkModel,
     Params,
     dense,
@@ -31,14 +32,13 @@ from asia.models._network import (
     zeros,
 )
 from asia.models.methods import NetworkMethod
-from asia.problem import Trajectory
 
 
 @dataclass(frozen=True)
 class Config:
     """slow, fast: states of the layers; width: units of the inner layer of each f and of the
     initial-state network; slow_min, slow_max, fast_min, fast_max: ranges of the time constants,
-    in samples; features: functions of the inputs, see `asia.models._features`."""
+    in samples; features: functions of the inputs, see `asia.models._data.features`."""
 
     slow: int = 16
     fast: int = 16
@@ -63,7 +63,7 @@ class Config:
 
 @dataclass(frozen=True)
 class CascadedLTCCell(Driven):
-    """Structure of the network: see `asia.models._network.Cell`."""
+    """Structure of the network: see `asia.models._networks.network.Cell`."""
 
     config: Config
 

@@ -18,10 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._layers import decaying, log_spaced, mlp, mlp_params
-from asia.models._network import (
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._networks.layers import decaying, log_spaced, mlp, mlp_params
+from asia.models._networks.network import (
     NetworkModel,
     Params,
     dense,
@@ -31,7 +32,6 @@ from asia.models._network import (
     zeros,
 )
 from asia.models.methods import NetworkMethod
-from asia.problem import Trajectory
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Config:
     """receptive_field: samples of input that an output depends on, at least; width: channels;
     kernel: taps a convolution; memory: channels that carry the past window, with initial time
     constants log-spaced from 1 to the receptive field; encoder: units of the network that fills
-    them; features: functions of the inputs, see `asia.models._features`."""
+    them; features: functions of the inputs, see `asia.models._data.features`."""
 
     receptive_field: int = 128
     width: int = 16
@@ -66,7 +66,7 @@ class Config:
 
 @dataclass(frozen=True)
 class ConvolutionStack(Driven):
-    """Structure of the network: see `asia.models._network.FeatureMap`."""
+    """Structure of the network: see `asia.models._networks.network.FeatureMap`."""
 
     config: Config
 

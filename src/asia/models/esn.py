@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._encoder import Encoder, fit_encoder
-from asia.models._least_squares import LeastSquares
-from asia.models._records import Record, check, past_length, scaled, window, windows
-from asia.models._scaling import Scaling
-from asia.models._segments import Segments, segments
-from asia.problem import Array, Trajectory
+from asia.models._data.encoder import Encoder, fit_encoder
+from asia.models._data.records import Record, check, past_length, scaled, window, windows
+from asia.models._data.scaling import Scaling
+from asia.models._data.segments import Segments, segments
+from asia.models._solvers.least_squares import LeastSquares
 
 _MOST_SAMPLES = 40_000
 

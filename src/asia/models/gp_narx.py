@@ -21,8 +21,13 @@ from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import minimize
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._free_model import (
+from asia.models._data.lags import FreeRun, Lags, Limits, fit_history, regressors
+from asia.models._data.records import Record, check, past_length, scaled
+from asia.models._data.scaling import Scaling
+from asia.models._data.segments import left_out_error, segments, simulation_error
+from asia.models._one_step.free_model import (
     FreeRunModel,
     LagChoice,
     choose_lags,
@@ -30,12 +35,7 @@ from asia.models._free_model import (
     selection,
     usable,
 )
-from asia.models._lags import FreeRun, Lags, Limits, fit_history, regressors
-from asia.models._least_squares import MarginalLikelihood
-from asia.models._records import Record, check, past_length, scaled
-from asia.models._scaling import Scaling
-from asia.models._segments import left_out_error, segments, simulation_error
-from asia.problem import Array, Trajectory
+from asia.models._solvers.least_squares import MarginalLikelihood
 
 _JITTER = 1e-8
 _MEAN_RIDGE = 1e-6

@@ -16,15 +16,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._greybox_config import Config, Range, Structure
-from asia.models._greybox_fit import Fitted, fit
-from asia.models._greybox_measured import measured_simulator
-from asia.models._greybox_simulate import effects, simulator
-from asia.models._greybox_starts import cut_segments
-from asia.models._lm import LevenbergMarquardt
-from asia.models._ode import equations
-from asia.problem import Array, Bounds, Trajectory
+from asia.models._equations.config import Config, Range, Structure
+from asia.models._equations.fit import Fitted, fit
+from asia.models._equations.measured_start import measured_simulator
+from asia.models._equations.ode import equations
+from asia.models._equations.simulate import effects, simulator
+from asia.models._equations.starts import cut_segments
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.problem import Bounds
 
 __all__ = ["Config", "GreyBox", "build", "train"]
 

@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.models import greybox
-from asia.models._lm import LevenbergMarquardt
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 from asia.models.greybox import GreyBox
-from asia.problem import Trajectory
 
 __all__ = ["Config", "build", "train"]
 

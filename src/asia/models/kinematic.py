@@ -5,7 +5,7 @@
 
 The layers that give h[k] are those of `asia.models.autoregressive`, driven by the inputs and the
 model's own y[k-1]; the gains are learned too. Which output is the rate of which comes from
-[physics] or from the training records, see `asia.models._rates`.
+[physics] or from the training records, see `asia.models._equations.rates`.
 Sources: Piga and Forgione (KinematicsLSTM, motor speeds squared, scheduled sampling).
 """
 
@@ -21,16 +21,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import autoregressive
-from asia.models._features import Features, check_features, with_drive
-from asia.models._network import NetworkModel, Params, train_network, zeros
-from asia.models._rates import Rate, find_rates, read_by_equations
-from asia.models._records import Record, check
-from asia.models._scaling import Scaling
+from asia.models._data.features import Features, check_features, with_drive
+from asia.models._data.records import Record, check
+from asia.models._data.scaling import Scaling
+from asia.models._equations.rates import Rate, find_rates, read_by_equations
+from asia.models._networks.network import NetworkModel, Params, train_network, zeros
 from asia.models.autoregressive import AutoregressiveCell, State
 from asia.models.methods import NetworkMethod
-from asia.problem import Trajectory
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Config(autoregressive.Config):
 
 @dataclass(frozen=True)
 class KinematicCell(AutoregressiveCell):
-    """Structure of the network: see `asia.models._network.Cell` and `OutputFeedback`; past: output
+    """Structure of the network: see `Cell` and `OutputFeedback` in `_networks`; past: output
     samples in the past window."""
 
     config: Config

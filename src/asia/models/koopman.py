@@ -21,10 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._layers import diagonal_states, log_spaced, mlp, mlp_params, poles
-from asia.models._network import (
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._networks.layers import diagonal_states, log_spaced, mlp, mlp_params, poles
+from asia.models._networks.network import (
     NetworkModel,
     Params,
     dense,
@@ -34,7 +35,6 @@ from asia.models._network import (
     zeros,
 )
 from asia.models.methods import NetworkMethod
-from asia.problem import Trajectory
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Config:
     """levels; states: complex states a level; lift: channels that the inputs are lifted to beside
     themselves; width: units of the inner layers of both lifts; tau_max: slowest of the log-spaced
     initial time constants, in samples, the fastest being 1; angle_max: largest initial rotation a
-    sample, in rad; features: functions of the inputs, see `asia.models._features`."""
+    sample, in rad; features: functions of the inputs, see `asia.models._data.features`."""
 
     levels: int = 3
     states: int = 16
@@ -62,7 +62,7 @@ class Config:
 
 @dataclass(frozen=True)
 class KoopmanMap(Driven):
-    """Structure of the model: see `asia.models._network.FeatureMap`."""
+    """Structure of the model: see `asia.models._networks.network.FeatureMap`."""
 
     config: Config
 

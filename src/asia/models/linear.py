@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._encoder import Encoder
-from asia.models._linear_fit import LinearFit, Refinement, choose_order, encoder_of, fit
-from asia.models._linear_horizon import MOST_WINDOWS, choose, fit_choice, held_out
-from asia.models._linear_system import LinearSystem
-from asia.models._linear_windows import Predictor
-from asia.models._records import Record, check, past_length, scaled, shortened, window
-from asia.models._scaling import Scaling
-from asia.models._windows import cut_windows, stretches
-from asia.problem import Array, Trajectory
+from asia.models._data.encoder import Encoder
+from asia.models._data.records import Record, check, past_length, scaled, shortened, window
+from asia.models._data.scaling import Scaling
+from asia.models._data.windows import cut_windows, stretches
+from asia.models._linear.fit import LinearFit, Refinement, choose_order, encoder_of, fit
+from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
+from asia.models._linear.system import LinearSystem
+from asia.models._linear.windows import Predictor
 
 if TYPE_CHECKING:
-    from asia.models._lm import LevenbergMarquardt
+    from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 
 # Choosing order and delay takes dozens of fits; this many samples tell candidates apart.
 _SELECTION_SAMPLES = 3000

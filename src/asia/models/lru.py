@@ -17,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._layers import diagonal_states, gated, log_spaced, mlp, mlp_params, poles
-from asia.models._network import (
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._networks.layers import diagonal_states, gated, log_spaced, mlp, mlp_params, poles
+from asia.models._networks.network import (
     NetworkModel,
     Params,
     dense,
@@ -30,7 +31,6 @@ from asia.models._network import (
     zeros,
 )
 from asia.models.methods import NetworkMethod
-from asia.problem import Trajectory
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Config:
     """layers; states: complex states a layer; width: channels between layers; encoder: units of
     the initial-state network; tau_max: slowest of the log-spaced initial time constants, in
     samples, the fastest being 1; angle_max: largest initial rotation a sample, in rad; features:
-    functions of the inputs, see `asia.models._features`."""
+    functions of the inputs, see `asia.models._data.features`."""
 
     layers: int = 2
     states: int = 16
@@ -58,7 +58,7 @@ class Config:
 
 @dataclass(frozen=True)
 class LRUStack(Driven):
-    """Structure of the network: see `asia.models._network.FeatureMap`."""
+    """Structure of the network: see `asia.models._networks.network.FeatureMap`."""
 
     config: Config
 

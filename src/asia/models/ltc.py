@@ -17,9 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._network import (
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._networks.network import (
     NetworkModel,
     Params,
     as_built,
@@ -31,7 +32,6 @@ from asia.models._network import (
     zeros,
 )
 from asia.models.methods import NetworkMethod
-from asia.problem import Trajectory
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Config:
     constants, in samples; start: "ridge" solves the output layer by ridge regression, "uniform"
     draws all weights within 1 / sqrt(fan-in), as PyTorch does; bounded: whether f and the
     initial-state network end in a tanh or in their linear layer; features: functions of the inputs
-    that f sees, see `asia.models._features`."""
+    that f sees, see `asia.models._data.features`."""
 
     hidden: int = 64
     width: int | None = None
@@ -63,7 +63,7 @@ class Config:
 
 @dataclass(frozen=True)
 class LTCCell(Driven):
-    """Structure of the network: see `asia.models._network.Cell`."""
+    """Structure of the network: see `asia.models._networks.network.Cell`."""
 
     config: Config
 

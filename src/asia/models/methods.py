@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 from asia.errors import UserError
-from asia.models._least_squares import LeastSquares, MarginalLikelihood
-from asia.models._lm import LevenbergMarquardt
+from asia.models._solvers.least_squares import LeastSquares, MarginalLikelihood
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 
 __all__ = [
     "LBFGS",

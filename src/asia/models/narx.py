@@ -19,12 +19,21 @@ from typing import NamedTuple
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._free_model import RIDGES, FreeRunModel, LagChoice, choose_lags, selection, usable
-from asia.models._lags import Lags, Limits, fit_history
-from asia.models._least_squares import LeastSquares
-from asia.models._lm import LevenbergMarquardt
-from asia.models._polynomial import (
+from asia.models._data.lags import Lags, Limits, fit_history
+from asia.models._data.records import Record, check, past_length, scaled
+from asia.models._data.scaling import Scaling
+from asia.models._data.segments import left_out_error, segments, simulation_error
+from asia.models._one_step.free_model import (
+    RIDGES,
+    FreeRunModel,
+    LagChoice,
+    choose_lags,
+    selection,
+    usable,
+)
+from asia.models._one_step.polynomial import (
     Polynomial,
     PolynomialRun,
     Terms,
@@ -34,10 +43,8 @@ from asia.models._polynomial import (
     refinement_samples,
     solve,
 )
-from asia.models._records import Record, check, past_length, scaled
-from asia.models._scaling import Scaling
-from asia.models._segments import left_out_error, segments, simulation_error
-from asia.problem import Array, Trajectory
+from asia.models._solvers.least_squares import LeastSquares
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 
 # The Gram matrix of so many products is still cheap; beyond it the degree is lowered.
 _MOST_PRODUCTS = 1000

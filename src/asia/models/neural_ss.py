@@ -19,19 +19,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._encoder import Encoder, affine, fit_encoder
-from asia.models._linear_fit import LinearFit, Refinement, encoder_of
-from asia.models._linear_windows import Predictor
-from asia.models._network import train_cell, window_size
-from asia.models._records import Record, check, past_length, scaled, window, windows
-from asia.models._scaling import Scaling
-from asia.models._state_fit import Samples, fit_states, of_records
-from asia.models._structure import Basis, Nonlinearity, Structure
-from asia.models._windows import cut_windows
+from asia.models._data.encoder import Encoder, affine, fit_encoder
+from asia.models._data.records import Record, check, past_length, scaled, window, windows
+from asia.models._data.scaling import Scaling
+from asia.models._data.windows import cut_windows
+from asia.models._linear.fit import LinearFit, Refinement, encoder_of
+from asia.models._linear.windows import Predictor
+from asia.models._networks.network import train_cell, window_size
+from asia.models._state_space.fit import Samples, fit_states, of_records
+from asia.models._state_space.structure import Basis, Nonlinearity, Structure
 from asia.models.methods import Adam, LevenbergMarquardt
-from asia.problem import Array, Trajectory
 
 _LINEAR = ("a", "b", "c", "d", "offset")
 _NONLINEAR = ("f", "s", "r", "read", "act")
@@ -84,7 +84,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class StateCell:
-    """The model as Adam trains it: see `asia.models._network.Cell`."""
+    """The model as Adam trains it: see `asia.models._networks.network.Cell`."""
 
     structure: Structure
 

@@ -21,18 +21,26 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import VALIDATION_SCORES, Context, Model
+from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
-from asia.models._greybox_config import Range
-from asia.models._measured import MeasuredCell, Network, limits
-from asia.models._measured_fit import Settings, choose_windows, fit_equations
-from asia.models._network import NetworkModel, Params, as_built, dense, train_network, zeros
-from asia.models._ode import Equations, equations
-from asia.models._records import check, past_length, scaled, windows
-from asia.models._scaling import Scaling
+from asia.models._data.records import check, past_length, scaled, windows
+from asia.models._data.scaling import Scaling
+from asia.models._equations.config import Range
+from asia.models._equations.measured import MeasuredCell, Network, limits
+from asia.models._equations.measured_fit import Settings, choose_windows, fit_equations
+from asia.models._equations.ode import Equations, equations
+from asia.models._networks.network import (
+    NetworkModel,
+    Params,
+    as_built,
+    dense,
+    train_network,
+    zeros,
+)
 from asia.models.methods import LevenbergMarquardt, NetworkMethod
-from asia.problem import Array, Bounds, Trajectory
-from asia.problem._expressions import Name
+from asia.problem import Bounds
+from asia.problem.physics.expressions import Name
 
 __all__ = ["Config", "build", "train"]
 

@@ -16,9 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._network import (
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._networks.network import (
     Float32,
     NetworkModel,
     Params,
@@ -31,7 +32,6 @@ from asia.models._network import (
     zeros,
 )
 from asia.models.methods import NetworkMethod
-from asia.problem import Trajectory
 
 _GATES = {"rnn": 1, "gru": 3, "lstm": 4}
 
@@ -45,7 +45,7 @@ class Config:
     term of the input. start: "ridge" draws orthogonal recurrent weights and gates that remember 1
     to 100 samples and solves the output layer by ridge regression; "uniform" draws everything
     within 1 / sqrt(fan-in), as PyTorch does. features: functions of the inputs that the layers see,
-    see `asia.models._features`.
+    see `asia.models._data.features`.
     """
 
     cell: Literal["rnn", "gru", "lstm"] = "gru"
@@ -74,7 +74,7 @@ class Config:
 
 @dataclass(frozen=True)
 class RecurrentCell(Driven):
-    """Structure of the network: see `asia.models._network.Cell`."""
+    """Structure of the network: see `asia.models._networks.network.Cell`."""
 
     config: Config
 

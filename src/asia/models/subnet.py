@@ -19,14 +19,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._layers import log_spaced, mlp, mlp_params
-from asia.models._linear_fit import Refinement, encoder_of
-from asia.models._linear_system import LinearSystem
-from asia.models._linear_windows import Lags, one_step
-from asia.models._network import (
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._data.records import Record
+from asia.models._data.scaling import Scaling
+from asia.models._data.windows import cut_windows
+from asia.models._linear.fit import Refinement, encoder_of
+from asia.models._linear.system import LinearSystem
+from asia.models._linear.windows import Lags, one_step
+from asia.models._networks.layers import log_spaced, mlp, mlp_params
+from asia.models._networks.network import (
     NetworkModel,
     Params,
     dense,
@@ -34,11 +38,7 @@ from asia.models._network import (
     window_size,
     zeros,
 )
-from asia.models._records import Record
-from asia.models._scaling import Scaling
-from asia.models._windows import cut_windows
 from asia.models.methods import NetworkMethod
-from asia.problem import Array, Trajectory
 
 # Far outside what training visits; keeps a model that is unstable there from overflowing.
 _LARGEST_STATE = 30.0
@@ -49,7 +49,7 @@ _ONE_STEP_RIDGE = 1e-4
 @dataclass(frozen=True)
 class Config:
     """states; width, layers: units and inner layers of f, h and the encoder's network; features:
-    functions of the inputs that f and h see, see `asia.models._features`.
+    functions of the inputs that f and h see, see `asia.models._data.features`.
 
     start: `linear` starts training at the best linear model with as many states or, where the
     problem has a horizon, at one whose state holds the last outputs, if there are enough states
@@ -72,7 +72,7 @@ class Config:
 
 @dataclass(frozen=True)
 class SubnetCell(Driven):
-    """Structure of the model: see `asia.models._network.Cell`."""
+    """Structure of the model: see `asia.models._networks.network.Cell`."""
 
     config: Config
 

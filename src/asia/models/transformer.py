@@ -18,10 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._layers import mlp, mlp_params, normalised
-from asia.models._network import (
+from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
+from asia.models._networks.layers import mlp, mlp_params, normalised
+from asia.models._networks.network import (
     Float32,
     NetworkModel,
     Params,
@@ -32,7 +33,6 @@ from asia.models._network import (
     zeros,
 )
 from asia.models.methods import NetworkMethod
-from asia.problem import Trajectory
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Config:
     """layers; heads; width: channels, a multiple of heads; inner: units of the static network in
     a layer; span: tokens an attention sees, itself included; encoder: units of the network that
     makes the past window's token; features: functions of the inputs, see
-    `asia.models._features`."""
+    `asia.models._data.features`."""
 
     layers: int = 2
     heads: int = 4
@@ -65,7 +65,7 @@ class Config:
 
 @dataclass(frozen=True)
 class Transformer(Driven):
-    """Structure of the network: see `asia.models._network.FeatureMap`."""
+    """Structure of the network: see `asia.models._networks.network.FeatureMap`."""
 
     config: Config
 

@@ -1,40 +1,19 @@
-"""Records, signals, physics and rules. Light: a sandboxed worker imports it.
+"""What a search is about: the problem, its physics and its budget. Light: a sandboxed worker
+imports it.
 
 Reading problems from disk lives in `asia.problem.load`.
 """
 
-from asia.problem._types import (
-    Array,
-    Bounds,
-    Budget,
-    EarlyStopping,
-    FoldRule,
-    Group,
-    Metric,
-    OutputGroup,
-    ParameterRange,
-    Physics,
-    ProtocolRule,
-    Signal,
-    TestMetric,
-    TestRule,
-    Trajectory,
-)
+from asia.data import Array, Signal, Trajectory
+from asia.problem._budget import Budget
+from asia.problem.physics.types import Bounds, ParameterRange, Physics
 
 __all__ = [
     "Array",
     "Bounds",
     "Budget",
-    "EarlyStopping",
-    "FoldRule",
-    "Group",
-    "Metric",
-    "OutputGroup",
     "ParameterRange",
     "Physics",
-    "ProtocolRule",
     "Signal",
-    "TestMetric",
-    "TestRule",
     "Trajectory",
 ]

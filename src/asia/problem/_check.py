@@ -9,11 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from asia.problem._blocks import splits, windows
-from asia.problem._digest import data_digest, protocol_digest
+from asia.data._digest import data_digest
+from asia.data._trajectory import Array, Signal, Trajectory
+from asia.problem._digest import protocol_digest
 from asia.problem._places import kept_words
 from asia.problem._problem import Problem, Seal
-from asia.problem._types import Array, ProtocolRule, Signal, Trajectory
+from asia.protocol._cuts import splits, windows
+from asia.protocol._rules import ProtocolRule
 
 _ORDER = 50
 _ORDER_SAMPLES = 10_000

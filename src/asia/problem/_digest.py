@@ -4,22 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from asia.problem._problem import Problem
-from asia.problem._types import Physics, Trajectory
-
-
-def data_digest(trajectories: Sequence[Trajectory]) -> str:
-    """Hex sha256 over sampling times, shapes and values, in order; names do not count."""
-    digest = hashlib.sha256()
-    for t in trajectories:
-        digest.update(json.dumps([t.sampling_time, t.u.shape, t.y.shape]).encode())
-        digest.update(t.u.astype("<f8").tobytes())
-        digest.update(t.y.astype("<f8").tobytes())
-    return digest.hexdigest()
+from asia.problem.physics.types import Physics
 
 
 def protocol_digest(problem: Problem) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from asia._nearest import suggestion
+from asia.data._trajectory import Trajectory
+from asia.data.sources.kinds import CsvSource, DataSource, GuardSource, SimulatedSource
 from asia.errors import UserError
-from asia.problem._nearest import suggestion
-from asia.problem._problem import CsvSource, DataSource, GuardSource, SimulatedSource
-from asia.problem._types import Trajectory
 
 
 def guard_source(named: Sequence[str] | int, data: DataSource, root: Path) -> GuardSource:

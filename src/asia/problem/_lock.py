@@ -8,18 +8,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from asia.errors import UserError
-from asia.problem._digest import data_digest, physics_digest, protocol_digest, text_digest
-from asia.problem._guard import guard_table
-from asia.problem._problem import (
+from asia.data._digest import data_digest
+from asia.data.sources.kinds import (
     BenchmarkSource,
     CsvSource,
     NanodroneSource,
-    Problem,
-    Seal,
     SealedSource,
     SimulatedSource,
 )
+from asia.errors import UserError
+from asia.problem._digest import physics_digest, protocol_digest, text_digest
+from asia.problem._guard import guard_table
+from asia.problem._problem import Problem, Seal
 from asia.problem._protocol import groups_table, protocol_table
 from asia.problem._schema import DigestTable
 from asia.problem._toml import toml_text

@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from asia.problem._benchmarks import cache_folder
-from asia.problem._nanodrone import flight_paths
-from asia.problem._problem import (
+from asia.data._store import key_folder
+from asia.data.sources.benchmarks import cache_folder
+from asia.data.sources.kinds import (
     BenchmarkSource,
     CsvSource,
     DataSource,
     NanodroneSource,
-    Problem,
     SealedSource,
 )
-from asia.problem._sealed_store import key_folder
+from asia.data.sources.nanodrone import flight_paths
+from asia.problem._problem import Problem
 
 
 def kept_places(problem: Problem) -> tuple[Path, ...]:

@@ -7,10 +7,10 @@ from dataclasses import asdict, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
+from asia._nearest import suggestion
 from asia.errors import UserError
-from asia.problem._nearest import suggestion
 from asia.problem._schema import ProtocolTable
-from asia.problem._types import Group, ProtocolRule, TestRule
+from asia.protocol._rules import Group, ProtocolRule, TestRule
 
 GroupsTable = Mapping[str, Sequence[str]]
 

@@ -6,18 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from asia.problem._types import (
-    Bounds,
-    Budget,
+from asia.data._trajectory import Signal
+from asia.problem._problem import Budget
+from asia.problem.physics.types import Bounds, ParameterRange, Physics
+from asia.protocol._rules import (
     EarlyStopping,
     Feedback,
     FoldRule,
     Metric,
     OutputGroup,
-    ParameterRange,
-    Physics,
     ProtocolRule,
-    Signal,
     TestMetric,
     TestRule,
 )

@@ -12,8 +12,8 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from asia._nearest import nearest
 from asia.errors import UserError
-from asia.problem._nearest import nearest
 from asia.problem._schema import LEAST_MEMORY_MB
 
 _SHOWN = 3

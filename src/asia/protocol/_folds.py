@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.problem import Array, ProtocolRule, Trajectory
-from asia.problem._blocks import Part, least_case, splits, windows
+from asia.protocol._cuts import Part, least_case, splits, windows
+from asia.protocol._rules import ProtocolRule
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,7 @@
 Shipped, so that everybody can try them on their own machine: `asia redteam`.
 """
 
-from asia.redteam._attacks import ATTACKS
 from asia.redteam._honest import problem_named
-from asia.redteam._off import OFF
-from asia.redteam._outer import why_no_outer
 from asia.redteam._suite import (
     Plan,
     Report,
@@ -25,6 +22,9 @@ from asia.redteam._types import (
     Stop,
     Verdict,
 )
+from asia.redteam.attacks.table import ATTACKS
+from asia.redteam.outside.off import OFF
+from asia.redteam.outside.outer_sandbox import why_no_outer
 
 __all__ = [
     "ATTACKS",

@@ -9,10 +9,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from asia.redteam._arena import attack_candidate
-from asia.redteam._attacks import ATTACKS
-from asia.redteam._off import CONTROL, OFF, attack_without_isolation, broken
-from asia.redteam._outer import write_finding
 from asia.redteam._types import Attack, CandidateAttack, Finding, Verdict
+from asia.redteam.attacks.table import ATTACKS
+from asia.redteam.outside.off import CONTROL, OFF, attack_without_isolation, broken
+from asia.redteam.outside.outer_sandbox import write_finding
 from asia.sandbox import Isolation, Layer
 
 

@@ -10,10 +10,10 @@ from functools import cache
 from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator
 from asia.redteam._problem import Kind, small_problem
-from asia.redteam._source import HONEST, fill_in
-from asia.redteam._targets import Targets, targets
 from asia.redteam._types import CandidateAttack, Finding, Seen
-from asia.redteam._verdict import conclude, said_steps, worst_of
+from asia.redteam.attacks.source import HONEST, fill_in
+from asia.redteam.evidence.targets import Targets, targets
+from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
 from asia.sandbox import LAYERS, Isolation, Layer, Worker, absent_layers, open_worker
 from asia.scoring import Failure, Score
 

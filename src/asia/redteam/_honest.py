@@ -10,15 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asia.agents import Facts
-from asia.agents._family import Family
-from asia.agents._library import FAMILIES
+from asia.agents.library.family import Family
+from asia.agents.library.table import FAMILIES
 from asia.candidate import Context, check_source, executed_source
+from asia.data import Signal, Trajectory
 from asia.errors import CandidateError, Reason
 from asia.evaluation import simulate_held_out, suspicions
-from asia.problem import ParameterRange, Physics, ProtocolRule, Signal, Trajectory
+from asia.problem import ParameterRange, Physics
 from asia.problem.load import Problem, load_problem
-from asia.protocol import make_folds
-from asia.redteam._ending import Ending
+from asia.protocol import ProtocolRule, make_folds
+from asia.redteam._stopping import Ending
 from asia.redteam._types import Honest
 from asia.sandbox import Isolation, Limits, open_worker
 from asia.search import problem_facts

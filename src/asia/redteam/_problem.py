@@ -8,10 +8,11 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.evaluation import Evaluator
 from asia.executor import LocalExecutor
-from asia.problem import Budget, FoldRule, ProtocolRule, Signal, Trajectory
-from asia.protocol import make_folds
+from asia.problem import Budget
+from asia.protocol import FoldRule, ProtocolRule, make_folds
 from asia.sandbox import Isolation
 
 E = TypeVar("E", bound=Evaluator)

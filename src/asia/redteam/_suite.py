@@ -11,15 +11,11 @@ from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 
-from asia.agents._family import Family
-from asia.agents._library import FAMILIES
+from asia.agents.library.family import Family
+from asia.agents.library.table import FAMILIES
 from asia.redteam._arena import attack_candidate
-from asia.redteam._attacks import ATTACKS
-from asia.redteam._ending import Ending
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
-from asia.redteam._off import OFF
-from asia.redteam._outer import inside
-from asia.redteam._searches import Scene
+from asia.redteam._stopping import Ending
 from asia.redteam._types import (
     ANY_LEVEL,
     Attack,
@@ -29,6 +25,10 @@ from asia.redteam._types import (
     SearchAttack,
     Verdict,
 )
+from asia.redteam.attacks.searches import Scene
+from asia.redteam.attacks.table import ATTACKS
+from asia.redteam.outside.off import OFF
+from asia.redteam.outside.outer_sandbox import inside
 from asia.sandbox import LAYERS, Isolation, Layer
 
 _MOST_AT_ONCE = 2

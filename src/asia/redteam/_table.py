@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from asia.redteam._off import OFF
 from asia.redteam._suite import Report
 from asia.redteam._types import ANY_LEVEL, Attack, Finding, Honest
+from asia.redteam.outside.off import OFF
 
 
 def report_table(report: Report) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from asia.errors import Reason
 
 if TYPE_CHECKING:
-    from asia.redteam._searches import Scene
+    from asia.redteam.attacks.searches import Scene
 
 
 class Stop(StrEnum):

@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from asia.report._comparison import BenchPictures, Curve, Level, PublishedMee, Side, SidesPicture
 from asia.report._leaderboard import Entry, leaderboard
-from asia.report._sides import BenchPictures, Curve, Level, PublishedMee, Side, SidesPicture
 
 if TYPE_CHECKING:
     from asia.problem.load import Problem

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from asia.data import Array
 from asia.ledger import Experiment, Run, Store, Unsealed
-from asia.problem import Array
 from asia.protocol import Fold
 
 

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 from asia.ledger import Run, TestRecord, open_run
 from asia.problem.load import load_lock
-from asia.report._arms import draw_arms
-from asia.report._progress import draw_progress
-from asia.report._sides import BenchPictures
-from asia.report._windows import draw_test_horizon
+from asia.report._comparison import BenchPictures
+from asia.report._pictures.comparison import draw_arms
+from asia.report._pictures.progress import draw_progress
+from asia.report._pictures.windows import draw_test_horizon
 from asia.report._write import Picture, save, standing
 
 

@@ -1,9 +1,8 @@
 """Run untrusted candidates in worker processes. What comes back is bytes and is never parsed."""
 
+from asia.sandbox._doctor import Lack, LevelState, Machine, machine, survey
 from asia.sandbox._jail import INSIDE, SOCKET_FOLDER, Jail, jail_environment
 from asia.sandbox._open import absent_layers, open_worker, probe, why_not
-from asia.sandbox._surroundings import shown_in
-from asia.sandbox._survey import Lack, LevelState, Machine, machine, survey
 from asia.sandbox._types import (
     LAYERS,
     FitReply,
@@ -15,7 +14,8 @@ from asia.sandbox._types import (
     ScoreRefusedError,
     WorkerKilledError,
 )
-from asia.sandbox._worker import Worker
+from asia.sandbox.walls.surroundings import shown_in
+from asia.sandbox.worker.worker import Worker
 
 __all__ = [
     "INSIDE",

@@ -8,8 +8,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from asia.sandbox._namespace import walls
-from asia.sandbox._surroundings import code_folders, interpreter
+from asia.sandbox.levels.namespace import walls
+from asia.sandbox.walls.surroundings import code_folders, interpreter
 
 INSIDE = "/workspace"
 SOCKET_FOLDER = "/run/asia"

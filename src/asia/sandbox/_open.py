@@ -7,10 +7,10 @@ import sys
 from collections.abc import Collection, Sequence
 
 from asia.errors import SandboxError
-from asia.sandbox import _confined, _namespace, _process, _seatbelt
-from asia.sandbox._surroundings import package_folder
 from asia.sandbox._types import LAYERS, Isolation, Layer, Limits, Probe
-from asia.sandbox._worker import Worker
+from asia.sandbox.levels import landlock, namespace, process, sandbox_exec
+from asia.sandbox.walls.surroundings import package_folder
+from asia.sandbox.worker.worker import Worker
 
 
 def probe(wanted: Isolation | None = None) -> Probe:
@@ -53,18 +53,18 @@ def why_not(level: Isolation) -> str | None:
     """None if a worker can be started at `level` here, else the reason in plain words."""
     match level:
         case Isolation.NAMESPACE:
-            return _namespace.why_not()
+            return namespace.why_not()
         case Isolation.LANDLOCK:
-            return _confined.why_not()
+            return landlock.why_not()
         case Isolation.SANDBOX_EXEC:
-            return _seatbelt.why_not()
+            return sandbox_exec.why_not()
         case Isolation.PROCESS:
             return None
 
 
 def absent_layers(level: Isolation) -> dict[Layer, str]:
     """Layers of a level that works here which the kernel does not give, and why."""
-    missing = _confined.missing()
+    missing = landlock.missing()
     return {layer: why for layer, why in missing.items() if layer in LAYERS[level]}
 
 
@@ -84,11 +84,11 @@ def open_worker(
     layers = [layer for layer in LAYERS[level] if layer not in absent and layer not in without]
     match level:
         case Isolation.NAMESPACE:
-            cell = _namespace.open_cell(limits, layers)
+            cell = namespace.open_cell(limits, layers)
         case Isolation.LANDLOCK:
-            cell = _confined.open_cell(limits, layers)
+            cell = landlock.open_cell(limits, layers)
         case Isolation.SANDBOX_EXEC:
-            cell = _seatbelt.open_cell(limits, layers)
+            cell = sandbox_exec.open_cell(limits, layers)
         case Isolation.PROCESS:
-            cell = _process.open_cell(limits, layers)
+            cell = process.open_cell(limits, layers)
     return Worker(cell, limits)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from asia.data import Array
 from asia.errors import SandboxError
-from asia.problem import Array
 
 
 class Isolation(StrEnum):

@@ -10,8 +10,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from asia.data import Array
 from asia.errors import CandidateError, Reason
-from asia.problem import Array
 
 Samples = NDArray[np.int64]
 

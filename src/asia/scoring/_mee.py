@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia.data import Array
 from asia.errors import InternalError
-from asia.problem import Array, OutputGroup
+from asia.protocol import OutputGroup
 from asia.scoring._outcome import check_reply
 
 

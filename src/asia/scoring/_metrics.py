@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asia.problem import Array
+from asia.data import Array
 
 
 def rmse(y: Array, y_hat: Array) -> Array:

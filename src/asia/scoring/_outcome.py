@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia.data import Array
 from asia.errors import CandidateError, InternalError, Reason
-from asia.problem import Array
 from asia.scoring._metrics import METRICS, fit_index, mae, pooled, r2, rmse
 
 DIVERGED = 1e100

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from asia.data import Array
 from asia.errors import CandidateError
 from asia.evaluation import Evaluator
 from asia.ledger import Experiment, GuardLooked, GuardScore, SearchView, Store
-from asia.problem import Array
 from asia.problem.load import Problem
 from asia.protocol import Block, whole
-from asia.protocol._guard import open_guard
 from asia.scoring import Failure, Outcome, Score, combine, score_fold
+from asia.seal._guard import open_guard
 
 NEW_BESTS = 3
 

@@ -43,7 +43,7 @@ from asia.scoring import Failure, Outcome, Score
 from asia.search._agent_view import agent_view, as_bytes, problem_facts
 from asia.search._loop import judge
 from asia.search._rules import decide
-from asia.search._search import LOCK, environment, make_evaluator
+from asia.search._run import LOCK, environment, make_evaluator
 
 OutcomeVerdict = Literal["same", "close", "differs", "exempt", "unfinished"]
 ProposalVerdict = Literal["same", "differs", "taken", "none"]

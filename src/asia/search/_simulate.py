@@ -7,12 +7,12 @@ from typing import Literal
 
 import numpy as np
 
+from asia.data import Array
 from asia.errors import UserError
 from asia.ledger import open_run
-from asia.problem import Array
 from asia.problem.load import load_lock
 from asia.protocol import Block, Case
-from asia.search._search import LOCK, make_evaluator
+from asia.search._run import LOCK, make_evaluator
 
 
 def simulate(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from asia.data import Array, Trajectory
 from asia.errors import CandidateError, UserError
 from asia.evaluation import Evaluator
 from asia.ledger import (
@@ -24,13 +25,12 @@ from asia.ledger import (
     verify,
     write_exports,
 )
-from asia.problem import Array, Trajectory
 from asia.problem.load import Problem, data_digest, load_lock
 from asia.protocol import Block, whole
-from asia.protocol._sealed import check_openable, open_test
 from asia.sandbox import Isolation
 from asia.scoring import METRICS, Failure, mee_table, score_test
-from asia.search._search import LOCK, make_evaluator
+from asia.seal._test import check_openable, open_test
+from asia.search._run import LOCK, make_evaluator
 
 CONSENT = (
     "the candidates of run '{run}' ran at isolation level process, where a candidate can read "

@@ -10,8 +10,9 @@ import numpy as np
 
 from asia.agents import Agent, AgentView, Facts, Proposal, Trial
 from asia.candidate import check_source, source_digest
+from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics
-from asia.problem import ParameterRange, Physics, Signal, Trajectory
+from asia.problem import ParameterRange, Physics
 
 EXPERIMENTS = 20
 _FAILED = 1 / 6

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from asia.candidate import Context, check_source, executed_source
+from asia.data import Array, Signal, Trajectory
 from asia.errors import CandidateError
 from asia.evaluation import simulate_held_out, suspicions
-from asia.problem import Array, ParameterRange, Physics, ProtocolRule, Signal, Trajectory
-from asia.protocol import Block, whole
+from asia.problem import ParameterRange, Physics
+from asia.protocol import Block, ProtocolRule, whole
 from asia.sandbox import Isolation, Limits, Worker, open_worker, probe
 
 _LIMITS = Limits(300.0, 120.0, 4096)

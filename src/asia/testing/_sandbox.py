@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError
-from asia.problem import Signal, Trajectory
 from asia.sandbox import Limits, Worker
 
 OpenWorker = Callable[[Limits], Worker]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from asia.agents import ExpertAgent, Facts, Proposal, Trial
-from asia.agents._evidence import overfit, plateau_share
-from asia.agents._library import families
-from asia.agents._recipe import Recipe
-from asia.problem import Trajectory
+from asia.agents.expert.evidence import overfit, plateau_share
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.table import families
+from asia.data import Trajectory
 from tests.unit.agents.searches import (
     CLEAN,
     body,

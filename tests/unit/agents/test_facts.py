@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 from asia.agents import Effort
-from asia.agents._traits import traits
-from asia.problem import FoldRule, Group, Physics, ProtocolRule
+from asia.agents.library.traits import traits
+from asia.problem import Physics
 from asia.problem.load import load_problem
+from asia.protocol import FoldRule, Group, ProtocolRule
 from asia.search import problem_facts
 from tests.unit.agents.searches import simulation, windows
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from asia.agents import ExpertAgent, Facts, Trial
-from asia.agents._family import Family
-from asia.agents._library import FAMILIES, families
-from asia.agents._move import Case
-from asia.agents._moves import MOVES
-from asia.agents._paper import paper_families
-from asia.agents._random import _drawn
-from asia.agents._recipe import Recipe, read_recipe
-from asia.agents._training import FEWEST_STEPS, METHODS, under_protocol
+from asia.agents.controls.paper import paper_families
+from asia.agents.controls.random import _drawn
+from asia.agents.expert.move import Case
+from asia.agents.expert.moves import MOVES
+from asia.agents.library.cost import FEWEST_STEPS, METHODS, under_protocol
+from asia.agents.library.family import Family
+from asia.agents.library.recipe import Recipe, read_recipe
+from asia.agents.library.table import FAMILIES, families
 from asia.models import methods
 from tests.unit.agents.searches import (
     CLEAN,

@@ -14,7 +14,7 @@ from asia.agents import (
     LlmAgent,
     LlmSettings,
 )
-from asia.agents._llm_client import Answer, ChatClient
+from asia.agents.llm.client import Answer, ChatClient
 from asia.errors import UserError
 
 from .fake_llm import PROMPT_TOKENS, REPLY_TOKENS, FakeServer, Told, fake_llm

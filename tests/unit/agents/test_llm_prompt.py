@@ -8,14 +8,14 @@ from dataclasses import replace
 import pytest
 
 from asia.agents import AgentView, LlmAgent, LlmSettings, Trial
-from asia.agents._library import families
-from asia.agents._llm_anonymous import anonymous
-from asia.agents._llm_client import Answer
-from asia.agents._llm_problem import problem_text
-from asia.agents._llm_search import Task, search_text, task_of
-from asia.agents._llm_text import fenced, quoted
+from asia.agents.library.table import families
+from asia.agents.llm.anonymous import anonymous
+from asia.agents.llm.client import Answer
+from asia.agents.llm.problem import problem_text
+from asia.agents.llm.search import Task, search_text, task_of
+from asia.agents.llm.text import fenced, quoted
+from asia.data import Signal
 from asia.ledger import error_line
-from asia.problem import Signal
 from asia.testing import check_agent
 
 from .searches import CLEAN, body, simulation, view, windows

@@ -1,6 +1,6 @@
 import pytest
 
-from asia.agents._llm_reply import MalformedReplyError, read_reply
+from asia.agents.llm.reply import MalformedReplyError, read_reply
 
 GOOD = "def fit(trajectories, context):\n    return None\n"
 

@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from asia.agents._library import FAMILIES
-from asia.agents._recipe import Recipe, read_recipe
+from asia.agents.library.recipe import Recipe, read_recipe
+from asia.agents.library.table import FAMILIES
 from asia.candidate import check_source, source_digest
 from asia.evaluation import LINEAR
 

@@ -3,7 +3,7 @@
 import pytest
 
 from asia.agents import ExpertAgent, Proposal, Trial
-from asia.agents._tune import TUNED
+from asia.agents.expert.tune import TUNED
 from tests.unit.agents.searches import CLEAN, recipe_of, search, simulation, trial, view
 
 KNOWN = simulation(physics=True)

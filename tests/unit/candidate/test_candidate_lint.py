@@ -11,11 +11,11 @@ import pytest
 
 import asia
 from asia.agents import ExpertAgent, Facts
-from asia.agents._library import FAMILIES
-from asia.agents._llm_problem import EXAMPLE
-from asia.agents._paper import paper_families
-from asia.agents._random import _drawn
-from asia.agents._training import under_protocol
+from asia.agents.controls.paper import paper_families
+from asia.agents.controls.random import _drawn
+from asia.agents.library.cost import under_protocol
+from asia.agents.library.table import FAMILIES
+from asia.agents.llm.problem import EXAMPLE
 from asia.candidate import check_source, executed_source, source_digest
 from asia.candidate._lint import MOST_ALIKE, MOST_CODE, MOST_LITERALS, MOST_NAMES, content
 from asia.errors import CandidateError, Reason

@@ -5,7 +5,8 @@ import pytest
 from typer.testing import CliRunner
 
 from asia.cli import app
-from asia.sandbox import Isolation, Layer, _confined, _survey, machine, probe, survey
+from asia.sandbox import Isolation, Layer, _doctor, machine, probe, survey
+from asia.sandbox.levels import landlock as level
 
 
 def doctor(*words: str) -> str:
@@ -45,8 +46,8 @@ def test_text_marks_one_level(monkeypatch, tmp_path):
     ],
 )
 def test_each_lack_of_landlock_has_its_remedy(monkeypatch, reason, words):
-    monkeypatch.setattr(_survey._landlock, "why_not", lambda: reason)
-    monkeypatch.setattr(_confined, "missing", lambda: {Layer.LANDLOCK: reason})
+    monkeypatch.setattr(_doctor.landlock, "why_not", lambda: reason)
+    monkeypatch.setattr(level, "missing", lambda: {Layer.LANDLOCK: reason})
     states = {state.level: state for state in survey()}
     landlock = states[Isolation.LANDLOCK]
     assert not landlock.works
@@ -70,19 +71,19 @@ def test_each_switch_that_stops_namespaces_has_its_remedy(
     monkeypatch, tmp_path: Path, setting, value, words
 ):
     for name in ("_APPARMOR", "_CLONE", "_MOST"):
-        monkeypatch.setattr(_survey, name, tmp_path / "absent")
+        monkeypatch.setattr(_doctor, name, tmp_path / "absent")
     program = tmp_path / "bwrap"
     program.write_text("#!/bin/sh\necho bubblewrap 0.9.0; [ $1 = --version ]\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
     (tmp_path / "value").write_text(value)
-    monkeypatch.setattr(_survey, setting, tmp_path / "value")
+    monkeypatch.setattr(_doctor, setting, tmp_path / "value")
     (state,) = (state for state in survey() if state.level is Isolation.NAMESPACE)
     assert not state.works
     assert words in state.lacks[0].remedy
 
 
 def test_facts_of_this_machine(monkeypatch, tmp_path):
-    monkeypatch.setattr(_survey, "_CONTAINERS", (tmp_path,))
+    monkeypatch.setattr(_doctor, "_CONTAINERS", (tmp_path,))
     assert machine().container
     assert machine().python.startswith("3.")

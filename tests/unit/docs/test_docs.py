@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.problem import Budget, ProtocolRule
-from asia.problem._expressions import FUNCTIONS
+from asia.problem import Budget
+from asia.problem.physics.expressions import FUNCTIONS
+from asia.protocol import ProtocolRule
 
 ROOT = Path(__file__).parents[3]
 README = (ROOT / "README.md").read_text()

@@ -11,8 +11,8 @@ import numpy as np
 
 import asia.models
 from asia.candidate import Context, check_source
+from asia.data import Signal, Trajectory
 from asia.models import methods
-from asia.problem import Signal, Trajectory
 
 PAGE = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
 

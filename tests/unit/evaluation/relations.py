@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason
 from asia.evaluation import Suspicion, suspicions
 from asia.evaluation._requests import simulate_held_out
-from asia.problem import Array, ProtocolRule, Trajectory
-from asia.protocol import Block, Fold, make_folds
+from asia.protocol import Block, Fold, ProtocolRule, make_folds
 
 Answer = Callable[[Array, Array, Array], Array]
 

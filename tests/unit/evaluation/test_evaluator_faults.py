@@ -13,13 +13,15 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.errors import Reason, UserError
 from asia.evaluation import Evaluator
 from asia.evaluation import _evaluator as evaluator_module
 from asia.executor import LocalExecutor
-from asia.problem import Budget, ProtocolRule, Signal, Trajectory
-from asia.protocol import make_folds
-from asia.sandbox import Isolation, Limits, Worker, _cell, open_worker, probe, why_not
+from asia.problem import Budget
+from asia.protocol import ProtocolRule, make_folds
+from asia.sandbox import Isolation, Limits, Worker, open_worker, probe, why_not
+from asia.sandbox.worker import cell
 from asia.scoring import Failure, Score
 
 STRONGEST = probe().level
@@ -146,7 +148,7 @@ def test_a_process_that_does_not_die_is_left_behind_and_no_more_than_a_few(
         return worker
 
     monkeypatch.setattr(evaluator_module, "open_worker", immortal)
-    monkeypatch.setattr(_cell, "_PATIENCE_SECONDS", (0.05, 0.05))
+    monkeypatch.setattr(cell, "_PATIENCE_SECONDS", (0.05, 0.05))
     judge = evaluator(STRONGEST, fit_seconds=1.0)
     try:
         outcome = judge.evaluate(STUCK).outcome

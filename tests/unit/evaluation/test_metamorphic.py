@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from asia.data import Array
 from asia.errors import CandidateError, Reason
 from asia.evaluation import SuspicionKind, simulate_held_out, suspicions
 from asia.evaluation._requests import held_out_requests
-from asia.problem import Array
 from tests.unit.evaluation.relations import Answer, Model, fold, found, honest, suspicions_of
 
 HORIZONS = [None, 20]

@@ -5,9 +5,8 @@ import types
 
 import pytest
 
-from asia.agents._library import FAMILIES
-from asia.problem import ProtocolRule
-from asia.protocol import make_folds
+from asia.agents.library.table import FAMILIES
+from asia.protocol import ProtocolRule, make_folds
 from tests.contract.test_models import context, quick_source, record, suited
 from tests.unit.evaluation.relations import Model, suspicions_of
 

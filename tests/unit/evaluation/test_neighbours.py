@@ -4,11 +4,12 @@ all pasts, without any dynamics, beats published models. In time order it must g
 import numpy as np
 
 from asia.candidate import Context
+from asia.data import Array, Signal, Trajectory
 from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator
 from asia.executor import LocalExecutor
-from asia.problem import Array, Budget, ProtocolRule, Signal, Trajectory
-from asia.protocol import Block, make_folds
+from asia.problem import Budget
+from asia.protocol import Block, ProtocolRule, make_folds
 from asia.sandbox import Isolation
 from asia.scoring import Failure, score_fold
 

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from asia.candidate import VALIDATION_SCORES, Context
+from asia.data import Signal, Trajectory
 from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator
 from asia.evaluation import _evaluator as evaluator_module
 from asia.evaluation._oracle import told
 from asia.executor import LocalExecutor
-from asia.problem import Budget, EarlyStopping, ProtocolRule, Signal, Trajectory
-from asia.protocol import make_folds
+from asia.problem import Budget
+from asia.protocol import EarlyStopping, ProtocolRule, make_folds
 from asia.sandbox import Isolation, probe
-from asia.sandbox._channel import Channel
+from asia.sandbox.worker.channel import Channel
 from asia.scoring import Failure
 
 LEVELS = sorted({Isolation.PROCESS, probe().level})

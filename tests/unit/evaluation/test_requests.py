@@ -9,14 +9,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from asia.data import Array, Trajectory
 from asia.evaluation._requests import (
     MOST_TRAINING_WINDOWS,
     simulate_held_out,
     simulate_training,
     time_order,
 )
-from asia.problem import Array, ProtocolRule, Trajectory
-from asia.protocol import Block, whole
+from asia.protocol import Block, ProtocolRule, whole
 from asia.sandbox import Worker
 
 RULE = ProtocolRule(kind="windows", horizon=4, past_inputs=0, past_outputs=1)

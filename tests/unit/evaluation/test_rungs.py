@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.evaluation import Evaluator, score_rungs
 from asia.evaluation._velocity import constant_velocity, find_rates
 from asia.executor import LocalExecutor
-from asia.problem import Budget, FoldRule, Group, ProtocolRule, Signal, Trajectory
-from asia.protocol import make_folds
+from asia.problem import Budget
+from asia.protocol import FoldRule, Group, ProtocolRule, make_folds
 from asia.sandbox import Isolation
 from asia.scoring import Score
 

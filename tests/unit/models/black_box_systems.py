@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.candidate import Context, Model
-from asia.problem import Array, Signal, Trajectory
+from asia.data import Array, Signal, Trajectory
 
 PAST = 8
 A = np.array([[0.8, 0.3], [-0.3, 0.8]])

@@ -9,7 +9,7 @@ import cloudpickle
 import numpy as np
 
 from asia.candidate import Context
-from asia.problem import Array, Signal, Trajectory
+from asia.data import Array, Signal, Trajectory
 from tests.unit.models.black_box_systems import Case
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from asia.candidate import Context
-from asia.problem import Array, Bounds, ParameterRange, Physics, Signal, Trajectory
+from asia.data import Array, Signal, Trajectory
+from asia.problem import Bounds, ParameterRange, Physics
 
 Rate = Callable[[Array, Array], Array]
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.models._network import NetworkModel, Params
-from asia.problem import Array, Signal, Trajectory
+from asia.data import Array, Signal, Trajectory
+from asia.models._networks.network import NetworkModel, Params
 
 PAST = 2
 A, B = 0.9, 0.4

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.models import _training, ltc
-from asia.models._chunks import laid, tracks
-from asia.models._network import NetworkModel, Params, as_built, rollout, train_network
-from asia.models._objective import objective
-from asia.models._records import Batch, batch, holdout_masks, reweighted, scaled
-from asia.models._scaling import Scaling
-from asia.models._training import Split, Task
+from asia.models import ltc
+from asia.models._data.chunks import laid, tracks
+from asia.models._data.records import Batch, batch, holdout_masks, reweighted, scaled
+from asia.models._data.scaling import Scaling
+from asia.models._networks import training
+from asia.models._networks.network import NetworkModel, Params, as_built, rollout, train_network
+from asia.models._networks.objective import objective
+from asia.models._networks.training import Split, Task
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import Case, case, filtered
 from tests.unit.models.network_cells import (
@@ -64,7 +65,7 @@ def trained(samples: Batch | Split, method: Adam, cell: Any = None, **task: Any)
     start = task.pop("start", {"w": np.zeros(1, np.float32)})
     settings = {"horizon": None, "seed": 0, "log": silent, **task}
     with jax.enable_x64(False):
-        return _training.train(Task(cell or Gain(), samples, **settings), start, method)
+        return training.train(Task(cell or Gain(), samples, **settings), start, method)
 
 
 @pytest.mark.parametrize("truncation", [None, 30])

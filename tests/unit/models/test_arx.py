@@ -7,11 +7,11 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import arx
-from asia.models._lags import Lags, Limits, fit_history
-from asia.models._polynomial import Polynomial, PolynomialRun, _normal, all_terms
-from asia.models._records import scaled
-from asia.models._scaling import Scaling
-from asia.models._segments import segments, simulation_error
+from asia.models._data.lags import Lags, Limits, fit_history
+from asia.models._data.records import scaled
+from asia.models._data.scaling import Scaling
+from asia.models._data.segments import segments, simulation_error
+from asia.models._one_step.polynomial import Polynomial, PolynomialRun, _normal, all_terms
 from asia.models.methods import LeastSquares, LevenbergMarquardt
 from tests.unit.models.black_box_systems import case, filtered, late, two_by_two
 from tests.unit.models.families import (

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from asia.data import Array
 from asia.errors import UserError
 from asia.models import block_oriented, linear
-from asia.models._linear_fit import Refinement
-from asia.models._records import scaled
-from asia.models._scaling import Scaling
-from asia.models._series import SeriesStructure, series_starts
+from asia.models._data.records import scaled
+from asia.models._data.scaling import Scaling
+from asia.models._linear.fit import Refinement
+from asia.models._state_space.wiener_hammerstein import SeriesStructure, series_starts
 from asia.models.methods import LevenbergMarquardt
-from asia.problem import Array
 from tests.unit.models.black_box_systems import case, filtered, two_by_two, wiener
 from tests.unit.models.families import against_holding, check_same_bytes, fitted
 

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import lru
-from asia.models._features import FUNCTIONS, Features, drive_size
-from asia.models._scaling import Scaling
-from asia.problem import Trajectory
+from asia.models._data.features import FUNCTIONS, Features, drive_size
+from asia.models._data.scaling import Scaling
 
 
 def record(seed: int = 0) -> Trajectory:

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
+from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import greybox
-from asia.models._lm import LevenbergMarquardt
-from asia.problem import Array, Bounds, ParameterRange, Physics, Trajectory
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.problem import Bounds, ParameterRange, Physics
 
 from .greybox_systems import (
     DUFFING,

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from asia.data import Trajectory
 from asia.models import greybox, hybrid
-from asia.models._lm import LevenbergMarquardt
-from asia.problem import Trajectory
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 
 from .greybox_systems import DUFFING, context_for, duffing_record
 

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
+from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import kinematic
-from asia.models._network import NetworkModel, OutputFeedback, Restartable
-from asia.models._rates import Rate, find_rates, read_by_equations
+from asia.models._equations.rates import Rate, find_rates, read_by_equations
+from asia.models._networks.network import NetworkModel, OutputFeedback, Restartable
 from asia.models.kinematic import _read
 from asia.models.methods import Adam
-from asia.problem import Array, ParameterRange, Physics, Signal, Trajectory
+from asia.problem import ParameterRange, Physics
 
 TS = 0.05
 NAMES = ("p", "q", "v", "w")

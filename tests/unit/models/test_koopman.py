@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.models import koopman
-from asia.models._layers import mlp
+from asia.models._networks.layers import mlp
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import case, wiener
 

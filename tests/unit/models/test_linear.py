@@ -10,9 +10,12 @@ import cloudpickle
 import numpy as np
 import pytest
 
+from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._linear_fit import (
+from asia.models._data.records import Record, scaled
+from asia.models._data.scaling import Scaling
+from asia.models._linear.fit import (
     Refinement,
     encoder_of,
     refine,
@@ -20,12 +23,9 @@ from asia.models._linear_fit import (
     solve_linear_part,
     unseen_error,
 )
-from asia.models._linear_system import LinearSystem, powers, states_of
-from asia.models._lm import LevenbergMarquardt
-from asia.models._records import Record, scaled
-from asia.models._scaling import Scaling
-from asia.models._subspace import spread_poles
-from asia.problem import Trajectory
+from asia.models._linear.subspace import spread_poles
+from asia.models._linear.system import LinearSystem, powers, states_of
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 from tests.unit.models.black_box_systems import Case, case, filtered, late, two_by_two
 
 

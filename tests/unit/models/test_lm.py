@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from asia.errors import UserError
-from asia.models._lm import LevenbergMarquardt, levenberg_marquardt
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt, levenberg_marquardt
 
 
 def rosenbrock(theta: jax.Array) -> jax.Array:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.models import lru
-from asia.models._layers import diagonal_states, poles
+from asia.models._networks.layers import diagonal_states, poles
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import case, wiener
 

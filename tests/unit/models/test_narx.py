@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear, narx
 from asia.models.methods import LeastSquares, LevenbergMarquardt
-from asia.problem import Array, Trajectory
 from tests.unit.models.black_box_systems import case, filtered
 from tests.unit.models.families import (
     against_holding,

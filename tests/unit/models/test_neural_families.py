@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.models import (
     autoregressive,
@@ -22,9 +23,8 @@ from asia.models import (
     subnet,
     transformer,
 )
-from asia.models._network import Restartable
+from asia.models._networks.network import Restartable
 from asia.models.methods import Adam
-from asia.problem import Signal, Trajectory
 
 FAMILIES: list[tuple[ModuleType, dict[str, Any]]] = [
     (ltc, {"hidden": 3, "width": 4}),

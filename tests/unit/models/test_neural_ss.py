@@ -11,7 +11,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import linear, neural_ss
-from asia.models._structure import Structure
+from asia.models._state_space.structure import Structure
 from asia.models.methods import Adam, LevenbergMarquardt
 from tests.unit.models.black_box_systems import Case, case, filtered, late, two_by_two, wiener
 

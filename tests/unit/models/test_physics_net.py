@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.models import physics_net
-from asia.models._measured import MeasuredCell
+from asia.models._equations.measured import MeasuredCell
 from asia.models.methods import Adam, LevenbergMarquardt
-from asia.problem import Bounds, ParameterRange, Physics, Signal, Trajectory
+from asia.problem import Bounds, ParameterRange, Physics
 
 HORIZON, TS, PULL, DRAG = 20, 0.05, 3.0, 0.8
 PHYSICS = Physics(

@@ -10,7 +10,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import recurrent
-from asia.models._network import NetworkModel
+from asia.models._networks.network import NetworkModel
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import Case, case, filtered, two_by_two
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asia.models._linear_fit import solve_linear_part
-from asia.models._records import Record
-from asia.models._subspace import spread_poles, stabilised, starts
+from asia.models._data.records import Record
+from asia.models._linear.fit import solve_linear_part
+from asia.models._linear.subspace import spread_poles, stabilised, starts
 from tests.unit.models.black_box_systems import A, filtered
 
 

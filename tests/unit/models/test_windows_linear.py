@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context, Model
+from asia.data import Array, Signal, Trajectory
 from asia.models import linear, neural_ss
-from asia.models._linear_windows import Lags, Predictor, held, one_step, refined
-from asia.models._records import scaled
-from asia.models._scaling import Scaling
-from asia.models._structure import Structure
-from asia.models._windows import Windows, cut_windows, stretches
+from asia.models._data.records import scaled
+from asia.models._data.scaling import Scaling
+from asia.models._data.windows import Windows, cut_windows, stretches
+from asia.models._linear.windows import Lags, Predictor, held, one_step, refined
+from asia.models._state_space.structure import Structure
 from asia.models.methods import Adam, LevenbergMarquardt
-from asia.problem import Array, Signal, Trajectory
 
 HORIZON = 12
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from asia.data.sources.benchmarks import benchmark_records
 from asia.errors import UserError
-from asia.problem._benchmarks import benchmark_records
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from asia.data.sources.csv import read_csv, split_csv
 from asia.errors import UserError
-from asia.problem._csv import read_csv, split_csv
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 

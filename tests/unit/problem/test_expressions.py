@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.errors import UserError
-from asia.models._ode import JAX_FUNCTIONS
-from asia.problem._expressions import FUNCTIONS, NAMED_NUMBERS, parse_expression
+from asia.models._equations.ode import JAX_FUNCTIONS
+from asia.problem.physics.expressions import FUNCTIONS, NAMED_NUMBERS, parse_expression
 
 PLAIN = {"sqrt": math.sqrt, "exp": math.exp, "min": min, "max": max, "abs": abs, "sin": math.sin}
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asia.data import Trajectory
+from asia.data.sources.kinds import CsvSource, GuardSource, NanodroneSource, SimulatedSource
 from asia.errors import UserError
-from asia.problem import Trajectory
 from asia.problem._guard import guard_source, without_guard
-from asia.problem._problem import CsvSource, GuardSource, NanodroneSource, SimulatedSource
 from asia.problem.load import check_problem, load_lock, load_problem, lock_text
-from asia.protocol._guard import guard_digest, open_guard
-from asia.protocol._sealed import seal
+from asia.seal._guard import guard_digest, open_guard
+from asia.seal._test import seal
 from tests.unit.search.toy import write_problem
 
 RECORDS = [Trajectory(np.arange(5.0), np.arange(5.0), 1.0, name) for name in ("a", "b")]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asia.data import Signal
 from asia.errors import UserError
-from asia.problem import Signal
 from asia.problem.load import builtin_problems, load_problem
 
 Write = Callable[..., Path]

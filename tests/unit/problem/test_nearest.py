@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from asia.problem._nearest import nearest
+from asia._nearest import nearest
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.problem import Bounds, ParameterRange, Physics
-from asia.problem._physics import check_physics, definition_order
+from asia.problem.physics.check import check_physics, definition_order
 
 TANKS = Physics(
     states=("x1", "x2"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.problem import Signal, Trajectory
+from asia.data import Signal, Trajectory
 from asia.problem._check import check_problem
 from asia.problem._problem import Problem, Seal
 from asia.problem.load import load_problem

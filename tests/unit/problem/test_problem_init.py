@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from asia.data.sources.kinds import CsvSource
 from asia.errors import UserError
-from asia.problem._init import init_problem
-from asia.problem._problem import CsvSource
 from asia.problem.load import load_problem
-from asia.protocol._sealed import open_test
+from asia.problem.new.init import init_problem
+from asia.seal._test import open_test
 
 Record = Callable[[int, int], str]
 

@@ -8,12 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asia.data import Trajectory
+from asia.data._digest import data_digest
 from asia.errors import UserError
-from asia.problem import Budget, FoldRule, ProtocolRule, Trajectory
-from asia.problem._digest import data_digest, protocol_digest
+from asia.problem import Budget
+from asia.problem._digest import protocol_digest
 from asia.problem._problem import Problem, Seal
 from asia.problem._toml import toml_text
 from asia.problem.load import load_lock, load_problem, lock_differences, lock_text
+from asia.protocol import FoldRule, ProtocolRule
 
 Write = Callable[..., Path]
 

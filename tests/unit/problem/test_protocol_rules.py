@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.problem import Group, OutputGroup
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Seal
 from asia.problem.load import check_problem, load_lock, load_problem, lock_differences, lock_text
+from asia.protocol import Group, OutputGroup
 
 Record = Callable[[int, int], str]
 

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.problem import FoldRule, ProtocolRule, Trajectory
-from asia.protocol import make_folds, whole
+from asia.protocol import FoldRule, ProtocolRule, make_folds, whole
 
 
 def record(length: int, name: str = "r") -> Trajectory:

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import asia
+from asia.data._digest import data_digest
+from asia.data.sources.kinds import CsvSource
 from asia.errors import UserError
-from asia.problem import TestRule as Rule
-from asia.problem._digest import data_digest
-from asia.problem._problem import CsvSource, Problem
+from asia.problem._problem import Problem
 from asia.problem.load import load_lock, load_problem, lock_text
-from asia.protocol._sealed import open_test, seal
+from asia.protocol import TestRule as Rule
+from asia.seal._test import open_test, seal
 
 
 @pytest.fixture

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asia.data import Signal
+from asia.data._store import key_folder, open_store
 from asia.errors import UserError
-from asia.problem import Signal
-from asia.problem._sealed_store import key_folder, open_store
 from asia.problem.load import (
     NewProblem,
     Problem,
@@ -26,7 +26,7 @@ from asia.problem.load import (
     lock_differences,
     lock_text,
 )
-from asia.protocol._sealed import check_openable, open_test, seal
+from asia.seal._test import check_openable, open_test, seal
 
 
 def record(length: int, seed: int) -> np.ndarray:
@@ -226,7 +226,7 @@ def test_other_signals_than_those_sealed(
 def test_nothing_is_removed_unless_the_store_reads_back(
     make: Make, files: tuple[Path, Path], keys: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("asia.problem._sealing.open_store", lambda store, keys: ())
+    monkeypatch.setattr("asia.problem.new.sealing.open_store", lambda store, keys: ())
     with pytest.raises(UserError, match="does not hold what was sealed"):
         make()
     assert files[1].exists()
@@ -242,7 +242,7 @@ def test_a_failure_leaves_neither_store_nor_key(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("asia.problem._sealing.write_store", full)
+    monkeypatch.setattr("asia.problem.new.sealing.write_store", full)
     with pytest.raises(UserError, match="No space left"):
         make()
     assert files[1].exists()

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from asia.data import Trajectory
 from asia.errors import UserError
-from asia.problem import FoldRule, Group, ProtocolRule, Trajectory
-from asia.protocol import make_folds, whole
+from asia.protocol import FoldRule, Group, ProtocolRule, make_folds, whole
 
 RULE = ProtocolRule(kind="windows", horizon=50, past_inputs=0, past_outputs=1, metric="mae")
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from asia.data import Array, Signal, Trajectory
+from asia.data.sources.kinds import BenchmarkSource, DataSource, SimulatedSource
 from asia.errors import Reason
 from asia.ledger import (
     Chain,
@@ -24,9 +26,9 @@ from asia.ledger import (
     TestRecord,
     Unsealed,
 )
-from asia.problem import Array, Budget, ProtocolRule, Signal, TestRule, Trajectory
-from asia.problem._problem import BenchmarkSource, DataSource, Problem, SimulatedSource, TestSource
-from asia.protocol import Fold, make_folds
+from asia.problem import Budget
+from asia.problem._problem import Problem, TestSource
+from asia.protocol import Fold, ProtocolRule, TestRule, make_folds
 from asia.scoring import Diagnostics, Failure, combine, score_fold, score_test
 
 Outcomes = Sequence[tuple[str, float | None]]

@@ -16,13 +16,13 @@ from matplotlib.image import imread
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 
+from asia.data import Signal
 from asia.errors import UserError
 from asia.ledger import open_run
-from asia.problem import Signal
 from asia.problem.load import Seal, load_problem, lock_text
 from asia.report import draw_problem, write_report
-from asia.report._data import draw_data
-from asia.report._style import drawing, plain
+from asia.report._pictures.data import draw_data
+from asia.report._pictures.style import drawing, plain
 from asia.report._write import pictures, save
 
 from .made_up import BENCHMARK, Outcomes, Shape, make_problem, write_run

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from asia.data import Signal
 from asia.ledger import open_run
-from asia.problem import FoldRule, Group, OutputGroup, Signal
-from asia.problem import TestRule as SealedRule
 from asia.problem.load import Problem, Seal, load_problem, lock_text
+from asia.protocol import FoldRule, Group, OutputGroup
+from asia.protocol import TestRule as SealedRule
 from asia.report import (
     BenchPictures,
     Curve,
@@ -24,13 +25,13 @@ from asia.report import (
     draw_bench,
     leaderboard,
 )
-from asia.report._arms import draw_arms
-from asia.report._correlation import cross_correlation
-from asia.report._data import draw_data
-from asia.report._growth import Growth, Line, Marks, draw_growth
-from asia.report._standing import draw_standing
-from asia.report._style import drawing
-from asia.report._windows import telling
+from asia.report._pictures.comparison import draw_arms
+from asia.report._pictures.correlation import cross_correlation
+from asia.report._pictures.data import draw_data
+from asia.report._pictures.growth import Growth, Line, Marks, draw_growth
+from asia.report._pictures.standing import draw_standing
+from asia.report._pictures.style import drawing
+from asia.report._pictures.windows import telling
 from asia.report._write import pictures
 from asia.scoring import mee_table
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
-from asia.problem import Signal, Trajectory
+from asia.data import Signal, Trajectory
 from asia.sandbox import Isolation, Limits, Worker, open_worker, why_not
 
 REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from asia.sandbox import Isolation, Layer, Limits, open_worker, why_not
-from asia.sandbox._seccomp import numbers
+from asia.sandbox.walls.seccomp import numbers
 
 WALLED = [
     pytest.param(level, marks=pytest.mark.skipif(reason is not None, reason=str(reason)))

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from asia.sandbox import Isolation, _landlock, _seccomp, why_not
-from asia.sandbox._surroundings import package_folder
+from asia.sandbox import Isolation, why_not
+from asia.sandbox.walls import landlock, seccomp
+from asia.sandbox.walls.surroundings import package_folder
 
 ALLOW, KILL, TRAP = 0x7FFF0000, 0x80000000, 0x00030000
 EPERM, ENOSYS = 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS
@@ -22,7 +23,7 @@ LOCKED = pytest.mark.skipif(why_not(Isolation.LANDLOCK) is not None, reason="no 
 
 def decide(machine: str, number: int, *arguments: int, architecture: int | None = None) -> int:
     """What the kernel would do: the filter run over one system call."""
-    code = struct.iter_unpack("@HBBI", _seccomp.build(machine, PID))
+    code = struct.iter_unpack("@HBBI", seccomp.build(machine, PID))
     program = list(code)
     words = (*arguments, 0, 0, 0, 0, 0, 0)[:6]
     data = struct.pack(
@@ -50,7 +51,7 @@ def machine(request) -> str:
 
 
 def test_every_listed_call_is_denied_and_others_pass(machine):
-    known = _seccomp.numbers(machine)
+    known = seccomp.numbers(machine)
     checked = {"clone", "clone3", "kill", "tgkill", "prlimit64", "fcntl", "ioctl", "prctl"}
     checked |= {"futex"}
     for name, number in known.items():
@@ -62,7 +63,7 @@ def test_every_listed_call_is_denied_and_others_pass(machine):
 
 
 def test_calls_with_arguments_are_decided_by_them(machine):
-    known = _seccomp.numbers(machine)
+    known = seccomp.numbers(machine)
     thread = 0x003D0F00
     assert decide(machine, known["clone"], thread) == ALLOW
     assert decide(machine, known["clone"], 17) == EPERM
@@ -83,7 +84,7 @@ def test_calls_with_arguments_are_decided_by_them(machine):
 
 
 def test_files_are_marked_and_shared_memory_is_waited_on_by_nobody(machine):
-    known = _seccomp.numbers(machine)
+    known = seccomp.numbers(machine)
     for command in range(2000):
         allowed = command in (0, 1, 2, 3, 4, 1030, 1032)
         assert decide(machine, known["fcntl"], 0, command) == (ALLOW if allowed else EPERM)
@@ -120,7 +121,7 @@ def test_numbers_are_those_of_the_kernel(machine, header):
         name: int(number)
         for name, number in re.findall(r"#define __NR(?:3264)?_(\w+)\s+(\d+)", text)
     }
-    for name, number in _seccomp.numbers(machine).items():
+    for name, number in seccomp.numbers(machine).items():
         assert there[name] == number, name
 
 
@@ -132,8 +133,8 @@ def test_a_kernel_without_landlock_is_named(monkeypatch, code, words):
     def fail(*arguments):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(_landlock, "_call", fail)
-    assert words in (_landlock.why_not() or "")
+    monkeypatch.setattr(landlock, "_call", fail)
+    assert words in (landlock.why_not() or "")
 
 
 def run(script: str) -> subprocess.CompletedProcess[str]:
@@ -164,11 +165,11 @@ print(answers)
 @LOCKED
 def test_landlock_leaves_running_threads_free_so_that_locking_in_refuses_them():
     free = WAITING_THREAD.replace("ATTEMPT", "len(os.listdir('/')) > 0")
-    alone = run(free.replace("LOCK", "import _landlock; _landlock.restrict([], [])"))
+    alone = run(free.replace("LOCK", "import landlock; landlock.restrict([], [])"))
     assert alone.stdout == "[True]\n", alone.stderr
     lock = (
-        "import _lockdown\n"
-        "try:\n    _lockdown.confine(['landlock'], [])\n"
+        "import lockdown\n"
+        "try:\n    lockdown.confine(['landlock'], [])\n"
         "except RuntimeError as error:\n    print(error)"
     )
     assert "2 threads run already" in run(free.replace("LOCK", lock)).stdout
@@ -177,14 +178,14 @@ def test_landlock_leaves_running_threads_free_so_that_locking_in_refuses_them():
 @LOCKED
 def test_the_filter_binds_threads_that_run_already():
     attempt = WAITING_THREAD.replace("ATTEMPT", "os.chmod('/nowhere', 0)")
-    assert run(attempt.replace("LOCK", "import _seccomp")).stdout == "['FileNotFoundError']\n"
-    bound = run(attempt.replace("LOCK", "import _seccomp; _seccomp.install()"))
+    assert run(attempt.replace("LOCK", "import seccomp")).stdout == "['FileNotFoundError']\n"
+    bound = run(attempt.replace("LOCK", "import seccomp; seccomp.install()"))
     assert bound.stdout == "['PermissionError']\n", bound.stderr
 
 
 @LOCKED
 def test_a_trial_finds_a_wall_that_stops_nothing():
-    script = "import _lockdown; print(_lockdown.holds(['LAYER'], '/usr'))"
+    script = "import lockdown; print(lockdown.holds(['LAYER'], '/usr'))"
     for layer in ("landlock", "seccomp"):
         assert "stops nothing" in run(script.replace("LAYER", layer)).stdout
     assert run(script.replace("LAYER", "rlimits")).stdout == "None\n"

@@ -3,9 +3,10 @@ import os
 import pytest
 
 from asia.errors import SandboxError
-from asia.sandbox import LAYERS, Isolation, Layer, Limits, _confined, open_worker, probe, why_not
-from asia.sandbox._channel import printable
-from asia.sandbox._seatbelt import profile
+from asia.sandbox import LAYERS, Isolation, Layer, Limits, open_worker, probe, why_not
+from asia.sandbox.levels import landlock
+from asia.sandbox.levels.sandbox_exec import profile
+from asia.sandbox.worker.channel import printable
 
 NEXT_BEST = next(
     level for level in Isolation if level is not Isolation.NAMESPACE and why_not(level) is None
@@ -21,7 +22,7 @@ def fake_bwrap(tmp_path, monkeypatch, script: str) -> None:
 
 def no_landlock(monkeypatch, *layers: Layer) -> None:
     reasons = dict.fromkeys(layers, "this kernel has none of it")
-    monkeypatch.setattr(_confined, "missing", lambda: reasons)
+    monkeypatch.setattr(landlock, "missing", lambda: reasons)
 
 
 def test_without_bubblewrap_the_next_level_is_taken_and_says_why(tmp_path, monkeypatch):
@@ -91,7 +92,7 @@ def test_a_bubblewrap_that_fails_at_once_is_a_sandbox_error(tmp_path, monkeypatc
 @pytest.mark.skipif(why_not(Isolation.LANDLOCK) is not None, reason="no Landlock")
 def test_a_worker_that_cannot_lock_itself_in_does_not_start(monkeypatch):
     """The last folder of the list becomes a layer's name: nothing runs behind half a wall."""
-    monkeypatch.setattr(_confined, "child_command", lambda *a: ["/bin/sh", "-c", "echo no; exit 1"])
+    monkeypatch.setattr(landlock, "child_command", lambda *a: ["/bin/sh", "-c", "echo no; exit 1"])
     with (
         open_worker(Isolation.LANDLOCK, Limits(1.0, 1.0, 1024)) as worker,
         pytest.raises(SandboxError, match="did not start: no"),
@@ -100,7 +101,9 @@ def test_a_worker_that_cannot_lock_itself_in_does_not_start(monkeypatch):
 
 
 def test_the_profile_of_macos_denies_by_default_and_quotes_paths(monkeypatch):
-    monkeypatch.setattr("asia.sandbox._seatbelt.code_folders", lambda: [('/a "b"', "/c\\d")])
+    monkeypatch.setattr(
+        "asia.sandbox.levels.sandbox_exec.code_folders", lambda: [('/a "b"', "/c\\d")]
+    )
     lines = profile().splitlines()
     assert lines[:2] == ["(version 1)", "(deny default)"]
     assert {"(deny network*)", "(deny process-fork)"} <= set(lines)

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
+from asia.data import Signal
 from asia.errors import CandidateError, Reason, SandboxError
-from asia.problem import ParameterRange, Physics, Signal
+from asia.problem import ParameterRange, Physics
 from asia.sandbox import Isolation, Limits, open_worker, why_not
-from asia.sandbox._channel import select_one
+from asia.sandbox.worker.channel import select_one
 
 GAIN = """
 import numpy as np

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from asia.errors import CandidateError, InternalError, Reason
-from asia.problem import OutputGroup
+from asia.protocol import OutputGroup
 from asia.scoring import GroupError, mee_table
 from asia.scoring._mee import geodesic, rotation
 

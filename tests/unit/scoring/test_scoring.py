@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.errors import CandidateError, InternalError, Reason
-from asia.problem._types import Metric
+from asia.protocol._rules import Metric
 from asia.scoring import FoldScore, Score, combine, diagnose, fit_index, score_fold, score_test
 from asia.scoring._metrics import METRICS
 

@@ -5,11 +5,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from asia.agents import PRESETS, Preset, StreamFormat
+from asia.drive.command import PRESETS, CommandRules, Preset, StreamFormat, run_command
 from asia.ledger import Event, SearchView
 from asia.problem.load import load_problem
 from asia.sandbox import Isolation, probe
-from asia.search import CommandRules, prepare, run_command
+from asia.search import prepare
 
 HERE = Path(__file__).resolve().parent
 JAILED = probe().level is Isolation.NAMESPACE

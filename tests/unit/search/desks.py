@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia.agents import Proposal
+from asia.drive import Order, RunDesk, prepare_order
 from asia.ledger import Chain, Event
-from asia.search import Order, RunDesk, prepare_order
 
 from .toy import arx, write_problem
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import make_preset
+from asia.drive.command import make_preset
 from asia.errors import UserError
 from asia.ledger import Store, Streamed, open_run, read_lines
 

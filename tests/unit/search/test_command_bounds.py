@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import Stream
 from asia.cli._command_options import command_driver
+from asia.drive.command import Stream
 from asia.errors import UserError
 from asia.ledger import Store, Streamed, Usage, find_run, read_lines
 from asia.sandbox import Jail

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from asia.drive.command import CommandRules, run_command
 from asia.errors import UserError
 from asia.ledger import Evaluated, Event, SearchView, read_lines
 from asia.problem.load import load_problem
-from asia.search import CommandRules, prepare, run_command
+from asia.search import prepare
 
 from .commands import HERE, RULES, fake, go, says, with_config
 from .test_socket import ends
@@ -96,7 +97,7 @@ def test_time_is_capped_while_candidates_wait(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy", experiments=40)
     code = (
         "import sys,time;from pathlib import Path;from asia.agents import Proposal;"
-        "from asia.search._socket import SocketDesk;import os;"
+        "from asia.drive._socket import SocketDesk;import os;"
         "t=Path(sys.argv[2]).read_text();s={};"
         "exec(t[t.index('ARX = \"\"\"'):t.index('NOISE =')],s);"
         "d=SocketDesk(Path(os.environ['ASIA_DESK']));"

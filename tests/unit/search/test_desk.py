@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from asia.agents import Proposal
+from asia.drive import Order, RunDesk, prepare_order, wait
+from asia.drive._desk import Job
+from asia.drive._queue import Queue
+from asia.drive._serve import clear_known, serve
 from asia.errors import Reason, UserError
 from asia.ledger import Evaluated, Proposed, Run, Stopped, Unsealing, one_line, open_run
 from asia.scoring import Failure
-from asia.search import Order, RunDesk, prepare_order, wait
 from asia.search._agent_view import digest
-from asia.search._desk import Job
-from asia.search._queue import Queue
-from asia.search._serve import clear_known, serve
 
 from .desks import Place, candidate, order, ordered
 from .toy import CRASH, arx
@@ -228,7 +228,7 @@ def test_looking_reads_the_ledger_only_where_it_changed(
         reads.append(directory)
         return open_run(directory)
 
-    monkeypatch.setattr("asia.search._desk.open_run", counted)
+    monkeypatch.setattr("asia.drive._desk.open_run", counted)
     desk = place.desk
     for _ in range(20):
         assert desk.job(ticket).state == "done"

@@ -9,21 +9,23 @@ import numpy as np
 import pytest
 
 from asia.agents import AgentView, Proposal
-from asia.agents._llm_problem import problem_text
-from asia.agents._llm_search import search_text, task_of
+from asia.agents.llm.problem import problem_text
+from asia.agents.llm.search import search_text, task_of
 from asia.cli._try import result_lines
+from asia.drive import RunDesk
+from asia.drive._program import program
+from asia.drive._workspace import write_views
 from asia.errors import Reason, UserError
 from asia.evaluation import Evaluation, Evaluator, Suspicion, SuspicionKind
 from asia.evaluation import _evaluator as evaluator_module
 from asia.ledger import SearchView, open_run
 from asia.mcp._answers import shown
 from asia.problem.load import load_lock, load_problem, protocol_digest
-from asia.redteam import _desk, _probing
+from asia.redteam import _prober
+from asia.redteam.attacks import probing
 from asia.scoring import Failure, Score
-from asia.search import RunDesk, prepare, search, with_early_stopping
-from asia.search._program import program
+from asia.search import prepare, search, with_early_stopping
 from asia.search._rules import decide
-from asia.search._workspace import write_views
 
 from .toy import Scripted, arx, write_problem
 
@@ -165,8 +167,8 @@ def judged_as_without_the_ladder(evaluator: Evaluator, source: str, view: Search
 @pytest.mark.parametrize(
     ("spoil", "part", "otherwise"),
     [
-        (_desk.forgetful, "judge", judged_as_without_the_ladder),
-        (_desk.one_start(0.35), "published", lambda view: view),
+        (_prober.forgetful, "judge", judged_as_without_the_ladder),
+        (_prober.one_start(0.35), "published", lambda view: view),
     ],
 )
 def test_spoilt_candidates_tell_nothing(
@@ -175,12 +177,12 @@ def test_spoilt_candidates_tell_nothing(
     otherwise: object,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ladder = _probing.Ladder(spoil)
-    start = _probing.exact(np.zeros_like(_probing.hidden_error()))
-    assert _probing.exact(_probing.bisect(ladder.ask, ladder.doubt)) == start
-    monkeypatch.setattr(_desk, part, otherwise)
-    leaking = _probing.Ladder(spoil)
-    assert _probing.exact(_probing.bisect(leaking.ask, leaking.doubt)) < 0.85 * start
+    ladder = probing.Ladder(spoil)
+    start = probing.exact(np.zeros_like(probing.hidden_error()))
+    assert probing.exact(probing.bisect(ladder.ask, ladder.doubt)) == start
+    monkeypatch.setattr(_prober, part, otherwise)
+    leaking = probing.Ladder(spoil)
+    assert probing.exact(probing.bisect(leaking.ask, leaking.doubt)) < 0.85 * start
 
 
 def test_prompts_say_how_scores_are_told(

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from asia.agents import AgentView
+from asia.drive import make_workspace
+from asia.drive._detached import Order
 from asia.errors import UserError
 from asia.ledger import SearchView, open_run, verify
 from asia.problem.load import Problem, load_problem
-from asia.sandbox._channel import Channel
+from asia.sandbox.worker.channel import Channel
 from asia.scoring import Score
-from asia.search import agent_view, make_workspace, prepare, problem_facts, search
-from asia.search._detached import Order
+from asia.search import agent_view, prepare, problem_facts, search
 
 from .toy import Scripted, arx, write_problem
 

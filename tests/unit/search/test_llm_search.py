@@ -14,7 +14,7 @@ import pytest
 
 import asia
 from asia.agents import LlmAgent, LlmSettings
-from asia.agents._llm_problem import EXAMPLE
+from asia.agents.llm.problem import EXAMPLE
 from asia.errors import UserError
 from asia.ledger import Evaluated, Exchanged, Run, verify
 from asia.search import Replayed, replay_run
@@ -265,7 +265,7 @@ def test_a_replay_finds_what_was_changed(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Other words in a prompt are told, and the exit code is 1."""
-    monkeypatch.setattr("asia.agents._llm_search._MEANING", "something else")
+    monkeypatch.setattr("asia.agents.llm.search._MEANING", "something else")
     monkeypatch.setattr("asia.search._replay.judge", unjudged(searched))
     done = command_line("replay", searched.run.directory)
     assert done.code == 1

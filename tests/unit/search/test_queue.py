@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from asia.agents import Proposal
+from asia.drive._queue import Queue
 from asia.errors import UserError
-from asia.search._queue import Queue
 
 
 def proposal(title: str = "first") -> Proposal:
@@ -31,7 +31,7 @@ def test_a_clock_that_is_set_back_changes_no_order(
     queue: Queue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     times = iter((5_000, 4_000, 5_000, 3_000))
-    monkeypatch.setattr("asia.search._queue.time.time_ns", lambda: next(times))
+    monkeypatch.setattr("asia.drive._queue.time.time_ns", lambda: next(times))
     tickets = [queue.put(proposal(title)) for title in ("one", "two", "three", "four")]
     assert queue.tickets() == tickets
     taken = queue.take()

@@ -13,10 +13,11 @@ from pathlib import Path
 import pytest
 
 from asia.agents import LlmSettings
+from asia.drive import RunDesk, start_search
+from asia.drive.command import run_command
 from asia.errors import UserError
 from asia.problem.load import load_problem
-from asia.search import RunDesk, run_command, start_search
-from asia.search._search import prepare
+from asia.search._run import prepare
 from tests.unit.agents.fake_llm import Told, fake_llm, said
 from tests.unit.cli.conftest import command_line
 

@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 from asia.agents import Agent
+from asia.drive import Order, RunDesk, prepare_order, start_search, wait
+from asia.drive._queue import Queue
+from asia.drive._serve import IdleError, serve
 from asia.errors import UserError
 from asia.ledger import SearchView, open_run
-from asia.search import Order, Prepared, RunDesk, prepare_order, start_search, wait
-from asia.search._queue import Queue
-from asia.search._serve import IdleError, serve
+from asia.search import Prepared
 
 from .desks import Place, candidate, end_searches, order, ordered, searches
 
@@ -92,7 +93,7 @@ def fake_search(monkeypatch: pytest.MonkeyPatch, *sittings: Fake) -> list[Prepar
         seen.append(prepared)
         left.pop(0)(prepared, agent)
 
-    monkeypatch.setattr("asia.search._serve.search", search)
+    monkeypatch.setattr("asia.drive._serve.search", search)
     return seen
 
 

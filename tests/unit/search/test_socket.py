@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from asia.drive._desk import RunDesk, Standing
+from asia.drive._socket import DeskServer, SocketDesk
 from asia.errors import UserError
-from asia.search._desk import RunDesk, Standing
-from asia.search._socket import DeskServer, SocketDesk
 
 
 def ends(call: Callable[[], object], seconds: float = 20.0) -> bool:

@@ -12,7 +12,7 @@ from asia.ledger import SearchView, open_run, verify
 from asia.problem.load import load_problem
 from asia.protocol import make_folds
 from asia.search import prepare, replay_run, search
-from asia.search._search import make_evaluator
+from asia.search._run import make_evaluator
 
 from .toy import ARX, Scripted, arx, write_problem
 

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from asia.drive.command import CommandRules
 from asia.errors import UserError
 from asia.ledger import Started, Unsealed, Unsealing, open_run, read_lines, verify
 from asia.problem.load import init_problem, load_problem
 from asia.sandbox import Isolation, probe
-from asia.search import CommandRules, needs_consent, prepare, search, unseal
+from asia.search import needs_consent, prepare, search, unseal
 from asia.search._hidden import check_hidden, check_shown
 
 from .toy import Scripted, arx, write_problem
@@ -116,7 +117,7 @@ def test_a_kill_while_the_test_is_open_loses_nothing_and_opens_it_once(problem: 
 
 def test_no_test_value_lies_in_a_run_before_it_is_opened(problem: Path) -> None:
     directory = go(problem)
-    from asia.protocol._sealed import open_test
+    from asia.seal._test import open_test
 
     (record,) = open_test(load_problem(problem))
     shown = record.y[40:43].tobytes(), repr(float(record.y[40, 0])).encode()
@@ -180,7 +181,7 @@ def test_no_mount_shows_an_agent_the_test_or_its_key(tmp_path: Path, problem: Pa
 
 
 def test_rules_of_a_command_agent_are_checked_for_it(tmp_path: Path) -> None:
-    from asia.search import run_command
+    from asia.drive.command import run_command
     from tests.unit.search.commands import fake
 
     toy = write_problem(tmp_path / "toy")

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from asia.candidate import check_source
+from asia.drive._folder import write_file
+from asia.drive._workspace import write_folder
 from asia.errors import UserError
 from asia.problem.load import load_problem
-from asia.search._folder import write_file
-from asia.search._workspace import write_folder
 
 from .toy import write_problem
 

@@ -8,9 +8,9 @@ batch, at most 3000 epochs, the held-out fold's score every 25 of them.
 from collections.abc import Sequence
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.models import ltc
 from asia.models.methods import Adam
-from asia.problem import Trajectory
 
 CONFIG = ltc.Config(hidden=64, width=64, tau_min=1.0, tau_max=25.0, start="uniform", bounded=False)
 METHOD = Adam(

@@ -8,9 +8,9 @@ epochs, the held-out fold's score every 25 of them.
 from collections.abc import Sequence
 
 from asia.candidate import Context
+from asia.data import Trajectory
 from asia.models import recurrent
 from asia.models.methods import Adam
-from asia.problem import Trajectory
 
 CONFIG = recurrent.Config(cell="rnn", hidden=4, encoder=4, activation="relu", start="uniform")
 METHOD = Adam(

@@ -1,0 +1,1 @@
+"""Agents that the others are compared with."""

@@ -1,0 +1,190 @@
+"""Tree-structured Parzen estimator over everything in the library: a control that learns from
+outcomes alone.
+
+Source: Bergstra, Bardenet, Bengio and Kegl, NeurIPS 2011; Optuna's implementation. Family, training
+method and settings are one conditional space. The study lives in memory and is rebuilt from the
+ledger's trials at each proposal, so that a proposal is a function of the view.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, TypeAlias
+
+from asia.agents._view import AgentView, Facts, Proposal, Trial
+from asia.agents.library.cost import METHODS, is_new, under_protocol
+from asia.agents.library.family import Family
+from asia.agents.library.recipe import Recipe, Value, read_recipe
+from asia.agents.library.space import Choice, Parameter, Space, Span, applies
+from asia.agents.library.table import families
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.distributions import BaseDistribution
+
+_STARTUP = 5
+_TRIES = 50
+_FAMILY, _METHOD = "family", "method"
+_FAILED = 2.0
+
+Number: TypeAlias = int | float
+Pick: TypeAlias = "Callable[[str, BaseDistribution], Number]"
+
+
+class BayesAgent:
+    """Proposes where the estimator expects most."""
+
+    @property
+    def name(self) -> str:
+        """`bayes`."""
+        return "bayes"
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        """The estimator's choice; None when `_TRIES` of them in a row were known already."""
+        rows = families(view.facts)
+        for attempt in range(_TRIES):
+            study = _study(view, rows, attempt)
+            recipe, row = _asked(study, view.facts, rows)
+            if is_new(view, recipe):
+                return Proposal(
+                    source=under_protocol(recipe, view.facts).source(
+                        f"{row.label}, chosen by a Parzen estimator."
+                    ),
+                    family=row.name,
+                    title=f"{row.label}, estimated",
+                    hypothesis="Configurations like the better ones so far, by a tree-structured "
+                    "Parzen estimator.",
+                    expected="With luck below the best; where little is known, to learn something.",
+                )
+        return None
+
+
+def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> Study:
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    word = f"bayes:{view.seed}:{len(view.trials)}:{attempt}"
+    seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:4], "big")
+    sampler = optuna.samplers.TPESampler(n_startup_trials=_STARTUP, seed=seed)
+    study = optuna.create_study(sampler=sampler)
+    worst = max((t.value for t in view.trials if t.value is not None), default=1.0)
+    for trial in view.trials:
+        told = _told(trial, view.facts, rows)
+        if told is not None:
+            value = trial.value if trial.value is not None else _FAILED * worst
+            params, distributions = told
+            study.add_trial(
+                optuna.trial.create_trial(params=params, distributions=distributions, value=value)
+            )
+    return study
+
+
+def _asked(study: Study, facts: Facts, rows: Sequence[Family]) -> tuple[Recipe, Family]:
+    """The estimator's choice."""
+    from optuna.distributions import CategoricalDistribution, FloatDistribution
+
+    trial = study.ask()
+
+    def pick(name: str, distribution: BaseDistribution) -> Number:
+        if isinstance(distribution, CategoricalDistribution):
+            return int(trial.suggest_categorical(name, distribution.choices))  # type: ignore[arg-type]
+        assert isinstance(distribution, FloatDistribution)
+        return trial.suggest_float(name, distribution.low, distribution.high, log=distribution.log)
+
+    row = rows[int(pick(_FAMILY, _choices(len(rows))))]
+    return _built(row, facts, pick), row
+
+
+def _told(
+    trial: Trial, facts: Facts, rows: Sequence[Family]
+) -> tuple[dict[str, Number], dict[str, BaseDistribution]] | None:
+    """An earlier trial as the estimator would have asked for it; None for a source that is no
+    recipe of the library, or lies outside what may be varied."""
+    recipe = read_recipe(trial.source)
+    names = [row.name for row in rows]
+    if recipe is None or recipe.family not in names:
+        return None
+    row = rows[names.index(recipe.family)]
+    params: dict[str, Number] = {_FAMILY: names.index(row.name)}
+    distributions: dict[str, BaseDistribution] = {_FAMILY: _choices(len(rows))}
+    space = row.space(facts)
+
+    def read(name: str, distribution: BaseDistribution) -> Number:
+        word = name.rpartition(".")[2]
+        if word == _METHOD:
+            number: Number = _method(row, facts, recipe)
+        else:
+            parameter = space.find(word)
+            assert parameter is not None
+            number = _number(parameter, recipe.get(word))
+        params[name], distributions[name] = number, distribution
+        return number
+
+    try:
+        _built(row, facts, read)
+    except ValueError:
+        return None
+    return params, distributions
+
+
+def _built(row: Family, facts: Facts, pick: Pick) -> Recipe:
+    """The recipe of a family, every parameter that has a meaning in it picked."""
+    space = row.space(facts)
+    recipe = _picked(row, row.trial(facts), space, pick)
+    if row.methods:
+        method = int(pick(f"{row.name}.{_METHOD}", _choices(1 + len(row.methods))))
+        if method > 0:
+            changed = METHODS[row.methods[method - 1]](facts, recipe)
+            recipe = _picked(row, changed, space.opened(recipe, changed), pick)
+    return recipe if row.settle is None else row.settle(facts, recipe)
+
+
+def _picked(row: Family, recipe: Recipe, space: Space, pick: Pick) -> Recipe:
+    for parameters, change in ((space.config, Recipe.configured), (space.options, Recipe.trained)):
+        for p in parameters:
+            if applies(p, recipe):
+                number = pick(f"{row.name}.{p.name}", _distribution(p))
+                recipe = change(recipe, **{p.name: _value(p, number)})
+    return recipe
+
+
+def _method(row: Family, facts: Facts, recipe: Recipe) -> int:
+    """0 for the trial's own method, else the place of the other in `row.methods`, plus one."""
+    own = row.trial(facts)
+    if recipe.method == own.method and not recipe.get("network"):
+        return 0
+    for i, name in enumerate(row.methods):
+        made = METHODS[name](facts, own)
+        if (made.method, made.get("network")) == (recipe.method, recipe.get("network")):
+            return i + 1
+    raise ValueError(recipe.method)
+
+
+def _choices(count: int) -> BaseDistribution:
+    from optuna.distributions import CategoricalDistribution
+
+    return CategoricalDistribution(tuple(range(count)))
+
+
+def _distribution(p: Parameter) -> BaseDistribution:
+    from optuna.distributions import FloatDistribution
+
+    return (
+        FloatDistribution(p.low, p.high, log=p.log)
+        if isinstance(p, Span)
+        else _choices(len(p.values))
+    )
+
+
+def _number(p: Parameter, value: Value) -> Number:
+    """As the estimator counts it. Raises ValueError for a value outside the space."""
+    if isinstance(p, Choice):
+        return p.values.index(value)
+    if not isinstance(value, int | float) or not p.low <= value <= p.high:
+        raise ValueError(p.name)
+    return float(value)
+
+
+def _value(p: Parameter, number: Number) -> Value:
+    return p.values[int(number)] if isinstance(p, Choice) else p.tidy(float(number))

@@ -1,0 +1,169 @@
+"""The default agent: an engineer's habits, deterministic, no language model.
+
+Explore: a first, cheap configuration of each of the families most apt for the problem, interrupted
+by a move that is near certain. Refine: of all moves on the best trial of each family, the one with
+the most weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+from asia.agents._view import AgentView, Proposal, Trial
+from asia.agents.expert.evidence import overfit
+from asia.agents.expert.move import Case, Move
+from asia.agents.expert.moves import MOVES
+from asia.agents.library.cost import is_new, under_protocol
+from asia.agents.library.family import Family
+from asia.agents.library.recipe import Recipe, read_recipe
+from asia.agents.library.table import families, family
+
+SURE = 0.9
+BEHIND = 0.5
+UNTRIED = 0.3
+NEAR = 0.25
+NEAR_EQUATIONS = 0.6
+PROMISING = 0.75
+PATIENCE = 0.85
+
+
+@dataclass(frozen=True)
+class _Option:
+    """Something to try; `make` gives None when it was tried before. apt: worth a place in the
+    ladder."""
+
+    weight: float
+    make: Callable[[], Proposal | None]
+    apt: bool = True
+
+
+class ExpertAgent:
+    """Ladder of families, then refinement by moves chosen from training-side evidence."""
+
+    @property
+    def name(self) -> str:
+        """`expert`."""
+        return "expert"
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        """The next rung of the ladder, or the move with the most weight; None when all known."""
+        moves, ladder = list(_refinements(view)), list(_untried(view))
+        if view.phase == "explore":
+            sure = [option for option in moves if option.weight >= SURE]
+            proposal = _heaviest([*sure, *(option for option in ladder if option.apt)])
+            if proposal is not None:
+                return proposal
+        return _heaviest([*moves, *ladder])
+
+
+def _heaviest(options: list[_Option]) -> Proposal | None:
+    """The first in order of weight that was not tried before."""
+    ordered = sorted(options, key=lambda option: -option.weight)
+    return next((p for option in ordered if (p := option.make()) is not None), None)
+
+
+def _untried(view: AgentView) -> Iterator[_Option]:
+    """First configurations of families that no trial has used, the most apt first."""
+    used = {t.family for t in view.trials}
+    for row in families(view.facts):
+        if row.name not in used:
+            apt = row.aptness(view.facts) > 0
+            yield _Option(UNTRIED, partial(_first, view, row), apt)
+
+
+def _first(view: AgentView, row: Family) -> Proposal | None:
+    recipe = row.trial(view.facts)
+    if not is_new(view, recipe):
+        return None
+    sentence = f"{_sentence(row.label)}: {row.use}."
+    return Proposal(
+        source=under_protocol(recipe, view.facts).source(sentence),
+        family=row.name,
+        title=row.label,
+        hypothesis=sentence,
+        expected="A first value for this family, to compare with the others.",
+    )
+
+
+def _refinements(view: AgentView) -> Iterator[_Option]:
+    """Every applicable move on the best trial of each family, on the last one of a family that
+    only failed. A move that was made before and did not help counts less."""
+    for case in _cases(view):
+        share = _share(case)
+        for move in MOVES:
+            if not move.applies(case):
+                continue
+            weight = move.weight(case) * (share if move.behind_counts else 1.0)
+            if weight > 0:
+                weight *= move.fade ** _failures(case, move)
+                yield _Option(weight, partial(_moved, case, move))
+
+
+def _failures(case: Case, move: Move) -> int:
+    title = move.title(case)
+    return sum(t.title == title and t.status != "keep" for t in case.view.trials)
+
+
+def _moved(case: Case, move: Move) -> Proposal | None:
+    recipe = move.change(case)
+    if not is_new(case.view, recipe):
+        return None
+    return Proposal(
+        source=under_protocol(recipe, case.facts).source(_summary(case, recipe)),
+        family=recipe.family,
+        title=move.title(case),
+        hypothesis=move.hypothesis,
+        expected=move.expected,
+        parent=case.trial.number,
+    )
+
+
+def _cases(view: AgentView) -> Iterator[Case]:
+    failed = [trial for trial in reversed(view.trials) if trial.value is None]
+    chosen: dict[str, tuple[Trial, Recipe]] = {}
+    for trial in (*view.ranked, *failed):
+        recipe = read_recipe(trial.source)
+        if recipe is not None and recipe.family not in chosen:
+            chosen[recipe.family] = trial, recipe
+    for place, (trial, recipe) in enumerate(chosen.values()):
+        row = family(recipe.family)
+        if row is not None:
+            yield Case(view, trial, recipe, row, place, len(chosen))
+
+
+def _share(case: Case) -> float:
+    """1 for the leading family, less the further another is behind.
+
+    A grey-box within a factor of four of a leader without equations counts as leading: what its
+    own lack can still be added. A model that knows its own fold better than the leader knows the
+    others' has only to be held back, and keeps most of its weight while it is not too far behind;
+    a leader with equations is seldom caught up with by that. Either way, each move that did not
+    bring the family to the lead costs patience with it.
+    """
+    trial, best, train = case.trial, case.view.best, case.trial.train_error
+    if case.place == 0 or best is None or best.value is None:
+        return 1.0
+    if trial.value is None or train is None:
+        return BEHIND
+    ratio = best.value / trial.value
+    leader = family(best.family)
+    black_box = leader is None or "physics" not in leader.needs
+    if case.recipe.family == "greybox" and ratio > NEAR and black_box:
+        return 1.0
+    own = (t for t in case.view.trials if t.family == case.recipe.family)
+    patience = PATIENCE ** sum(t.parent is not None and t.status != "keep" for t in own)
+    share = BEHIND * ratio**2
+    near = NEAR if black_box else NEAR_EQUATIONS
+    held_back = ratio > near and train < best.value and overfit(trial) > 2.0
+    return patience * (max(share, PROMISING) if held_back else share)
+
+
+def _summary(case: Case, recipe: Recipe) -> str:
+    settings = ", ".join(f"{k} {v}" for k, v in recipe.config) or "plain"
+    return f"{_sentence(case.row.label)}: {settings}."
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,107 @@
+"""Tuning the numbers of the leading recipe by a tree-structured Parzen estimator.
+
+Source: Bergstra, Bardenet, Bengio and Kegl, NeurIPS 2011; Optuna's implementation. The study lives
+in memory and is rebuilt from the ledger's trials at each proposal, so that a proposal is a function
+of the view.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING
+
+from asia.agents.library.cost import is_new
+from asia.agents.library.recipe import Recipe, read_recipe
+from asia.agents.library.space import Span
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.distributions import BaseDistribution
+
+    from asia.agents._view import Trial
+    from asia.agents.expert.move import Case
+
+TUNED = "numbers tuned"
+
+_SHARE = 0.2
+_REACH = 3.0
+_ASKS = 8
+_STARTUP = 4
+# How long a fit goes on decides what it costs: moves change that, tuning does not.
+_EFFORT = frozenset({"steps", "iterations", "starts", "members", "truncation"})
+
+
+def may_tune(case: Case) -> bool:
+    """Whether the leading recipe has numbers to tune and the tuned experiments, at most a fifth of
+    the budget, are not used up."""
+    used = sum(trial.title.endswith(f": {TUNED}") for trial in case.view.trials)
+    return used < _SHARE * case.view.experiments and bool(_spans(case))
+
+
+def tuned(case: Case) -> Recipe:
+    """The recipe with numbers near the best ones, where the trials so far promise most; the
+    recipe itself when nothing new was found."""
+    spans = _spans(case)
+    study = _study(case, spans)
+    for _ in range(_ASKS):
+        asked = study.ask(_distributions(case, spans)).params
+        recipe = case.recipe.changed(**{s.name: s.tidy(asked[s.name]) for s in spans})
+        if is_new(case.view, recipe):
+            return recipe
+    return case.recipe
+
+
+def _spans(case: Case) -> tuple[Span, ...]:
+    spans = case.row.space(case.facts).spans(case.recipe)
+    return tuple(span for span in spans if span.name not in _EFFORT)
+
+
+def _study(case: Case, spans: tuple[Span, ...]) -> Study:
+    """The trials that differ from the leading one in these numbers alone, as Optuna sees them."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    sampler = optuna.samplers.TPESampler(
+        n_startup_trials=_STARTUP, multivariate=True, seed=_seed(case)
+    )
+    study = optuna.create_study(sampler=sampler)
+    distributions = _distributions(case, spans)
+    for trial in case.view.trials:
+        params = _parameters(case, trial, spans)
+        if params is not None and trial.value is not None:
+            past = optuna.trial.create_trial(
+                params=params, distributions=distributions, value=trial.value
+            )
+            study.add_trial(past)
+    return study
+
+
+def _parameters(case: Case, trial: Trial, spans: tuple[Span, ...]) -> dict[str, float] | None:
+    """A trial's numbers; None when it differs from the leading one in more, or lies too far."""
+    recipe = read_recipe(trial.source)
+    if recipe is None or not all(recipe.has(span.name) for span in spans):
+        return None
+    numbers = {span.name: recipe.number(span.name, 0.0) for span in spans}
+    if recipe.changed(**{s.name: case.recipe.get(s.name) for s in spans}).key != case.recipe.key:
+        return None
+    ranges = [(numbers[span.name], *_range(case, span)) for span in spans]
+    return numbers if all(low <= number <= high for number, low, high in ranges) else None
+
+
+def _distributions(case: Case, spans: tuple[Span, ...]) -> dict[str, BaseDistribution]:
+    from optuna.distributions import FloatDistribution
+
+    return {span.name: FloatDistribution(*_range(case, span), log=True) for span in spans}
+
+
+def _range(case: Case, span: Span) -> tuple[float, float]:
+    """A factor of three to each side of the leading recipe's number, within what the library
+    allows or as far as the recipe already is."""
+    centre = case.recipe.number(span.name, span.low)
+    low, high = max(span.low, centre / _REACH), min(span.high, centre * _REACH)
+    return min(low, centre), max(high, centre)
+
+
+def _seed(case: Case) -> int:
+    word = f"tune:{case.view.seed}:{len(case.view.trials)}"
+    return int.from_bytes(hashlib.sha256(word.encode()).digest()[:4], "big")

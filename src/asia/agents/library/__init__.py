@@ -1,0 +1,1 @@
+"""The model library as the built-in agents know it."""

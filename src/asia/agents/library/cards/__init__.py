@@ -1,0 +1,1 @@
+"""One file a kind of family: its row, its moves."""

@@ -1,0 +1,281 @@
+"""Moves on networks: size, inputs, loss, optimiser, regularisation."""
+
+from __future__ import annotations
+
+from asia.agents.expert.evidence import input_left, overfit
+from asia.agents.expert.move import Case, Move
+from asia.agents.library.cost import (
+    LARGE_BATCH,
+    LEAST_HORIZON,
+    MANY_SAMPLES,
+    METHODS,
+    TRANSIENT,
+    several_horizons,
+)
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.traits import traits
+
+_SIZES = ("hidden", "width", "units", "states", "slow")
+_WIDEST = 128
+_GRADIENT = ("Adam", "MultipleShooting")
+
+
+def _adam(case: Case) -> bool:
+    return case.recipe.method == "Adam"
+
+
+def _network(case: Case) -> bool:
+    return case.recipe.method in ("Adam", *METHODS)
+
+
+def _held_back(case: Case, well: float, badly: float) -> float:
+    """`badly` where the model knows its own fold far too well, `well` where it does not."""
+    return badly if overfit(case.trial) > 2.0 else well
+
+
+def _sizes(case: Case) -> tuple[str, ...]:
+    """Settings that hold numbers of units, whichever the family names so."""
+    return tuple(name for name in _SIZES if case.recipe.number(name, 0) > 0)
+
+
+def _resized(case: Case, factor: float) -> Recipe:
+    sizes = {name: max(2, round(factor * case.recipe.number(name, 8))) for name in _sizes(case)}
+    return case.recipe.configured(**sizes)
+
+
+def _widest(case: Case) -> float:
+    return max((case.recipe.number(name, 0) for name in _sizes(case)), default=0.0)
+
+
+def _depth(case: Case) -> str:
+    return next((n for n in ("layers", "depth") if case.recipe.number(n, 0) > 0), "")
+
+
+def _windowed(case: Case) -> bool:
+    return (case.facts.horizon or 0) >= LEAST_HORIZON
+
+
+def _chunked(case: Case) -> bool:
+    return _adam(case) and case.recipe.number("truncation", 0) > 0
+
+
+def _times(case: Case, name: str, factor: float, default: float) -> Recipe:
+    number = factor * case.recipe.number(name, default)
+    return case.recipe.trained(**{name: float(f"{number:.2g}")})
+
+
+def _absent(case: Case, name: str) -> bool:
+    return not case.recipe.get(name)
+
+
+NETWORK_MOVES: tuple[Move, ...] = (
+    Move(
+        name="squares of the inputs",
+        families=(),
+        weight=lambda c: (
+            (0.6 if input_left(c.trial) else 0.4) * c.varies("features") * _absent(c, "features")
+        ),
+        change=lambda c: c.recipe.configured(features=("square",)),
+        hypothesis="Actuators often act with the square of the command (thrust, drag, power): a "
+        "network that is given the squares need not make them.",
+        expected="Lower training error and lower V, most where the input varies widely.",
+    ),
+    Move(
+        name="average of several seeds",
+        families=(),
+        weight=lambda c: (
+            _held_back(c, 0.4, 0.55) * _network(c) * c.row.seeds * _absent(c, "members")
+        ),
+        change=lambda c: c.recipe.trained(members=3),
+        hypothesis="Networks from different seeds err differently; their mean errs less.",
+        expected="A lower and steadier V at the same training error.",
+    ),
+    Move(
+        name="longer training",
+        families=(),
+        weight=lambda c: _held_back(c, 0.45, 0.1) * _network(c),
+        change=lambda c: c.recipe.trained(steps=round(2 * c.recipe.number("steps", 1000))),
+        hypothesis="The training error is not far below V and may still fall.",
+        expected="Lower training error, V follows.",
+    ),
+    Move(
+        name="wider network",
+        families=(),
+        weight=lambda c: (
+            _held_back(c, 0.45, 0.15) * _network(c) * bool(_sizes(c)) * (_widest(c) < _WIDEST)
+        ),
+        change=lambda c: _resized(c, 2.0),
+        hypothesis="The training error is not much below V: the model is too small.",
+        expected="Lower training error, V follows.",
+    ),
+    Move(
+        name="narrower network",
+        families=(),
+        weight=lambda c: _held_back(c, 0.2, 0.5) * _network(c) * (_widest(c) >= 8),
+        change=lambda c: _resized(c, 0.5),
+        hypothesis="V is well above the training error: there are too many weights.",
+        expected="Higher training error, lower V.",
+    ),
+    Move(
+        name="deeper network",
+        families=(),
+        weight=lambda c: _held_back(c, 0.35, 0.1) * _network(c) * bool(_depth(c)),
+        change=lambda c: c.recipe.configured(
+            **{_depth(c): round(c.recipe.number(_depth(c), 1)) + 1}
+        ),
+        hypothesis="One layer may not be enough for what the inputs do together.",
+        expected="Lower training error, V follows.",
+    ),
+    Move(
+        name="noise on the inputs in training",
+        families=(),
+        weight=lambda c: (0.5 if overfit(c.trial) > 1.5 else 0.2) * _adam(c) * _absent(c, "noise"),
+        change=lambda c: c.recipe.trained(noise=0.1),
+        hypothesis="The network has learned the input record by heart: noise on it teaches the "
+        "neighbourhood as well.",
+        expected="A higher training error and a lower V.",
+    ),
+    Move(
+        name="more weight decay",
+        families=(),
+        weight=lambda c: _held_back(c, 0.15, 0.45) * (c.recipe.method in _GRADIENT),
+        change=lambda c: _times(c, "weight_decay", 10.0, 1e-3),
+        hypothesis="V is well above the training error: the weights follow their own fold.",
+        expected="Higher training error, lower V.",
+    ),
+    Move(
+        name="dropout",
+        families=(),
+        weight=lambda c: _held_back(c, 0.1, 0.4) * _adam(c) * _absent(c, "dropout"),
+        change=lambda c: c.recipe.trained(dropout=0.1),
+        hypothesis="V is well above the training error: units lean on each other's quirks.",
+        expected="Higher training error, lower V.",
+    ),
+    Move(
+        name="steps picked on a held-out part",
+        families=(),
+        weight=lambda c: (
+            _held_back(c, 0.1, 0.45)
+            * _network(c)
+            * _absent(c, "holdout")
+            * (c.facts.early_stopping == "inner")
+        ),
+        change=lambda c: c.recipe.trained(holdout=0.2),
+        hypothesis="V is well above the training error: training went on for too long, and a "
+        "fifth of the samples, held out, can tell for how long.",
+        expected="Higher training error, lower V; no gain where records are short.",
+    ),
+    Move(
+        name="lower learning rate",
+        families=(),
+        weight=lambda c: 0.3 * (c.recipe.number("learning_rate", 0) > 2e-4),
+        change=lambda c: _times(c, "learning_rate", 0.4, 1e-3),
+        hypothesis="The last steps may be too coarse for the narrow valley they end in.",
+        expected="A slightly lower training error, V follows.",
+    ),
+    Move(
+        name="higher learning rate",
+        families=(),
+        weight=lambda c: (
+            (0.35 if overfit(c.trial) < 1.3 else 0.15)
+            * (0 < c.recipe.number("learning_rate", 0) < 8e-3)
+        ),
+        change=lambda c: _times(c, "learning_rate", 2.5, 1e-3),
+        hypothesis="The steps are few for this rate: larger ones go further.",
+        expected="A lower training error, V follows.",
+    ),
+    Move(
+        name="average of the last weights",
+        families=(),
+        weight=lambda c: 0.35 * _adam(c) * _absent(c, "average"),
+        change=lambda c: c.recipe.trained(average=0.99),
+        hypothesis="Weights wander about their optimum; their moving average lies nearer to it.",
+        expected="About the same training error and a steadier, lower V.",
+    ),
+    Move(
+        name="loss at several horizons",
+        families=(),
+        weight=lambda c: 0.4 * _adam(c) * _absent(c, "horizons") * _windowed(c),
+        change=lambda c: c.recipe.trained(horizons=several_horizons(c.facts)),
+        hypothesis="Late samples hold most of the error and early ones most of the information: "
+        "weighing several horizons lets the early ones be learned first.",
+        expected="Lower error early in the window, and later what follows from it.",
+    ),
+    Move(
+        name="scheduled sampling",
+        families=("autoregressive", "kinematic"),
+        weight=lambda c: 0.5 * _adam(c) * (c.recipe.number("teacher", 0) < 1),
+        change=lambda c: c.recipe.trained(teacher=1.0, teacher_end=0.0),
+        hypothesis="A model that feeds on its own output learns faster when it is first fed the "
+        "measured one and weaned in steps.",
+        expected="Lower training error, V follows.",
+    ),
+    Move(
+        name="longer chunks",
+        families=(),
+        weight=lambda c: 0.3 * _adam(c) * (0 < c.recipe.number("truncation", 0) < 512),
+        change=lambda c: c.recipe.trained(truncation=round(2 * c.recipe.number("truncation", 128))),
+        hypothesis="The slow part of the system does not show within one chunk.",
+        expected="Lower error late in the simulation.",
+    ),
+    Move(
+        name="state carried between chunks",
+        families=(),
+        weight=lambda c: 0.3 * _chunked(c) * _absent(c, "carry") * ("long" in traits(c.facts)),
+        change=lambda c: c.recipe.trained(carry=True),
+        hypothesis="Chunks that start from their past window never show what the state has "
+        "gathered over a long time: read in order, with the state carried over (truncated "
+        "back-propagation through time), they do.",
+        expected="Lower error late in the simulation.",
+    ),
+    Move(
+        name="transient left out",
+        families=(),
+        weight=lambda c: 0.2 * _chunked(c) * _absent(c, "washout"),
+        change=lambda c: c.recipe.trained(washout=TRANSIENT),
+        hypothesis="The past window says too little of the state: the error of the first samples "
+        "of a chunk is that of its start and spoils the gradient.",
+        expected="A lower error once the start is forgotten.",
+    ),
+    Move(
+        name="Huber loss",
+        families=(),
+        weight=lambda c: 0.2 * _adam(c) * (c.recipe.get("loss", "mse") != "huber"),
+        change=lambda c: c.recipe.trained(loss="huber"),
+        hypothesis="Small errors should count as squares and large ones by their size.",
+        expected="About the same training error; less is given to a few bad samples.",
+    ),
+    Move(
+        name="larger batches",
+        families=(),
+        weight=lambda c: (
+            0.3 * _adam(c) * _absent(c, "batch") * (c.facts.fit_samples > MANY_SAMPLES)
+        ),
+        change=lambda c: c.recipe.trained(batch=LARGE_BATCH),
+        hypothesis="The gradient of a small batch is noisy at the end of training.",
+        expected="Lower training error at the same number of steps.",
+    ),
+    Move(
+        name="L-BFGS on all samples",
+        families=(),
+        weight=lambda c: (
+            (0.4 if overfit(c.trial) < 2.0 else 0.15)
+            * _adam(c)
+            * ("LBFGS" in c.row.methods)
+            * (c.facts.fit_samples <= 5_000)
+        ),
+        change=lambda c: METHODS["LBFGS"](c.facts, c.recipe),
+        hypothesis="On a short record second-order steps in double precision get further down the "
+        "same valley than Adam.",
+        expected="A markedly lower training error; V follows if the model is small enough.",
+    ),
+    Move(
+        name="multiple shooting",
+        families=(),
+        weight=lambda c: 0.25 * _adam(c) * ("MultipleShooting" in c.row.methods),
+        change=lambda c: METHODS["MultipleShooting"](c.facts, c.recipe),
+        hypothesis="Gradients through long simulations are the trouble: short segments with free "
+        "initial states, joined by a penalty, learn the same model.",
+        expected="Lower training error where whole simulations were hard to learn.",
+    ),
+)

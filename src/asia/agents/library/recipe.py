@@ -1,0 +1,168 @@
+"""Candidates of the model library as data: written as short sources, read back from them."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from asia._syntax import syntax_tree
+from asia.candidate import source_digest
+from asia.errors import CandidateError
+
+Value = int | float | str | bool | None | tuple[str | int | float, ...]
+Settings = tuple[tuple[str, Value], ...]
+
+_METHODS = "asia.models.methods"
+_TEMPLATE = '''"""{summary}"""
+
+from asia.models import {family}
+from asia.models.methods import {method}
+
+
+def build_model(context):
+    config = {config}
+    return {family}.build(config, context)
+
+
+def train(model, trajectories, context):
+    method = {options}
+    return {family}.train(model, trajectories, context, method)
+
+
+def fit(trajectories, context):
+    return train(build_model(context), trajectories, context)
+'''
+_LINE = 80
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A family of `asia.models` with its settings, and a method of `asia.models.methods` with its
+    own."""
+
+    family: str
+    config: Settings
+    method: str
+    options: Settings
+
+    @property
+    def key(self) -> Hashable:
+        """What tells two recipes apart: the order of settings does not."""
+        return self.family, self.method, frozenset(self.config), frozenset(self.options)
+
+    def get(self, name: str, default: Value = None) -> Value:
+        """A setting of the model or of the method."""
+        return dict((*self.config, *self.options)).get(name, default)
+
+    def number(self, name: str, default: float) -> float:
+        """A numeric setting; `default` when it is absent or not a number."""
+        value = self.get(name, default)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return default
+        return float(value)
+
+    def has(self, name: str) -> bool:
+        """Whether the source names the setting."""
+        return any(key == name for key, _ in (*self.config, *self.options))
+
+    def configured(self, **changes: Value) -> Recipe:
+        """With settings of the model changed."""
+        return replace(self, config=_merge(self.config, changes))
+
+    def trained(self, **changes: Value) -> Recipe:
+        """With settings of the method changed."""
+        return replace(self, options=_merge(self.options, changes))
+
+    def times(self, name: str, factor: float, default: float) -> Recipe:
+        """With a number multiplied, two significant digits kept; `default` stands for one that the
+        model's settings do not name."""
+        number = float(f"{factor * self.number(name, default):.2g}")
+        return (
+            self.changed(**{name: number}) if self.has(name) else self.configured(**{name: number})
+        )
+
+    def changed(self, **changes: Value) -> Recipe:
+        """With settings changed where they are; those of neither side are an error (KeyError)."""
+        recipe = self
+        for name, value in changes.items():
+            if name in dict(self.config):
+                recipe = recipe.configured(**{name: value})
+            elif name in dict(self.options):
+                recipe = recipe.trained(**{name: value})
+            else:
+                raise KeyError(name)
+        return recipe
+
+    def source(self, summary: str) -> str:
+        """The candidate.py."""
+        return _TEMPLATE.format(
+            summary=summary.replace('"""', "'''"),
+            family=self.family,
+            method=self.method,
+            config=_call(f"{self.family}.Config", self.config),
+            options=_call(self.method, self.options),
+        )
+
+
+@lru_cache(maxsize=4096)
+def read_recipe(source: str) -> Recipe | None:
+    """The recipe a source says the same as; None when it says more, as one that a person or
+    another agent wrote may."""
+    try:
+        tree = syntax_tree(source, "candidate.py")
+        found = _read(tree)
+        same = found is not None and source_digest(found.source("")) == source_digest(source)
+    except (SyntaxError, ValueError, CandidateError):
+        return None
+    return found if same else None
+
+
+def _read(tree: ast.Module) -> Recipe | None:
+    methods = {alias.name for alias in _imported(tree, _METHODS)}
+    families = {alias.name for alias in _imported(tree, "asia.models")}
+    if len(methods) != 1 or len(families) != 1:
+        return None
+    (method,), (family,) = methods, families
+    config = _settings(tree, f"{family}.Config")
+    options = _settings(tree, method)
+    return None if config is None or options is None else Recipe(family, config, method, options)
+
+
+def _imported(tree: ast.Module, module: str) -> Iterator[ast.alias]:
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and node.module == module:
+            yield from node.names
+
+
+def _settings(tree: ast.Module, function: str) -> Settings | None:
+    """Keyword arguments of the one call of `function`, which must be literals."""
+    calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
+    named = [call for call in calls if ast.unparse(call.func) == function]
+    if len(named) != 1:
+        return None
+    return tuple((k.arg or "", ast.literal_eval(k.value)) for k in named[0].keywords)
+
+
+def _merge(settings: Settings, changes: dict[str, Value]) -> Settings:
+    return tuple({**dict(settings), **changes}.items())
+
+
+def _call(name: str, settings: Settings) -> str:
+    arguments = [f"{key}={_literal(value)}" for key, value in settings]
+    flat = f"{name}({', '.join(arguments)})"
+    if len(flat) <= _LINE:
+        return flat
+    inner = "".join(f"        {argument},\n" for argument in arguments)
+    return f"{name}(\n{inner}    )"
+
+
+def _literal(value: Value) -> str:
+    """Python's own notation, strings in double quotes where they hold none."""
+    if isinstance(value, tuple):
+        items = [_literal(item) for item in value]
+        return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
+    text = repr(value)
+    plain = isinstance(value, str) and '"' not in value and "\\" not in text
+    return f'"{text[1:-1]}"' if plain else text

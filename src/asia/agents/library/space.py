@@ -1,0 +1,109 @@
+"""What may be varied in a recipe: ranges of numbers and lists of choices, for random draws and for
+tuning."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.agents.library.recipe import Recipe, Value
+
+
+@dataclass(frozen=True)
+class Span:
+    """A number between low and high, evenly in the logarithm unless `log` is off; `whole` for
+    integers. It has no meaning while the setting `needs` is absent, false or zero, or another value
+    than `being` where that is given."""
+
+    name: str
+    low: float
+    high: float
+    log: bool = True
+    whole: bool = False
+    needs: str = ""
+    being: Value = None
+
+    def tidy(self, number: float) -> int | float:
+        """Two significant digits, or a whole number, inside the range."""
+        if self.whole:
+            return min(max(round(number), round(self.low)), round(self.high))
+        return min(max(float(f"{number:.2g}"), self.low), self.high)
+
+    def draw(self, rng: np.random.Generator) -> Value:
+        """A number with even chance."""
+        low, high = (self.low, self.high + self.whole * 0.999)
+        if self.log:
+            number = math.exp(rng.uniform(math.log(low), math.log(high)))
+        else:
+            number = rng.uniform(low, high)
+        return self.tidy(math.floor(number) if self.whole else number)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of a list of values; needs, being: as in `Span`."""
+
+    name: str
+    values: tuple[Value, ...]
+    needs: str = ""
+    being: Value = None
+
+    def draw(self, rng: np.random.Generator) -> Value:
+        """A value with even chance."""
+        return self.values[int(rng.integers(len(self.values)))]
+
+
+Parameter = Span | Choice
+
+
+@dataclass(frozen=True)
+class Space:
+    """Parameters of the model and of the training method."""
+
+    config: tuple[Parameter, ...]
+    options: tuple[Parameter, ...]
+
+    def find(self, name: str) -> Parameter | None:
+        """A parameter by name."""
+        return next((p for p in (*self.config, *self.options) if p.name == name), None)
+
+    def opened(self, before: Recipe, after: Recipe) -> Space:
+        """What has a meaning in `after` alone."""
+
+        def new(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+            return tuple(p for p in parameters if applies(p, after) and not applies(p, before))
+
+        return Space(new(self.config), new(self.options))
+
+    def spans(self, recipe: Recipe) -> tuple[Span, ...]:
+        """The numbers that the recipe names and that have a meaning in it."""
+        return tuple(
+            p
+            for p in (*self.config, *self.options)
+            if isinstance(p, Span) and applies(p, recipe) and _is_number(recipe.get(p.name))
+        )
+
+
+def draw(rng: np.random.Generator, recipe: Recipe, space: Space) -> Recipe:
+    """The recipe with everything in the space drawn anew."""
+    for parameter in space.config:
+        if applies(parameter, recipe):
+            recipe = recipe.configured(**{parameter.name: parameter.draw(rng)})
+    for parameter in space.options:
+        if applies(parameter, recipe):
+            recipe = recipe.trained(**{parameter.name: parameter.draw(rng)})
+    return recipe
+
+
+def applies(parameter: Parameter, recipe: Recipe) -> bool:
+    """Whether the parameter has a meaning in the recipe."""
+    if not parameter.needs:
+        return True
+    value = recipe.get(parameter.needs)
+    return bool(value) if parameter.being is None else value == parameter.being
+
+
+def _is_number(value: Value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and value > 0

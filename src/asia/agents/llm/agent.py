@@ -1,0 +1,126 @@
+"""A language model behind an OpenAI-compatible server proposes."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import TYPE_CHECKING
+
+from asia.agents._driving import Journal
+from asia.agents._view import AgentView, Proposal
+from asia.agents.llm.anonymous import anonymous
+from asia.agents.llm.problem import problem_text
+from asia.agents.llm.reply import MalformedReplyError, Reply, read_reply
+from asia.agents.llm.search import NO_CANDIDATE, Task, search_text, task_of
+from asia.agents.llm.settings import LlmSettings
+from asia.agents.llm.text import bounded, quoted
+from asia.errors import InternalError, UserError
+
+if TYPE_CHECKING:
+    from asia.agents.llm.client import ChatClient, Message
+
+_ECHO = 40_000
+_WRONG = 300
+
+
+class LlmAgent:
+    """Asks for a candidate with a bounded summary of problem and search, lets the model mend the
+    form of its answer, and, in experiments of their own, what failed.
+
+    A function of the view and of the answers in its journal: an answer paid for is never asked
+    for again. network: False answers from the journal only, and raises DivergedError where it has
+    no answer. Raises UserError without the extra `llm` or without a key.
+    """
+
+    def __init__(self, settings: LlmSettings, *, network: bool = True) -> None:
+        if importlib.util.find_spec("openai") is None:
+            raise UserError("the agent llm needs the package openai: pip install 'asia-sysid[llm]'")
+        self.settings = settings
+        self._network = network
+        self._key = settings.api_key() if network else "none"
+        self._client: ChatClient | None = None
+
+    @property
+    def name(self) -> str:
+        """`llm`."""
+        return "llm"
+
+    def recorded(self) -> dict[str, str]:
+        """What shapes the search: no key, no caps."""
+        return self.settings.record()
+
+    def attach(self, journal: Journal) -> None:
+        """Where requests and answers are written down."""
+        from asia.agents.llm.client import ChatClient
+
+        self._client = ChatClient(self.settings, journal, self._key, network=self._network)
+
+    def propose(self, view: AgentView) -> Proposal:
+        """The model's candidate. One whose form cannot be mended in `repairs` turns is proposed as
+        it is, and fails as an experiment."""
+        if self._client is None:
+            raise InternalError("the agent llm was asked before it had a journal")
+        hidden = self.settings.anonymous
+        seen = anonymous(view) if hidden else view
+        task = task_of(seen, self.settings.repairs)
+        messages: list[Message] = [
+            {"role": "system", "content": problem_text(seen.facts)},
+            {"role": "user", "content": search_text(seen, task, hide_baseline=hidden)},
+        ]
+        reply, wrong = self._answered(self._client, messages, seen)
+        return _no_candidate(wrong) if reply is None else _proposal(reply, task, seen)
+
+    def _answered(
+        self, client: ChatClient, messages: list[Message], view: AgentView
+    ) -> tuple[Reply | None, str]:
+        """The last answer that held a source, and what is wrong with the last of all."""
+        client.begin()
+        reply: Reply | None = None
+        wrong = ""
+        for _ in range(self.settings.repairs + 1):
+            answer = client.ask(messages)
+            try:
+                reply = read_reply(answer.text, answer.cut)
+                wrong = _wrong(reply, view)
+            except MalformedReplyError as error:
+                wrong = str(error)
+            if not wrong:
+                break
+            said = bounded(answer.text, _ECHO) or "(nothing)"
+            messages += [
+                {"role": "assistant", "content": said},
+                {"role": "user", "content": _mend(wrong)},
+            ]
+        return reply, wrong
+
+
+def _wrong(reply: Reply, view: AgentView) -> str:
+    if reply.problem:
+        return reply.problem
+    if view.is_known(reply.source):
+        return "this candidate was evaluated before (comments and layout do not count)"
+    return ""
+
+
+def _mend(wrong: str) -> str:
+    return (
+        f"Your answer cannot be used, and no experiment was spent: {quoted(wrong, _WRONG)}. "
+        "Answer again in the form asked for, with the complete candidate.py."
+    )
+
+
+def _proposal(reply: Reply, task: Task, view: AgentView) -> Proposal:
+    parent = task.parent
+    if task.kind != "repair" and reply.parent in {trial.number for trial in view.trials}:
+        parent = reply.parent
+    family = reply.family if reply.family != NO_CANDIDATE else "custom"
+    return Proposal(reply.source, family, reply.title, reply.hypothesis, reply.expected, parent)
+
+
+def _no_candidate(wrong: str) -> Proposal:
+    return Proposal(
+        source="# The answer held no candidate.py.\n",
+        family=NO_CANDIDATE,
+        title="answer without a candidate",
+        hypothesis="None: the model's answers could not be used.",
+        expected=f"A failure: {wrong}",
+    )

@@ -1,0 +1,276 @@
+"""Asking an OpenAI-compatible server: caps, retries, and what went wrong in words."""
+
+from __future__ import annotations
+
+import email.utils
+import json
+import time
+import urllib.request
+from dataclasses import dataclass
+from typing import Any, NoReturn, TypeGuard
+from urllib.parse import urlsplit
+
+import httpx2
+import openai
+
+from asia.agents._driving import AgentStoppedError, InterruptedWaitError, Journal
+from asia.agents.llm.cassette import Cassette, may_have_cost
+from asia.agents.llm.settings import LlmSettings
+from asia.errors import UserError
+from asia.ledger import Usage, one_line
+
+Message = dict[str, str]
+
+_BUSY = frozenset({408, 409, 425, 429, 500, 502, 503, 504, 520, 522, 524, 529})
+_MARGIN = 1.25
+_MILLION = 1e6
+_MOST_TOKENS = 10**12
+_FIRST_WAIT = 1.0
+_LONGEST_WAIT = 60.0
+_POLL = 0.1
+_SAID = 300
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the model said; cut: it ended at the limit of tokens."""
+
+    text: str
+    cut: bool = False
+
+
+class ChatClient:
+    """One request at a time, recorded in the journal. network: False answers from the record
+    only."""
+
+    def __init__(
+        self, settings: LlmSettings, journal: Journal, key: str, *, network: bool = True
+    ) -> None:
+        self._settings, self._journal, self._key = settings, journal, key
+        self._cassette = Cassette(
+            journal,
+            _network(settings.url) if network else None,
+            self._admit,
+            self._usage,
+            secret=key,
+        )
+        self._client = openai.OpenAI(
+            api_key=key,
+            base_url=settings.url,
+            max_retries=0,
+            timeout=settings.timeout_seconds,
+            http_client=openai.DefaultHttpxClient(transport=self._cassette),
+        )
+
+    def begin(self) -> None:
+        """A new proposal: answers paid for already come first."""
+        self._cassette.rewind()
+
+    def ask(self, messages: list[Message]) -> Answer:
+        """The model's answer. Busy servers are asked again, after the time they ask for, within
+        bounds.
+
+        Raises AgentStoppedError when a cap would be passed or the server stays away, UserError when
+        it refuses the request, InterruptedWaitError when a person has something to say meanwhile.
+        """
+        waited, attempt = 0.0, 0
+        while True:
+            try:
+                return self._send(messages)
+            except openai.APIStatusError as error:
+                what = f"status {error.status_code}: {self._said(error)}"
+                if error.status_code not in _BUSY or error.code == "insufficient_quota":
+                    self._refused(error)
+                wait = _asked_wait(error.response.headers.get("retry-after"))
+            except openai.APIConnectionError as error:
+                if not isinstance(error.__cause__, httpx2.HTTPError):
+                    raise (error.__cause__ or error) from None
+                what = f"no answer ({type(error.__cause__).__name__})"
+                wait = None
+                if isinstance(error.__cause__, httpx2.ConnectError) and not self._answered:
+                    self._give_up(what)
+            attempt += 1
+            wait = min(_FIRST_WAIT * 2**attempt, _LONGEST_WAIT) if wait is None else wait
+            if attempt > self._settings.retries or waited + wait > self._settings.retry_seconds:
+                self._give_up(f"{what}, after {attempt} attempts")
+            self._wait(wait)
+            waited += wait
+
+    @property
+    def _answered(self) -> bool:
+        """Whether the server ever did."""
+        return any(200 <= e.status < 300 for e in self._journal.exchanges)
+
+    def _send(self, messages: list[Message]) -> Answer:
+        create: Any = self._client.chat.completions.with_raw_response.create
+        raw = create(
+            model=self._settings.model, messages=messages, extra_body=self._settings.parameters
+        )
+        return _answer(raw.http_response.content)
+
+    def _wait(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            if self._journal.interrupted():
+                raise InterruptedWaitError
+            time.sleep(min(left, _POLL))
+
+    def _admit(self, body: bytes) -> None:
+        """Raises AgentStoppedError unless the request fits into what is left at its worst."""
+        s = self._settings
+        tokens, cost, rate = self._spent()
+        prompt, reply = self._worst(body, rate)
+        if s.max_tokens_total is not None and tokens + prompt + reply > s.max_tokens_total:
+            raise AgentStoppedError(
+                "tokens",
+                f"{tokens} tokens are spent; the next request may take {prompt + reply}, and "
+                f"{s.max_tokens_total} are allowed",
+            )
+        dearest = self._price(prompt, reply) or 0.0
+        if s.max_cost is not None and cost + dearest > s.max_cost:
+            raise AgentStoppedError(
+                "cost",
+                f"{cost:.4f} USD are spent; the next request may take {dearest:.4f}, and "
+                f"{s.max_cost:g} are allowed",
+            )
+
+    def _spent(self) -> tuple[int, float, float]:
+        """Tokens and USD so far, a request whose usage is not known at its worst; and the most
+        input tokens for a byte of a request, with a margin."""
+        exchanges = self._journal.exchanges
+        sizes = [len(self._journal.get(e.request)) for e in exchanges]
+        told = [
+            e.usage.input_tokens / size
+            for e, size in zip(exchanges, sizes, strict=True)
+            if e.usage is not None
+        ]
+        # A token is a byte or more; then the server's own counts tell.
+        rate = _MARGIN * max(told) if told else 1.0
+        tokens, cost = 0, 0.0
+        for e in exchanges:
+            if e.usage is not None:
+                used = (e.usage.input_tokens, e.usage.output_tokens)
+            elif may_have_cost(e, self._journal.get(e.response)):
+                used = self._worst(self._journal.get(e.request), rate)
+            else:
+                continue
+            tokens += sum(used)
+            cost += self._price(*used) or 0.0
+        return tokens, cost, rate
+
+    def _worst(self, body: bytes, rate: float) -> tuple[int, int]:
+        return int(len(body) * rate) + 1, self._settings.max_reply_tokens
+
+    def _price(self, prompt: int, reply: int) -> float | None:
+        """Cached input tokens count in full: an upper bound."""
+        s = self._settings
+        if s.price_input is None or s.price_output is None:
+            return None
+        return (prompt * s.price_input + reply * s.price_output) / _MILLION
+
+    def _usage(self, content: bytes) -> Usage | None:
+        usage = _object(_object(content).get("usage"))
+        prompt, reply = usage.get("prompt_tokens"), usage.get("completion_tokens")
+        if not _is_count(prompt) or not _is_count(reply):
+            return None
+        cached = _object(usage.get("prompt_tokens_details")).get("cached_tokens")
+        cost = self._price(prompt, reply)
+        return Usage(prompt, reply, cached if _is_count(cached) else 0, cost, turns=1)
+
+    def _refused(self, error: openai.APIStatusError) -> NoReturn:
+        said = self._said(error)
+        s = self._settings
+        if error.code == "insufficient_quota":
+            raise AgentStoppedError("agent", f"the server's account is spent: {said}")
+        if error.status_code in (401, 403):
+            raise UserError(
+                f"{s.shown_url} refuses the key ({error.status_code}): check {s.api_key_env}; it "
+                f"said: {said}"
+            )
+        if error.status_code == 404:
+            raise UserError(
+                f"{s.shown_url} does not know the model '{s.model}' or the path: check --model and "
+                f"--base-url, which ends in /v1 for most servers; it said: {said}"
+            )
+        raise UserError(
+            f"{s.shown_url} refuses the request ({error.status_code}): {said}. "
+            f"{_advice(error.param)}"
+        )
+
+    def _give_up(self, what: str) -> NoReturn:
+        """A server that never answered is the person's to mend; one that did may come back."""
+        if not self._answered:
+            raise UserError(
+                f"cannot reach the model at {self._settings.shown_url}: {what}; check --base-url "
+                "and that the server runs, then give the same command again"
+            )
+        raise AgentStoppedError("agent", f"the model's server stays away: {what}")
+
+    def _said(self, error: openai.APIStatusError) -> str:
+        body = _object(error.body)
+        message = body.get("message")
+        text = message if isinstance(message, str) else error.message
+        return one_line(text.replace(self._key, "[key]"), _SAID)
+
+
+def _advice(parameter: str | None) -> str:
+    known = {
+        "temperature": "--temperature", "top_p": "--top-p", "seed": "--llm-seed",
+        "max_tokens": "--max-reply-tokens", "max_completion_tokens": "--max-reply-tokens",
+    }  # fmt: skip
+    if parameter in known:
+        return (
+            f"The model does not take this value of {parameter}: change or leave out "
+            f"{known[parameter]}, and choose another --name"
+        )
+    return "Change the options of the language model, and choose another --name"
+
+
+def _network(url: str) -> httpx2.BaseTransport:
+    """Through the environment's proxy where it names one for this host. A connection ends with its
+    request: the next one is an evaluation away."""
+    parts = urlsplit(url)
+    proxies = urllib.request.getproxies()
+    proxy = proxies.get(parts.scheme) or proxies.get("all")
+    direct = not proxy or bool(urllib.request.proxy_bypass(parts.hostname or ""))
+    limits = httpx2.Limits(max_keepalive_connections=0)
+    return httpx2.HTTPTransport(proxy=None if direct else proxy, limits=limits)
+
+
+def _asked_wait(header: str | None) -> float | None:
+    """Seconds of a Retry-After header: a number or a date."""
+    if header is None:
+        return None
+    try:
+        return max(0.0, float(header))
+    except ValueError:
+        pass
+    try:
+        return max(0.0, email.utils.parsedate_to_datetime(header).timestamp() - time.time())
+    except ValueError:
+        return None
+
+
+def _answer(content: bytes) -> Answer:
+    """The text of a chat completion; "" where it has none."""
+    choices = _object(content).get("choices")
+    choice = _object(choices[0]) if isinstance(choices, list) and choices else {}
+    text = _object(choice.get("message")).get("content")
+    said = text if isinstance(text, str) else ""
+    # Half a surrogate pair could not be sent back.
+    clean = said.encode("utf-8", "replace").decode()
+    return Answer(clean, choice.get("finish_reason") == "length")
+
+
+def _object(value: Any) -> dict[str, Any]:
+    """A JSON object, from bytes too; empty for anything else."""
+    if isinstance(value, bytes):
+        try:
+            value = json.loads(value)
+        except (ValueError, RecursionError):
+            return {}
+    return value if isinstance(value, dict) else {}
+
+
+def _is_count(value: Any) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MOST_TOKENS

@@ -1,0 +1,9 @@
+"""What was measured: signals, records, their digests, and where they come from.
+
+Light: a sandboxed worker imports it.
+"""
+
+from asia.data._digest import data_digest
+from asia.data._trajectory import Array, Signal, Trajectory
+
+__all__ = ["Array", "Signal", "Trajectory", "data_digest"]

@@ -1,0 +1,255 @@
+"""Records from CSV files, by column name."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from asia._nearest import suggestion
+from asia.data._trajectory import Array, Trajectory
+from asia.errors import UserError
+
+_DELIMITERS = (",", ";", "\t")
+_TIME_NAMES = ("t", "time", "t_s", "time_s", "t [s]", "time [s]", "timestamp")
+
+
+@dataclass(frozen=True)
+class _File:
+    """A CSV file as text: where the data rows begin, and how columns are found in them."""
+
+    path: Path
+    delimiter: str
+    columns: tuple[str, ...]
+    header: str
+    header_line: int
+    body: str
+
+
+@dataclass(frozen=True)
+class CsvRecord:
+    """A record and doubts about its time column, in plain words."""
+
+    trajectory: Trajectory
+    warnings: tuple[str, ...]
+
+
+def read_csv(
+    path: Path,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    sampling_time: float,
+    content: bytes | None = None,
+) -> CsvRecord:
+    """The columns named, in that order, of the file or of `content`. One header row; `,` `;` or tab
+    between cells; a decimal comma is understood where it is not the delimiter. A column named t or
+    time is compared with `sampling_time` (s). Raises UserError naming file, line and column."""
+    wanted = [*inputs, *outputs]
+    file = _open(path, wanted, content)
+    time = next((c for c in file.columns if c.casefold() in _TIME_NAMES and c not in wanted), None)
+    values = _numbers(file, [_index(file, name) for name in wanted])
+    trajectory = Trajectory(
+        values[:, : len(inputs)], values[:, len(inputs) :], sampling_time, path.stem
+    )
+    warnings = () if time is None else _time_warnings(file, time, sampling_time)
+    return CsvRecord(trajectory, warnings)
+
+
+def column_names(path: Path) -> tuple[str, ...]:
+    """Names in the header row. Raises UserError when there is none."""
+    return _open(path, ()).columns
+
+
+def split_csv(path: Path, wanted: Sequence[str], share: float) -> tuple[str, str]:
+    """The file as two texts with its header, all columns kept: the first rows, and the last
+    `share` (0 to 1) of them. Raises UserError when there is no header with data below it."""
+    file = _open(path, wanted)
+    header = file.header
+    rows = [line for line in file.body.split("\n") if line.strip()]
+    keep = len(rows) - round(share * len(rows))
+    return (
+        "\n".join([header, *rows[:keep], ""]),
+        "\n".join([header, *rows[keep:], ""]),
+    )
+
+
+def _open(path: Path, wanted: Sequence[str], content: bytes | None = None) -> _File:
+    lines = _text(path, read_whole(path) if content is None else content).split("\n")
+    start = next((i for i, line in enumerate(lines) if line.strip()), None)
+    if start is None:
+        raise UserError(f"{path} is empty: expected a header row with column names, then numbers")
+    header = lines[start].removeprefix("#")
+    layouts = {d: _cells(header, d) for d in _DELIMITERS}
+
+    def quality(delimiter: str) -> tuple[int, int]:
+        names = layouts[delimiter]
+        return sum(name in names for name in wanted), len(names)
+
+    delimiter = max(_DELIMITERS, key=quality)
+    end = len(lines)
+    while end > start + 1 and not lines[end - 1].replace(delimiter, "").strip():
+        end -= 1
+    if end == start + 1:
+        raise UserError(f"{path} has a header row and no data below it")
+    body = "\n".join(lines[start + 1 : end])
+    return _File(path, delimiter, layouts[delimiter], lines[start], start + 1, body)
+
+
+def read_whole(path: Path) -> bytes:
+    """The bytes of a file. Raises UserError."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise UserError(f"no such file: {path}") from error
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _text(path: Path, raw: bytes) -> str:
+    try:
+        if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            text = raw.decode("utf-16")
+        else:
+            text = raw.decode("utf-8-sig" if b"\0" not in raw else "ascii", errors="strict")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
+    if "\0" in text:
+        raise UserError(f"{path} is not a text file: expected CSV with a header row")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _cells(line: str, delimiter: str) -> tuple[str, ...]:
+    row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return tuple(cell.strip() for cell in row)
+
+
+def _index(file: _File, name: str) -> int:
+    count = file.columns.count(name)
+    if count == 1:
+        return file.columns.index(name)
+    if count > 1:
+        raise UserError(f"{file.path}: {count} columns are named '{name}', rename all but one")
+    if _has_numbers_for_header(file):
+        raise UserError(
+            f"{file.path}: the first row holds numbers: add a header row with the column names"
+        )
+    known = [column for column in file.columns if column]
+    raise UserError(
+        f"{file.path} has no column '{name}' (it has {', '.join(known)}){suggestion(name, known)}"
+    )
+
+
+def _has_numbers_for_header(file: _File) -> bool:
+    # The delimiter was guessed from names: among numbers it may be taken for a decimal comma.
+    layouts = ((d, [c for c in _cells(file.header, d) if c]) for d in _DELIMITERS)
+    return any(cells and all(_doubt(c, d) is None for c in cells) for d, cells in layouts)
+
+
+def _numbers(file: _File, columns: Sequence[int]) -> Array:
+    body = file.body
+    if file.delimiter != "," and "," in body:
+        body = body.replace(",", ".")
+    try:
+        values = np.loadtxt(
+            io.StringIO(body),
+            delimiter=file.delimiter,
+            usecols=columns,
+            ndmin=2,
+            comments=None,
+            quotechar='"',
+        )
+    except ValueError:
+        values = None
+    if values is None or not np.isfinite(values).all() or _is_ragged(file, len(values)):
+        raise UserError(_diagnosis(file, columns))
+    return values
+
+
+def _is_ragged(file: _File, rows: int) -> bool:
+    """A decimal comma in a comma-separated file shifts columns without any other sign."""
+    if '"' in file.body:
+        return any(not _fits(file, cells) for _, cells in _rows(file))
+    separators = file.body.count(file.delimiter)
+    regular = rows * (len(file.columns) - 1)
+    # One delimiter more at a line's end does no harm.
+    trailing = f"{file.body}\n".count(f"{file.delimiter}\n")
+    return separators not in (regular, regular + trailing)
+
+
+def _fits(file: _File, cells: Sequence[str]) -> bool:
+    extra = len(cells) - len(file.columns)
+    return extra == 0 or (extra == 1 and not cells[-1])
+
+
+def _rows(file: _File, first: int = 0) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """Line numbers and cells of the rows that are not blank, from line `first` on."""
+    quoted = '"' in file.body
+    for number, line in enumerate(file.body.split("\n"), file.header_line + 1):
+        if number < first or not line.strip():
+            continue
+        if quoted:
+            yield number, _cells(line, file.delimiter)
+        else:
+            yield number, tuple(cell.strip() for cell in line.split(file.delimiter))
+
+
+def _diagnosis(file: _File, columns: Sequence[int]) -> str:
+    for line, cells in _rows(file):
+        if not _fits(file, cells):
+            return (
+                f"{file.path}, line {line}: {len(cells)} cells where the header has "
+                f"{len(file.columns)} columns; write decimal points, not commas, in a "
+                "comma-separated file and give every row every cell"
+            )
+        for index in columns:
+            doubt = _doubt(cells[index], file.delimiter)
+            if doubt is None:
+                continue
+            name = file.columns[index]
+            rest = list(_rows(file, line)) if not cells[index] else []
+            if rest and not any(later[index] for _, later in rest if index < len(later)):
+                return (
+                    f"{file.path}: unequal lengths, column '{name}' ends before line {line} "
+                    f"but the file goes on to line {rest[-1][0]}: cut the file there"
+                )
+            return f"{file.path}, line {line}, column '{name}': {doubt}"
+    return f"{file.path}: the rows below the header do not read as numbers"
+
+
+def _doubt(cell: str, delimiter: str) -> str | None:
+    if not cell:
+        return "the cell is empty; fill the gap or cut the record there"
+    text = cell if delimiter == "," else cell.replace(",", ".")
+    try:
+        number = float(text)
+    except ValueError:
+        return f"'{cell}' is not a number"
+    if not isfinite(number):
+        return f"the value is missing or infinite ('{cell}'); fill the gap or cut the record there"
+    return None
+
+
+def _time_warnings(file: _File, name: str, sampling_time: float) -> tuple[str, ...]:
+    where = f"{file.path.name}: time column '{name}'"
+    try:
+        time = _numbers(file, [_index(file, name)])[:, 0]
+    except UserError:
+        return (f"{where} does not read as numbers and was not compared with sampling_time",)
+    if len(time) < 2:
+        return ()
+    steps = np.diff(time)
+    typical = float(np.median(steps))
+    if (steps <= 0).any():
+        line = int(np.argmax(steps <= 0)) + file.header_line + 2
+        return (f"{where} does not increase at line {line}",)
+    if abs(typical - sampling_time) > 0.01 * sampling_time:
+        return (f"{where} steps by {typical:g}, but sampling_time is {sampling_time:g} s",)
+    if steps.max() > 1.5 * typical:
+        line = int(np.argmax(steps)) + file.header_line + 2
+        return (f"{where} has a gap of {steps.max():g} s at line {line}",)
+    return ()

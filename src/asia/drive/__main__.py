@@ -1,0 +1,17 @@
+"""python -m asia.drive DIRECTORY: the process behind a workspace or a server."""
+
+import signal
+import sys
+from pathlib import Path
+
+from asia.drive._serve import serve
+from asia.errors import UserError
+from asia.report import write_report
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    try:
+        serve(Path(sys.argv[1]))
+    except UserError as error:
+        sys.exit(f"asia: {error}")
+    write_report(Path(sys.argv[1]))

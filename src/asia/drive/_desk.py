@@ -1,0 +1,358 @@
+"""Where candidates are handed in and results fetched, by whoever is not the search itself.
+
+A desk reads the ledger and writes to the queue of a run directory; the search that empties it is a
+process of its own, started when it is not there. Whoever asks may die at any time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
+from typing import Literal, Protocol
+
+from asia.agents import Proposal
+from asia.candidate import check_source
+from asia.drive._detached import Order, has_begun, runs
+from asia.drive._queue import TEXT, TITLE, Queue
+from asia.errors import CandidateError, UserError
+from asia.ledger import (
+    Diagnostics,
+    Experiment,
+    Run,
+    Stopped,
+    error_line,
+    one_line,
+    open_run,
+    published,
+)
+from asia.search._agent_view import digest
+
+State = Literal["queued", "running", "done", "unknown"]
+
+_POLL = 0.1
+
+
+@dataclass(frozen=True)
+class Job:
+    """Where a submission stands: `ahead` others before it in the queue; `experiment` once it is
+    one."""
+
+    ticket: str
+    state: State
+    ahead: int = 0
+    experiment: int | None = None
+
+
+@dataclass(frozen=True)
+class Result:
+    """An experiment in few words, safe to show to anyone: no output of the candidate but one
+    bounded line of its own error. training: residual analysis of the training side, in each figure
+    the worst of the folds."""
+
+    experiment: int
+    status: str
+    value: float | None
+    folds: tuple[float, ...]
+    reason: str | None
+    advice: str | None
+    detail: str | None
+    title: str
+    parent: int | None
+    seconds: float
+    duplicate_of: int | None
+    training: Diagnostics | None
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where the search stands."""
+
+    run: str
+    problem: str
+    state: str
+    experiments: int
+    budget: int
+    v_name: str
+    best: int | None
+    best_value: float | None
+    rungs: dict[str, float | None]
+    notes: tuple[str, ...]
+
+    @property
+    def remaining(self) -> int:
+        """Experiments left."""
+        return max(0, self.budget - self.experiments)
+
+
+class Desk(Protocol):
+    """What a driver from outside may do. Every method raises UserError with what to do next."""
+
+    def submit(self, proposal: Proposal) -> Job:
+        """Hand in a candidate; its static errors are told at once and cost no experiment."""
+        ...
+
+    def job(self, ticket: str) -> Job:
+        """Where a submission stands."""
+        ...
+
+    def withdraw(self, ticket: str) -> Job:
+        """Take a submission back that is still queued."""
+        ...
+
+    def results(self) -> tuple[Result, ...]:
+        """All finished experiments."""
+        ...
+
+    def source(self, experiment: int) -> str:
+        """An experiment's candidate.py."""
+        ...
+
+    def standing(self) -> Standing:
+        """Where the search stands."""
+        ...
+
+
+class RunDesk:
+    """The desk of a run directory. keep_alive: called where the search is needed and not there."""
+
+    def __init__(self, directory: Path, keep_alive: Callable[[Path], None] | None = None) -> None:
+        self._directory = directory.resolve()
+        self._queue = Queue(self._directory)
+        self._keep_alive = keep_alive
+        self._seen: tuple[tuple[int, ...], Run] | None = None
+
+    def run(self) -> Run:
+        """The run as it stands, its scores as they are told, read anew where its ledger has
+        changed. A search that never began is started first. Raises UserError as `open_run` does."""
+        ledger = self._directory / "ledger.jsonl"
+        if self._keep_alive is not None and not has_begun(self._directory):
+            self._keep_alive(self._directory)
+        if not ledger.is_file():
+            return open_run(self._directory)
+        stat = ledger.stat()
+        stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+        seen = self._seen
+        if seen is None or seen[0] != stamp:
+            run = open_run(self._directory)
+            seen = (stamp, replace(run, view=published(run.view)))
+            self._seen = seen
+        return seen[1]
+
+    def submit(self, proposal: Proposal) -> Job:
+        """See `Desk.submit`; the same source, comments apart, is one submission, unless its result
+        depended on how fast the machine was."""
+        proposal = tidy(proposal)
+        try:
+            check_source(proposal.source)
+        except CandidateError as error:
+            raise UserError(
+                f"the candidate was not handed in, and no experiment spent: {error.reason.advice}"
+                + (f" ({one_line(error.detail)})" if error.detail else "")
+            ) from None
+        self.run()
+        with self._queue.alone():
+            known = self._known(digest(proposal.source))
+            if known is None:
+                ticket = self._put(proposal)
+            elif known.state == "done":
+                return known
+            else:
+                ticket = known.ticket
+        try:
+            self.wake()
+        except UserError as error:
+            raise UserError(f"submission {ticket} is kept, but {error}") from None
+        return self.job(ticket)
+
+    def _known(self, wanted: str) -> Job | None:
+        """Where a candidate with this digest stands, if it was handed in before. The queue is
+        looked at first: what leaves it is in the ledger by then."""
+        for ticket in self._queue.tickets():
+            waiting = self._queue.get(ticket)
+            if waiting is not None and digest(waiting.source) == wanted:
+                return Job(ticket, "queued")
+        for experiment in self.run().view.experiments:
+            settled = experiment.result is None or not experiment.result.deadline
+            if settled and experiment.proposed.digest == wanted:
+                return _job_of(experiment)
+        return None
+
+    def _put(self, proposal: Proposal) -> str:
+        waiting = self._queue.tickets()
+        run = self.run()
+        view, budget = run.view, _budget(self._directory, run)
+        over = _over(self._directory, run)
+        if over is not None:
+            raise UserError(over)
+        recorded = {e.proposed.ticket for e in view.experiments}
+        # The baseline is the first experiment, and nobody hands it in.
+        spent = max(1, len(view.experiments)) + sum(t not in recorded for t in waiting)
+        if spent >= budget:
+            raise UserError(
+                f"the budget of {budget} experiments is spent; a person can raise it with "
+                "asia workspace or asia mcp and a larger --experiments"
+            )
+        numbers = {1, *(e.number for e in view.experiments)}
+        if proposal.parent is not None and proposal.parent not in numbers:
+            raise UserError(f"parent {proposal.parent}: expected an experiment of this search")
+        return self._queue.put(proposal)
+
+    def wake(self) -> None:
+        """Start the search where it has something to do and is not there. Raises UserError when it
+        does not start, or is over."""
+        run = self.run()
+        if not self._queue.tickets() and run.view.pending is None:
+            return
+        over = _over(self._directory, run)
+        if over is not None:
+            raise UserError(over)
+        if self._keep_alive is None:
+            return
+        self._keep_alive(self._directory)
+        view = self.run().view
+        ended = view.complete and not runs(self._directory)
+        if ended and view.stopped is not None and self._queue.tickets():
+            raise UserError(
+                f"the search has ended ({view.stopped.reason}); a person can raise its budget with "
+                "asia workspace or asia mcp and a larger --experiments or --hours"
+            )
+
+    def job(self, ticket: str) -> Job:
+        """See `Desk.job`."""
+        waiting = self._queue.tickets()
+        for experiment in self.run().view.experiments:
+            if ticket == _ticket_of(experiment):
+                return _job_of(experiment)
+        if ticket in waiting:
+            return Job(ticket, "queued", waiting.index(ticket))
+        return Job(ticket, "unknown")
+
+    def withdraw(self, ticket: str) -> Job:
+        """See `Desk.withdraw`."""
+        if self._queue.withdraw(ticket):
+            return Job(ticket, "unknown")
+        state = self.job(ticket).state
+        words = "about to be judged" if state == "queued" else state
+        raise UserError(
+            f"submission {one_line(ticket, 60)} is {words}: only a queued one can be taken back"
+        )
+
+    def results(self) -> tuple[Result, ...]:
+        """See `Desk.results`."""
+        return tuple(result_of(e) for e in self.run().view.finished)
+
+    def source(self, experiment: int) -> str:
+        """See `Desk.source`."""
+        run = self.run()
+        return run.store.text(run.view.experiment(experiment).proposed.source)
+
+    def standing(self) -> Standing:
+        """See `Desk.standing`."""
+        run = self.run()
+        return standing_of(replace(run, busy=runs(self._directory)))
+
+
+def _ticket_of(experiment: Experiment) -> str:
+    """What nobody handed in, such as the baseline, has a name too."""
+    return experiment.proposed.ticket or f"experiment-{experiment.number}"
+
+
+def _job_of(experiment: Experiment) -> Job:
+    state: State = "done" if experiment.result else "running"
+    return Job(_ticket_of(experiment), state, experiment=experiment.number)
+
+
+def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Job], None]) -> Job:
+    """Until the submission is done or the time is over; `tick` is called at every look."""
+    end = time.monotonic() + seconds
+    while True:
+        job = desk.job(ticket)
+        tick(job)
+        if job.state in ("done", "unknown") or time.monotonic() >= end:
+            return job
+        time.sleep(_POLL)
+
+
+def tidy(proposal: Proposal) -> Proposal:
+    """Bounded words on one line. Raises UserError without a hypothesis."""
+    hypothesis = one_line(proposal.hypothesis, TEXT)
+    if not hypothesis:
+        raise UserError("a candidate needs a hypothesis: what you expect of it, and why")
+    return Proposal(
+        source=proposal.source,
+        family=one_line(proposal.family, 40) or "custom",
+        title=one_line(proposal.title, TITLE) or hypothesis[:TITLE],
+        hypothesis=hypothesis,
+        expected=one_line(proposal.expected, TEXT) or "not said",
+        parent=proposal.parent,
+    )
+
+
+def result_of(experiment: Experiment) -> Result:
+    """An evaluated experiment in few words."""
+    p, r, score, failure = (
+        experiment.proposed, experiment.result, experiment.score, experiment.failure,
+    )  # fmt: skip
+    assert r is not None
+    return Result(
+        experiment=experiment.number,
+        status=r.status,
+        value=score.value if score else None,
+        folds=tuple(f.value for f in score.folds) if score else (),
+        reason=failure.reason.value if failure else None,
+        advice=failure.advice if failure else None,
+        detail=(error_line(failure.detail) or None) if failure else None,
+        title=one_line(p.title, TITLE),
+        parent=p.parent,
+        seconds=round(r.seconds, 1),
+        duplicate_of=r.duplicate_of,
+        training=_worst([f.diagnostics for f in r.folds]),
+    )
+
+
+def _worst(folds: Sequence[Diagnostics]) -> Diagnostics | None:
+    if not folds:
+        return None
+    return Diagnostics(*(max(values) for values in zip(*map(astuple, folds), strict=True)))
+
+
+def standing_of(run: Run) -> Standing:
+    """Where a run stands."""
+    view = run.view
+    best = view.best
+    return Standing(
+        run=view.started.run,
+        problem=view.started.problem,
+        state=run.state,
+        experiments=len(view.finished),
+        budget=view.budget,
+        v_name=view.v_name,
+        best=best.number if best else None,
+        best_value=best.score.value if best and best.score else None,
+        rungs={r.name: getattr(r.outcome, "value", None) for r in view.rungs},
+        notes=tuple(note.text for note in view.notes),
+    )
+
+
+def _over(directory: Path, run: Run) -> str | None:
+    """Why nothing can be handed in any more, budget of experiments aside."""
+    view = run.view
+    if view.unsealing is not None:
+        return "the sealed test of this run was opened: its search is over for good"
+    if view.stopped is None:
+        return None
+    stop = max(line.seq for line in run.lines if isinstance(line.event, Stopped))
+    order = Order.find(directory)
+    again = order is not None and order.records > stop
+    if view.stopped.reason == "user" and not again:
+        return "a person stopped this search; the command that began it takes it up again"
+    return None
+
+
+def _budget(directory: Path, run: Run) -> int:
+    """Experiments in all; a larger order counts before the search has seen it."""
+    order = Order.find(directory)
+    ordered = order.experiments if order is not None else None
+    return max(run.view.budget, ordered or 0)

@@ -1,0 +1,156 @@
+"""The process behind a desk: what it was asked for, and how it is started."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from asia.errors import UserError
+from asia.ledger import in_use, write_whole
+
+_POLL = 0.05
+_START_SECONDS = 60.0
+_WORDS = 300
+_VARIABLES = (
+    "PATH", "HOME", "USER", "LOGNAME", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "TMPDIR", "PYTHONPATH",
+    "LD_LIBRARY_PATH", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "OMP_NUM_THREADS",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a search that empties a queue was asked for; kept in its run directory. records:
+    what the ledger had when it was given."""
+
+    problem: str
+    agent: str
+    seed: int
+    experiments: int | None
+    hours: float | None
+    early_stopping: str | None
+    isolation: str | None
+    records: int = 0
+
+    def save(self, directory: Path) -> None:
+        """Write it, with the number of records the ledger has now: an order given after a stop
+        takes the search up again. The path of a problem is made absolute, for the search runs
+        elsewhere."""
+        path = Path(self.problem)
+        found = path.is_file() or (path / "problem.toml").is_file()
+        ledger = directory / "ledger.jsonl"
+        order = replace(
+            self,
+            problem=str(path.resolve()) if found else self.problem,
+            records=ledger.read_bytes().count(b"\n") if ledger.is_file() else 0,
+        )
+        write_whole(_order_path(directory), json.dumps(asdict(order)).encode())
+
+    @classmethod
+    def find(cls, directory: Path) -> Order | None:
+        """The last one given; None for a run that no workspace or server began. Raises UserError
+        where it cannot be read."""
+        path = _order_path(directory)
+        try:
+            return _orders.validate_json(path.read_bytes(), strict=True)
+        except FileNotFoundError:
+            return None
+        except ValueError:
+            raise UserError(
+                f"{path} is damaged: give the command that began the search again"
+            ) from None
+
+    @classmethod
+    def load(cls, directory: Path) -> Order:
+        """As `find`. Raises UserError where there is none."""
+        order = cls.find(directory)
+        if order is None:
+            raise UserError(
+                f"{directory.name} takes no submissions: it was not started by asia workspace or "
+                "asia mcp"
+            )
+        return order
+
+
+_orders = TypeAdapter(Order)
+
+
+def _order_path(directory: Path) -> Path:
+    return directory / "control" / "order.json"
+
+
+def start_search(directory: Path) -> None:
+    """Start the process that empties the queue, unless one does; returns once its ledger has begun.
+    Raises UserError with the last line it wrote when it fails at once; it may also find nothing to
+    do."""
+    directory = directory.resolve()
+    if _ready(directory):
+        return
+    (directory / "control").mkdir(parents=True, exist_ok=True)
+    with (directory / "control" / "start.lock").open("wb") as one_at_a_time:
+        fcntl.flock(one_at_a_time, fcntl.LOCK_EX)
+        if not _ready(directory):
+            _start(directory, directory / "control" / "search.log")
+
+
+def _start(directory: Path, log: Path) -> None:
+    with log.open("ab") as stream:
+        before = stream.tell()
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "asia.drive", str(directory)],
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=stream,
+            start_new_session=True,
+            cwd="/",
+            env=_environment(),
+        )
+    # Its end is waited for, so that it does not stay behind as a zombie.
+    threading.Thread(target=process.wait, daemon=True).start()
+    end = time.monotonic() + _START_SECONDS
+    while not _ready(directory):
+        code = process.poll()
+        if code == 0:
+            return
+        if code is not None and not runs(directory):
+            words = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
+            last = words[-1].removeprefix("asia: ") if words else f"exit code {code}"
+            raise UserError(f"the search did not start: {last[:_WORDS]}")
+        if time.monotonic() > end:
+            raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
+        time.sleep(_POLL)
+
+
+def _environment() -> dict[str, str]:
+    """What a search needs, and none of the keys that this process may hold. A relative path would
+    mean another place there."""
+    kept = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
+    given = os.environ.get("ASIA_DATA_DIR")
+    return {**kept, **({"ASIA_DATA_DIR": os.path.abspath(given)} if given else {})}
+
+
+def _ready(directory: Path) -> bool:
+    return runs(directory) and has_begun(directory)
+
+
+def runs(directory: Path) -> bool:
+    """Whether the search is there."""
+    ledger = directory / "ledger.jsonl"
+    return ledger.is_file() and in_use(ledger)
+
+
+def has_begun(directory: Path) -> bool:
+    """Whether the ledger has its first record."""
+    try:
+        with (directory / "ledger.jsonl").open("rb") as stream:
+            return stream.readline().endswith(b"\n")
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,123 @@
+"""The search that empties a queue: baseline first, then what is handed in, until the budget is
+spent or nobody has handed anything in for a while."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from asia.agents import SubmittedAgent
+from asia.drive._detached import Order
+from asia.drive._queue import Queue
+from asia.ledger import Event, Proposed, SearchView, open_run
+from asia.problem.load import Problem, load_problem
+from asia.sandbox import Isolation
+from asia.search._run import Prepared, check_same_search, prepare, search, with_early_stopping
+
+IDLE_SECONDS = 1800.0
+
+# Whoever hands in decides when enough is enough. The lock file has it, so it never changes.
+_PATIENCE = 1_000_000
+
+
+class IdleError(Exception):
+    """Nothing was handed in for so long that the process ends; the run can be taken up again."""
+
+
+class NewOrderError(Exception):
+    """More was ordered while the search waited."""
+
+
+def order_problem(order: Order) -> Problem:
+    """The problem with what was ordered in place of its own."""
+    problem = load_problem(order.problem)
+    budget = problem.budget
+    budget = replace(
+        budget,
+        experiments=order.experiments or budget.experiments,
+        hours=order.hours if order.hours is not None else budget.hours,
+        patience=_PATIENCE,
+    )
+    problem = replace(problem, budget=budget)
+    if order.early_stopping is not None:
+        problem = with_early_stopping(problem, order.early_stopping)
+    return problem
+
+
+def prepare_order(order: Order, runs: Path, name: str | None) -> Prepared:
+    """As `prepare`, for a search that empties a queue. Where the order leaves the number of
+    experiments open, a run that has more of them than its problem keeps them. Raises UserError too
+    when the run is another search or has a larger budget than ordered."""
+    level = Isolation(order.isolation) if order.isolation else None
+
+    def prepared(problem: Problem) -> Prepared:
+        return prepare(problem, order.agent, seed=order.seed, runs=runs, name=name, isolation=level)
+
+    problem = order_problem(order)
+    ready = prepared(problem)
+    if not ready.resumes:
+        return ready
+    view = open_run(ready.directory).view
+    if order.experiments is None and view.budget > problem.budget.experiments:
+        budget = replace(problem.budget, experiments=view.budget)
+        ready = prepared(replace(problem, budget=budget))
+    check_same_search(view, ready.started)
+    return ready
+
+
+def serve(directory: Path, idle_seconds: float = IDLE_SECONDS) -> None:
+    """Run to the end of the budget, or leave the run interrupted after `idle_seconds` without a
+    submission."""
+    directory = directory.resolve()
+    queue = Queue(directory)
+    while True:
+        order = Order.load(directory)
+        prepared = prepare_order(order, directory.parent, directory.name)
+        patience = _patience(directory, order, idle_seconds)
+        agent = SubmittedAgent(prepared.started.agent, queue.take, patience)
+        try:
+            search(
+                prepared,
+                agent,
+                on_event=lambda event, view: clearing(queue, event),
+                on_start=lambda view: clear_known(queue, view),
+            )
+        except IdleError:
+            # Handed in after the last look, by somebody who still saw this search.
+            if not queue.tickets():
+                return
+        except NewOrderError:
+            pass
+        else:
+            if Order.load(directory) == order:
+                return
+
+
+def _patience(directory: Path, order: Order, idle_seconds: float) -> Callable[[float], None]:
+    """What is done while nothing is handed in."""
+
+    def waiting(seconds: float) -> None:
+        now = Order.load(directory)
+        # The same order given again asks for nothing more.
+        if replace(now, records=order.records) != order:
+            raise NewOrderError
+        if seconds > idle_seconds:
+            raise IdleError
+
+    return waiting
+
+
+def clearing(queue: Queue, event: Event) -> None:
+    """Take out what the ledger has."""
+    if isinstance(event, Proposed) and event.ticket:
+        queue.remove(event.ticket)
+
+
+def clear_known(queue: Queue, view: SearchView) -> None:
+    """Put in order what a search left that was cut off: what the ledger has is taken out, what it
+    had taken and not recorded waits again."""
+    for experiment in view.experiments:
+        if experiment.proposed.ticket:
+            queue.remove(experiment.proposed.ticket)
+    queue.give_back()

@@ -1,0 +1,182 @@
+"""A folder in which a person or a coding agent works on a problem: training data and words, never
+test data, never the ledger itself."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from asia.data import Trajectory
+from asia.drive._desk import Desk, RunDesk
+from asia.drive._detached import Order, start_search
+from asia.drive._folder import write_file
+from asia.drive._program import models_page, program
+from asia.drive._socket import SocketDesk
+from asia.errors import UserError
+from asia.evaluation import LINEAR
+from asia.ledger import SearchView, Store, journal, open_run, published, results_table
+from asia.problem.load import Problem
+from asia.search._run import Prepared
+
+DESK_VARIABLE = "ASIA_DESK"
+CANDIDATE = "candidate.py"
+VIEWS = ("results.tsv", "search_journal.md")
+_LINK = ".asia/workspace.json"
+_links = TypeAdapter(dict[str, str | None])
+
+_PLOT = '''"""Draws the training records: python plot.py [data/NAME.csv ...] -> data.png"""
+
+import csv
+import sys
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+paths = [Path(p) for p in sys.argv[1:]] or sorted(Path("data").glob("*.csv"))
+for path in paths[:8]:
+    with path.open(newline="") as stream:
+        header, *rows = csv.reader(stream)
+    columns = list(zip(*[[float(cell) for cell in row] for row in rows]))
+    figure, axes = plt.subplots(len(header) - 1, 1, sharex=True, figsize=(10, 1.6 * len(header)))
+    for axis, name, values in zip(figure.axes, header[1:], columns[1:]):
+        axis.plot(columns[0], values, linewidth=0.8)
+        axis.set_ylabel(name, rotation=0, ha="right")
+    figure.axes[-1].set_xlabel(header[0])
+    figure.suptitle(path.stem)
+    name = "data.png" if len(paths) == 1 else f"data-{path.stem}.png"
+    figure.savefig(name, bbox_inches="tight", dpi=120)
+    print(name)
+'''
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A folder and the run directory it belongs to; `run` is None where the folder is that of a
+    command agent, which only reaches its search through the socket."""
+
+    folder: Path
+    run: Path | None
+
+    @classmethod
+    def find(cls, folder: Path) -> Workspace:
+        """Of a folder or one above it. Raises UserError where there is none."""
+        for place in (folder.resolve(), *folder.resolve().parents):
+            link = place / _LINK
+            if link.is_file():
+                return cls(place, _run_of(link))
+        raise UserError(
+            f"{folder} is not in a workspace: make one with asia workspace PROBLEM DIR, then cd DIR"
+        )
+
+    def desk(self) -> Desk:
+        """Where candidates are handed in: the socket that ASIA_DESK names, else the run itself."""
+        path = os.environ.get(DESK_VARIABLE)
+        if path:
+            return SocketDesk(Path(path))
+        return RunDesk(self._own_run(), start_search)
+
+    def _own_run(self) -> Path:
+        if self.run is None:
+            raise UserError(
+                f"{self.folder} belongs to a coding agent's search, which alone hands in from "
+                "there; make a workspace of your own with asia workspace PROBLEM DIR"
+            )
+        return self.run
+
+    def renew_views(self) -> None:
+        """results.tsv, search_journal.md and best.py as the ledger stands; in a jail whoever holds
+        the socket writes them."""
+        if DESK_VARIABLE not in os.environ:
+            opened = open_run(self._own_run())
+            write_views(self.folder, opened.view, opened.store)
+
+
+def _run_of(link: Path) -> Path | None:
+    """What a workspace says of its run. Raises UserError."""
+    try:
+        run = _links.validate_json(link.read_bytes()).get("run")
+    except (OSError, ValueError):
+        raise UserError(
+            f"{link} is damaged: make the workspace again, with the command that made it"
+        ) from None
+    return Path(run) if run else None
+
+
+def make_workspace(folder: Path, prepared: Prepared, order: Order) -> Workspace:
+    """Write the folder; what its user has written stays. Raises UserError for a folder with other
+    things in it, or of another run."""
+    folder = folder.resolve()
+    run = prepared.directory.resolve()
+    if (folder / _LINK).is_file():
+        other = Workspace.find(folder).run
+        if other != run:
+            raise UserError(
+                f"{folder} is the workspace of {other.name if other else 'a coding agent'}; choose "
+                "another folder"
+            )
+    elif folder.is_dir() and any(folder.iterdir()):
+        raise UserError(f"{folder} is not empty: give a new folder, so that nothing is mixed up")
+    if folder == run or run in folder.parents or folder in run.parents:
+        raise UserError(
+            f"{folder} and the run directory {run} lie inside each other: a workspace must not "
+            "show the ledger; choose a folder elsewhere"
+        )
+    write_folder(folder, prepared.problem, prepared.started.experiments, run)
+    order.save(run)
+    return Workspace(folder, run)
+
+
+def write_folder(folder: Path, problem: Problem, experiments: int, run: Path | None = None) -> None:
+    """The files of a workspace; `run` as in `Workspace`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_file(folder, "PROGRAM.md", program(problem, experiments))
+    write_file(folder, "description.md", problem.description)
+    write_file(folder, "models.md", models_page(problem))
+    write_file(folder, "plot.py", _PLOT)
+    names = record_names(problem.train)
+    for name, record in zip(names, problem.train, strict=True):
+        write_file(folder, f"data/{name}.csv", _table(record, problem))
+    if not os.path.lexists(folder / CANDIDATE):
+        write_file(folder, CANDIDATE, problem.baseline or LINEAR)
+    write_file(folder, _LINK, json.dumps({"run": str(run) if run else None}) + "\n")
+
+
+def write_views(folder: Path, view: SearchView, store: Store) -> None:
+    """results.tsv and search_journal.md with the scores as they are told, read-only; the best
+    candidate beside them."""
+    view = published(view)
+    texts = {VIEWS[0]: results_table(view), VIEWS[1]: journal(view)}
+    if view.best is not None:
+        texts["best.py"] = store.text(view.best.proposed.source)
+    for name, text in texts.items():
+        write_file(folder, name, text, mode=0o444)
+
+
+def record_names(records: tuple[Trajectory, ...]) -> list[str]:
+    """File names, one a record, all different."""
+    stems = [
+        "".join(c if c.isalnum() or c in "-_." else "_" for c in r.name).strip(".") or f"record{i}"
+        for i, r in enumerate(records, 1)
+    ]
+    return [f"{s}-{i}" if stems.count(s) > 1 else s for i, s in enumerate(stems, 1)]
+
+
+def _table(record: Trajectory, problem: Problem) -> str:
+    """A record as CSV."""
+    names = [s.name for s in (*problem.inputs, *problem.outputs)]
+    stream = io.StringIO()
+    table = csv.writer(stream, lineterminator="\n")
+    table.writerow(["time", *names])
+    for k in range(len(record)):
+        values = [*record.u[k].tolist(), *record.y[k].tolist()]
+        table.writerow([repr(k * record.sampling_time), *map(repr, values)])
+    return stream.getvalue()

@@ -1,0 +1,102 @@
+"""Coding agents as command lines. `{prompt}`, `{prompt_file}`, `{workspace}`, `{session}` and,
+where there is a cap on money, `{dollars}` are filled in."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from asia.drive.command.stream import StreamFormat
+from asia.errors import UserError
+
+PLACEHOLDERS = ("prompt", "prompt_file", "workspace", "session", "dollars")
+
+
+@dataclass(frozen=True)
+class Preset:
+    """start, resume: argument templates, resume where a session can be taken up again; dollars:
+    arguments that tell the agent its cap on money; model: that choose a model; keys: environment
+    variables that hold its credentials; config: its own folder below the home directory;
+    tells_cost: whether its stream does; tells_late: whether it tells tokens only at the end of
+    a turn or session, so that a cap may be passed by far."""
+
+    start: tuple[str, ...]
+    resume: tuple[str, ...] = ()
+    dollars: tuple[str, ...] = ()
+    model: tuple[str, ...] = ()
+    format: StreamFormat = "none"
+    keys: tuple[str, ...] = ()
+    config: str = ""
+    tells_cost: bool = False
+    tells_late: bool = False
+
+
+_CLAUDE = (
+    "claude", "--output-format", "stream-json", "--verbose", "--permission-mode",
+    "bypassPermissions", "--strict-mcp-config", "--setting-sources", "",
+)  # fmt: skip
+# The jail is the sandbox: Codex cannot start its own inside.
+_CODEX = ("--json", "--skip-git-repo-check", "--sandbox", "danger-full-access", "-c",
+          'approval_policy="never"')  # fmt: skip
+
+PRESETS: Mapping[str, Preset] = {
+    "claude": Preset(
+        start=(*_CLAUDE, "-p", "{prompt}"),
+        resume=(*_CLAUDE, "--resume", "{session}", "-p", "{prompt}"),
+        dollars=("--max-budget-usd", "{dollars}"),
+        model=("--model",),
+        format="claude",
+        keys=("ANTHROPIC_API_KEY",),
+        config=".claude",
+        tells_cost=True,
+    ),
+    "codex": Preset(
+        start=("codex", "exec", *_CODEX, "-C", "{workspace}", "{prompt}"),
+        resume=("codex", "exec", "resume", "{session}", *_CODEX, "{prompt}"),
+        model=("-m",),
+        format="codex",
+        keys=("OPENAI_API_KEY", "CODEX_API_KEY"),
+        config=".codex",
+        tells_late=True,
+    ),
+    "gemini": Preset(
+        start=("gemini", "-p", "{prompt}", "-o", "stream-json", "--approval-mode", "yolo",
+               "--skip-trust"),
+        model=("-m",),
+        format="gemini",
+        keys=("GEMINI_API_KEY",),
+        config=".gemini",
+        tells_late=True,
+    ),
+}  # fmt: skip
+
+
+def make_preset(name: str, command: str | None) -> Preset:
+    """A known agent, or any command: `command` is its template. Raises UserError."""
+    if name in PRESETS:
+        if command is not None:
+            raise UserError(
+                f"--command goes with --agent command:NAME for a NAME of your own, "
+                f"not with the preset '{name}'"
+            )
+        return PRESETS[name]
+    if command is None:
+        raise UserError(
+            f"--agent command:{name}: there is {', '.join(PRESETS)}; for any other program give "
+            "its command line with --command, with {prompt} or {prompt_file} in it"
+        )
+    words = tuple(shlex.split(command))
+    if not words or not any("{prompt}" in w or "{prompt_file}" in w for w in words):
+        raise UserError("--command: expected a command line with {prompt} or {prompt_file} in it")
+    return Preset(start=words)
+
+
+def filled(template: tuple[str, ...], values: Mapping[str, str]) -> list[str]:
+    """The arguments with every placeholder replaced; other braces stay."""
+    answer: list[str] = []
+    for word in template:
+        for name in PLACEHOLDERS:
+            word = word.replace("{" + name + "}", values.get(name, ""))
+        answer.append(word)
+    return answer

@@ -1,0 +1,161 @@
+"""What a command agent may use, what it has spent, and what must not be written down."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from asia.agents import Proposal
+from asia.drive.command.presets import Preset
+from asia.drive.command.stream import Stream
+from asia.errors import UserError
+from asia.ledger import SearchView, StopReason, Usage
+from asia.sandbox import Jail
+
+Stop = tuple[StopReason, str]
+
+_SHORTEST_SECRET = 6
+_HIDDEN = "[hidden]"
+
+
+@dataclass(frozen=True)
+class CommandRules:
+    """What a command agent may use.
+
+    minutes: wall-clock time of one sitting; tokens, cost: in all, None for no cap; stuck_minutes:
+    without a new experiment while the search waits for one; failures: experiments of one sitting
+    without a score in a row; network, mounts: see `Jail`; configs: copied for it; variables: names
+    of environment variables passed on; jail: False to run without one.
+    """
+
+    minutes: float | None = None
+    tokens: int | None = None
+    cost: float | None = None
+    stuck_minutes: float = 30.0
+    failures: int = 10
+    network: bool = False
+    mounts: tuple[Path, ...] = ()
+    configs: tuple[Path, ...] = ()
+    variables: tuple[str, ...] = ()
+    jail: bool = True
+    model: str | None = None
+
+
+@dataclass(frozen=True)
+class Spent:
+    """In all sessions, that in flight included. tokens; cost: what is known of it, USD; unknown:
+    upper bound of the cost of sessions that ended without telling it, USD."""
+
+    tokens: int
+    cost: float
+    unknown: float
+
+    @classmethod
+    def of(cls, view: SearchView, stream: Stream | None) -> Spent:
+        """As the ledger and the stream of the present session tell it."""
+        now = stream.usage if stream is not None else Usage()
+        grants = {event.session: event.grant for event in view.begun}
+        tokens, cost, unknown = now.tokens, now.cost or 0.0, 0.0
+        for session in view.sessions:
+            usage = session.usage or Usage()
+            tokens += usage.tokens
+            cost += usage.cost or 0.0
+            if usage.cost is None:
+                unknown += grants.get(session.session) or 0.0
+        return cls(tokens, cost, unknown)
+
+    def over(self, rules: CommandRules) -> Stop | None:
+        """The cap that is reached."""
+        if rules.tokens is not None and self.tokens >= rules.tokens:
+            return "tokens", f"{self.tokens} of {rules.tokens} tokens"
+        if rules.cost is not None and self.cost + self.unknown >= rules.cost:
+            more = (
+                f", and up to {self.unknown:.2f} USD in sessions that did not tell theirs"
+                if self.unknown
+                else ""
+            )
+            return "cost", f"{self.cost:.2f} of {rules.cost:.2f} USD{more}"
+        return None
+
+
+@dataclass(frozen=True)
+class Secrets:
+    """Values that must not be written down, longest first."""
+
+    values: tuple[str, ...]
+
+    @classmethod
+    def of(cls, variables: Iterable[str]) -> Secrets:
+        """Of environment variables, as they are and as JSON has them."""
+        plain = {os.environ.get(name, "") for name in variables}
+        known = {form for v in plain for form in (v, json.dumps(v)[1:-1])}
+        long = [value for value in known if len(value) >= _SHORTEST_SECRET]
+        return cls(tuple(sorted(long, key=len, reverse=True)))
+
+    def clean(self, text: str) -> str:
+        """With every value replaced."""
+        for value in self.values:
+            text = text.replace(value, _HIDDEN)
+        return text
+
+    def clean_bytes(self, data: bytes) -> bytes:
+        """As `clean`."""
+        for value in self.values:
+            data = data.replace(value.encode("utf-8", "surrogateescape"), _HIDDEN.encode())
+        return data
+
+    def clean_proposal(self, proposal: Proposal) -> Proposal:
+        """As `clean`, in all its words."""
+        return replace(
+            proposal,
+            source=self.clean(proposal.source),
+            family=self.clean(proposal.family),
+            title=self.clean(proposal.title),
+            hypothesis=self.clean(proposal.hypothesis),
+            expected=self.clean(proposal.expected),
+        )
+
+
+def check_rules(preset: Preset, rules: CommandRules) -> None:
+    """Raises UserError for a cap that this agent's stream cannot keep."""
+    if rules.cost is not None and not preset.tells_cost:
+        raise UserError(
+            "--max-cost: this agent does not tell what it costs; cap it with --max-tokens or "
+            "--agent-minutes"
+        )
+    if rules.tokens is not None and preset.format == "none":
+        raise UserError(
+            "--max-tokens: nothing is known of this agent's stream; cap it with --agent-minutes"
+        )
+    if rules.tokens is not None and preset.tells_late and rules.minutes is None:
+        raise UserError(
+            "--max-tokens: this agent tells its tokens only at the end of a turn or session, which "
+            "may be far beyond the cap; give --agent-minutes as well"
+        )
+
+
+def check_places(preset: Preset, rules: CommandRules, directory: Path) -> None:
+    """Raises UserError when the agent's program cannot be run, or a mount would show the runs."""
+    program = preset.start[0]
+    if rules.jail:
+        runs = directory.resolve().parent
+        for path in (*rules.mounts, *rules.configs):
+            real = path.resolve()
+            if real == runs or real in runs.parents or runs in real.parents:
+                raise UserError(
+                    f"{path} would show the agent the runs in {runs}, whose ledgers it must not "
+                    "see: name a smaller folder, or keep the runs elsewhere with --runs"
+                )
+        found = Jail(directory, directory, rules.mounts).find(program)
+    else:
+        found = shutil.which(program)
+    if found is None:
+        raise UserError(
+            f"the agent's program '{program}' cannot be run: install it, or, where it is installed "
+            "in your home, mount the folder that holds it and the folder that its link leads to "
+            "with --agent-mount"
+        )

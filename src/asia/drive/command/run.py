@@ -1,0 +1,334 @@
+"""A coding agent that drives a search: started in a jail, capped, stopped, taken up again."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from asia.agents import AgentStoppedError, Journal, Proposal, SubmittedAgent
+from asia.drive._desk import RunDesk
+from asia.drive._folder import write_file
+from asia.drive._queue import Queue
+from asia.drive._serve import clear_known, clearing
+from asia.drive._socket import DeskServer
+from asia.drive._workspace import DESK_VARIABLE, write_folder, write_views
+from asia.drive.command.presets import Preset, filled
+from asia.drive.command.rules import CommandRules, Secrets, Spent, Stop, check_places, check_rules
+from asia.drive.command.session import Session
+from asia.drive.command.stream import Stream
+from asia.errors import UserError
+from asia.ledger import (
+    Evaluated,
+    Event,
+    SearchView,
+    SessionEnded,
+    SessionStarted,
+    StopReason,
+    Store,
+    Streamed,
+    Usage,
+    one_line,
+    read_lines,
+)
+from asia.sandbox import INSIDE, SOCKET_FOLDER, Jail, jail_environment
+from asia.search._controls import Controls
+from asia.search._hidden import check_shown
+from asia.search._loop import OnEvent
+from asia.search._run import Prepared, search
+
+SOCKET = "desk.sock"
+WORKSPACES = ".workspaces"
+_LAST_WORDS_SECONDS = 60.0
+_IDLE_SESSIONS = 2
+_FIRST = (
+    "Read PROGRAM.md in this folder and do what it says: find the best model you can, with "
+    "`asia try`."
+)
+_AGAIN = (
+    "Go on with the search that PROGRAM.md describes: read results.tsv and search_journal.md "
+    "first. There are experiments left."
+)
+
+
+class CommandAgent(SubmittedAgent):
+    """Brings what its process hands in through the socket."""
+
+    def __init__(
+        self, name: str, preset: Preset, rules: CommandRules, prepared: Prepared, folder: Path
+    ) -> None:
+        super().__init__(name, self._take, self._watch)
+        self._preset, self._folder = preset, folder
+        self._directory = prepared.directory
+        self._queue = Queue(prepared.directory)
+        self._controls = Controls(prepared.directory)
+        self._secrets = Secrets.of(rules.variables)
+        self._session: Session | None = None
+        self._view: SearchView | None = None
+        self._finished_before = 0
+        self._private = Path(tempfile.mkdtemp(prefix="asia-agent-"))
+        self._socket = self._private / "desk"
+        self._socket.mkdir()
+        self._rules = replace(rules, configs=self._copied(rules))
+        self._server = DeskServer(self._socket / SOCKET, RunDesk(prepared.directory))
+        self._quiet_since = self._looked = time.monotonic()
+        self._idle = 0
+        self._resumable = ""
+        self._totals = Usage(cost=0.0)
+        self._until = None if rules.minutes is None else time.monotonic() + 60 * rules.minutes
+
+    def attach(self, journal: Journal) -> None:
+        """Begin to serve the socket; account for sessions that were cut off."""
+        super().attach(journal)
+        view = self._view
+        assert view is not None
+        ended = {event.session for event in view.sessions}
+        for event in view.begun:
+            if event.session not in ended:
+                usage = self._streamed(event.session, journal)
+                journal.record(SessionEnded(event.session, "cut off with the search", usage))
+        self._server.__enter__()
+
+    def close(self) -> None:
+        """End the socket and remove what was private, whatever happened."""
+        if self._session is not None:
+            self._session.end()
+        self._server.__exit__(None, None, None)
+        shutil.rmtree(self._private, ignore_errors=True)
+
+    def told(self, event: Event, view: SearchView, store: Store) -> None:
+        """An event was recorded: renew the views."""
+        self._view = view
+        clearing(self._queue, event)
+        if isinstance(event, Evaluated):
+            self._quiet_since = time.monotonic()
+            # An agent that makes its folder unwritable harms nobody but itself.
+            with contextlib.suppress(UserError):
+                write_views(self._folder, view, store)
+
+    def started(self, view: SearchView, store: Store) -> None:
+        """The search begins or goes on."""
+        self._view = view
+        self._finished_before = len(view.finished)
+        clear_known(self._queue, view)
+        write_views(self._folder, view, store)
+
+    def stopped(self, reason: StopReason) -> None:
+        """The search has stopped: where its budget is spent the agent may finish what it says."""
+        session = self._session
+        if session is None:
+            return
+        if reason in ("budget", "hours", "saturated"):
+            session.wait(_LAST_WORDS_SECONDS)
+        self._finish(session)
+
+    def leaving(self) -> None:
+        """The search is left, by an error or an interrupt where a session still goes on."""
+        if self._session is not None:
+            self._finish(self._session)
+
+    def _take(self) -> Proposal | None:
+        """What was handed in, unless a cap was reached meanwhile."""
+        session = self._session
+        stop = session.stopped if session is not None else self._judge(None)
+        if stop is not None:
+            if session is not None:
+                self._finish(session)
+            raise AgentStoppedError(*stop)
+        proposal = self._queue.take()
+        return None if proposal is None else self._secrets.clean_proposal(proposal)
+
+    def _watch(self, seconds: float) -> None:
+        """Called while nothing is handed in: start, or start again."""
+        del seconds
+        session = self._session
+        if session is None:
+            self._session = self._start()
+        elif session.error is not None:
+            raise session.error
+        elif session.ended:
+            self._after(session)
+
+    def _after(self, session: Session) -> None:
+        """The process has ended."""
+        outcome = self._finish(session)
+        view = self._view
+        assert view is not None
+        stop = session.stopped or Spent.of(view, None).over(self._rules)
+        if stop is not None:
+            raise AgentStoppedError(stop[0], f"{stop[1]}; last session: {outcome}")
+        brought = len(view.experiments) > session.experiments
+        self._idle = 0 if brought else self._idle + 1
+        if self._idle >= _IDLE_SESSIONS:
+            raise AgentStoppedError(
+                "agent", f"it ended {self._idle} times without a new experiment, last: {outcome}"
+            )
+
+    def _judge(self, stream: Stream | None) -> Stop | None:
+        """Why the agent must stop, from any thread, while something is evaluated too."""
+        now, rules, view = time.monotonic(), self._rules, self._view
+        assert view is not None
+        if view.pending is not None or self._queue.tickets():
+            self._quiet_since = now
+        elif self._controls.paused:
+            self._quiet_since += now - self._looked
+        self._looked = now
+        over = Spent.of(view, stream).over(rules)
+        if over is not None:
+            return over
+        if self._until is not None and now > self._until:
+            return "time", f"{rules.minutes:g} minutes are over"
+        if stream is not None and now - self._quiet_since > 60 * rules.stuck_minutes:
+            return "stuck", f"no new experiment in {rules.stuck_minutes:g} minutes"
+        last = view.finished[self._finished_before :][-rules.failures :]
+        if len(last) == rules.failures and all(e.score is None for e in last):
+            return "stuck", f"{rules.failures} experiments in a row have no score"
+        return None
+
+    def _start(self) -> Session:
+        preset, rules, view, journal = self._preset, self._rules, self._view, self._journal
+        assert view is not None
+        assert journal is not None
+        number = 1 + max(len(view.begun), len(view.sessions))
+        # A jail has a new home each time: only what lies in a configuration outlives a session.
+        kept = not rules.jail or preset.config in [path.name for path in rules.configs]
+        resumes = bool(number > 1 and self._resumable and preset.resume and kept)
+        template = preset.resume if resumes else preset.start
+        notes = "".join(f"\n\nThe person says: {n.text}" for n in view.notes)
+        prompt = (_AGAIN if number > 1 else _FIRST) + notes
+        write_file(self._folder, "PROMPT.md", prompt)
+        spent = Spent.of(view, None)
+        left = None if rules.cost is None else rules.cost - spent.cost - spent.unknown
+        if left is not None and preset.dollars:
+            template = (*template, *preset.dollars)
+        if rules.model is not None and preset.model:
+            template = (*template, *preset.model, rules.model)
+        place = INSIDE if rules.jail else str(self._folder)
+        values = {
+            "prompt": prompt,
+            "prompt_file": f"{place}/PROMPT.md",
+            "workspace": place,
+            "session": self._resumable,
+            "dollars": "" if left is None else f"{left:.4f}",
+        }
+        if not resumes:
+            self._totals = Usage(cost=0.0)
+        journal.record(SessionStarted(number, left))
+        self._quiet_since = self._looked = time.monotonic()
+        process = self._spawn(filled(template, values))
+        stream = Stream(preset.format, self._totals)
+        return Session(process, stream, number, len(view.experiments), self._keep, self._judge)
+
+    def _spawn(self, arguments: list[str]) -> subprocess.Popen[bytes]:
+        rules = self._rules
+        passed = {n: os.environ[n] for n in rules.variables if n in os.environ}
+        if rules.jail:
+            jail = Jail(self._folder, self._socket, rules.mounts, rules.configs, rules.network)
+            arguments = jail.command(arguments)
+            environment = jail_environment(rules.mounts)
+            environment[DESK_VARIABLE] = f"{SOCKET_FOLDER}/{SOCKET}"
+        else:
+            environment = {
+                name: os.environ[name] for name in ("PATH", "HOME", "LANG") if name in os.environ
+            } | {DESK_VARIABLE: str(self._socket / SOCKET)}
+        try:
+            return subprocess.Popen(
+                arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env=environment | passed,
+                cwd=self._folder,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise UserError(
+                f"the agent could not be started: {arguments[0]}: {error.strerror}; install it, or "
+                "give its command line with --command"
+            ) from None
+
+    def _keep(self, number: int, data: bytes) -> None:
+        journal = self._journal
+        assert journal is not None
+        journal.record(Streamed(number, journal.put(self._secrets.clean_bytes(data))))
+
+    def _finish(self, session: Session) -> str:
+        """End it and write its account; how it ended, in words."""
+        journal = self._journal
+        assert journal is not None
+        self._session = None
+        outcome = one_line(self._secrets.clean(session.end()))
+        stream = session.stream
+        self._resumable = stream.session
+        self._totals = stream.totals or stream.before
+        known = self._preset.format != "none"
+        journal.record(SessionEnded(session.number, outcome, stream.usage if known else None))
+        return outcome
+
+    def _streamed(self, number: int, journal: Journal) -> Usage | None:
+        """What the ledger has of the stream of a session that was cut off. Its cost is unknown."""
+        if self._preset.format == "none":
+            return None
+        stream = Stream(self._preset.format)
+        for line in read_lines(self._directory / "ledger.jsonl"):
+            event = line.event
+            if isinstance(event, Streamed) and event.session == number:
+                for text in journal.get(event.lines).decode("utf-8", "replace").splitlines():
+                    stream.feed(text)
+        return replace(stream.usage, cost=None)
+
+    def _copied(self, rules: CommandRules) -> tuple[Path, ...]:
+        """The agent's configuration, as its own copy: what it changes there is lost with it."""
+        if not rules.jail:
+            return ()
+        home = self._private / "home"
+        home.mkdir()
+        for path in rules.configs:
+            if path.is_dir():
+                # Sockets and what cannot be read are left out.
+                with contextlib.suppress(shutil.Error):
+                    shutil.copytree(path, home / path.name, symlinks=True, dirs_exist_ok=True)
+            else:
+                shutil.copy(path, home / path.name)
+        return tuple(home / path.name for path in rules.configs)
+
+
+def run_command(
+    prepared: Prepared,
+    preset: Preset,
+    rules: CommandRules,
+    on_event: OnEvent,
+    on_start: Callable[[SearchView], None],
+) -> SearchView:
+    """As `search`, with candidates from a coding agent. Raises UserError before anything starts
+    when a cap cannot be kept or the agent's program cannot be run."""
+    check_rules(preset, rules)
+    directory = prepared.directory
+    check_places(preset, rules, directory)
+    check_shown((*rules.mounts, *rules.configs) if rules.jail else (), prepared.problem)
+    # A level further down than the runs are looked for: what lies in it is never taken for one.
+    folder = directory.resolve().parent / WORKSPACES / directory.name
+    if os.path.lexists(folder / "ledger.jsonl"):
+        raise UserError(f"{folder} holds a ledger: it must not look like a run; remove that file")
+    write_folder(folder, prepared.problem, prepared.started.experiments)
+    agent = CommandAgent(prepared.started.agent, preset, rules, prepared, folder)
+    store = Store(directory / "artifacts")
+
+    def both(event: Event, view: SearchView) -> None:
+        agent.told(event, view, store)
+        on_event(event, view)
+
+    def begun(view: SearchView) -> None:
+        agent.started(view, store)
+        on_start(view)
+
+    try:
+        return search(prepared, agent, both, begun)
+    finally:
+        agent.close()

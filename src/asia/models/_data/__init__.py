@@ -1,0 +1,1 @@
+"""Training records as the models see them."""

@@ -1,0 +1,114 @@
+"""What one training step sees: whole records, chunks laid end to end, or chunks at random places.
+
+All arrays are z-scored float32; T is the length of a simulation, B how many run in parallel.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from asia.models._data.records import Batch
+
+
+class Data(NamedTuple):
+    """Simulations to compare with measurements: window (B, d), u (B, T, nu), y (B, T, ny),
+    weight (B, T), 0 where a sample does not count."""
+
+    window: jax.Array
+    u: jax.Array
+    y: jax.Array
+    weight: jax.Array
+
+
+class Places(NamedTuple):
+    """Records u (R, T, nu), y (R, T, ny), weight (R, T), and where chunks may start in them:
+    starts (S, 2) of (record, sample) and the past windows there (S, d)."""
+
+    u: jax.Array
+    y: jax.Array
+    weight: jax.Array
+    windows: jax.Array
+    starts: jax.Array
+
+
+def whole(batch: Batch) -> Data:
+    """Each record as one simulation."""
+    arrays = (batch.window, batch.u, batch.y, batch.weight)
+    return Data(*(jnp.asarray(a, jnp.float32) for a in arrays))
+
+
+def laid(batch: Batch, length: int, overlap: bool = True) -> Data:
+    """Chunks of `length` samples end to end, in time order within each record; the last one of a
+    record ends with it, overlapping its neighbour, or without `overlap` is padded."""
+    length = min(length, batch.u.shape[1])
+    first: list[int] = []
+    firsts = np.concatenate([[0], np.cumsum(batch.lengths)[:-1]])
+    for total, base in zip(batch.lengths, firsts, strict=True):
+        begins = np.arange(0, total, length)
+        if overlap:
+            begins = np.minimum(begins, max(total - length, 0))
+        first += (base + begins).tolist()
+    record, begin = batch.starts[first].T
+    rows = begin[:, None] + np.arange(length)
+    inside = rows < batch.u.shape[1]
+    rows = np.minimum(rows, batch.u.shape[1] - 1)
+    weight = batch.weight[record[:, None], rows] * inside
+    arrays = (
+        batch.start_windows[first],
+        batch.u[record[:, None], rows],
+        batch.y[record[:, None], rows],
+        weight,
+    )
+    return Data(*(jnp.asarray(a, jnp.float32) for a in arrays))
+
+
+def tracks(batch: Batch, length: int, count: int | None, washout: int) -> Data:
+    """Long stretches to be read side by side in chunks of `length` samples: T is a multiple of it.
+    `count` None: one a record; else the records are cut into about so many of equal length."""
+    longest = batch.u.shape[1]
+    if count is not None:
+        longest = min(longest, -(-sum(batch.lengths) // count))
+    data = laid(batch, longest, overlap=False)
+    spare = -data.u.shape[1] % length
+
+    def padded(values: jax.Array) -> jax.Array:
+        return jnp.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
+
+    weight = data.weight.at[:, :washout].set(0.0)
+    return Data(data.window, padded(data.u), padded(data.y), padded(weight))
+
+
+def places(batch: Batch, length: int) -> Places:
+    """Every sample from which a whole chunk fits; of a record shorter than that its start, as
+    often as it has samples, so that it is drawn as often."""
+    starts = np.asarray(batch.starts, np.int32)
+    own = np.asarray(batch.lengths)[starts[:, 0]]
+    fits = starts[:, 1] + length <= own
+    rows = np.flatnonzero(starts[:, 1] == 0)
+    if fits.any():
+        short = own < length
+        index = np.arange(len(starts))
+        rows = np.where(short, index - starts[:, 1], index)[fits | short]
+    arrays = (batch.u, batch.y, batch.weight, batch.start_windows[rows])
+    u, y, weight, windows = (jnp.asarray(a, jnp.float32) for a in arrays)
+    return Places(u, y, weight, windows, jnp.asarray(starts[rows]))
+
+
+def random_chunks(p: Places, length: int, count: int | None, key: jax.Array) -> Data:
+    """`count` chunks; None: as many as cover the records once, but at most 128."""
+    length = min(length, p.u.shape[1])
+    if count is None:
+        count = max(1, min(128, p.u.shape[0] * p.u.shape[1] // length))
+    picked = jax.random.randint(key, (count,), 0, p.starts.shape[0])
+
+    def cut(values: jax.Array) -> jax.Array:
+        def one(start: jax.Array) -> jax.Array:
+            return jax.lax.dynamic_slice_in_dim(values[start[0]], start[1], length)
+
+        return jax.vmap(one)(p.starts[picked])
+
+    return Data(p.windows[picked], cut(p.u), cut(p.y), cut(p.weight))

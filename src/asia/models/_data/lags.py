@@ -1,0 +1,174 @@
+"""Lagged signals: what input-output models read, and their simulation in free run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Array
+from asia.models._data.encoder import Encoder, fit_encoder
+from asia.models._data.records import Record, past_length, windows
+
+# Regressing the missing lags on the past window needs no more windows than this.
+_MOST_WINDOWS = 4000
+
+
+@dataclass(frozen=True)
+class Lags:
+    """Regressors y[k-1] .. y[k-outputs] and u[k-delay] .. u[k-delay-inputs+1]."""
+
+    outputs: int
+    inputs: int
+    delay: int = 0
+
+    @property
+    def past_inputs(self) -> int:
+        """Inputs needed from before the sample that is computed."""
+        return max(self.delay + self.inputs - 1, 0)
+
+    @property
+    def memory(self) -> int:
+        """Samples needed before the first one that can be computed."""
+        return max(self.outputs, self.past_inputs)
+
+
+def lagged_inputs(u: Array, lags: Lags) -> Array:
+    """u (..., past_inputs + T, nu) -> (..., T, inputs * nu), the newest first."""
+    length = u.shape[-2] - lags.past_inputs
+    newest = lags.inputs - 1 if lags.inputs else 0
+    parts = [u[..., newest - i : newest - i + length, :] for i in range(lags.inputs)]
+    empty = u[..., : max(length, 0), :0]
+    return np.concatenate([empty, *parts], axis=-1)
+
+
+def regressors(record: Record, lags: Lags, first: int | None = None) -> tuple[Array, Array]:
+    """(N, d) and targets (N, ny) of the samples from `first` (default: the memory) on; d is
+    outputs * ny + inputs * nu, outputs before inputs and the newest first."""
+    start = lags.memory if first is None else first
+    rows = np.arange(start, len(record))
+    past = record.y[rows[:, None] - np.arange(1, lags.outputs + 1)].reshape(len(rows), -1)
+    back = lags.delay + np.arange(lags.inputs)
+    drive = record.u[rows[:, None] - back].reshape(len(rows), -1)
+    return np.concatenate([past, drive], axis=1), record.y[rows]
+
+
+@dataclass(frozen=True)
+class History:
+    """Lags before the first simulated sample, from the past window.
+
+    What the window is too short for, the oldest `missing_y` outputs and `missing_u` inputs, comes
+    from a regression on the window and the first input; without an encoder the oldest known value
+    is repeated.
+    """
+
+    lags: Lags
+    missing_y: int
+    missing_u: int
+    encoder: Encoder | None
+
+    def __call__(self, past_u: Array, past_y: Array, u: Array) -> tuple[Array, Array]:
+        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> inputs
+        (B, past_inputs, nu) and outputs (B, outputs, ny), the oldest first."""
+        batch, nu, ny = len(u), u.shape[2], past_y.shape[2]
+        known_u = past_u[:, past_u.shape[1] - (self.lags.past_inputs - self.missing_u) :]
+        known_y = past_y[:, past_y.shape[1] - (self.lags.outputs - self.missing_y) :]
+        if self.encoder is not None:
+            guess = self.encoder(_features(past_u, past_y, u[:, 0]))
+            split = self.missing_u * nu
+            old_u = guess[:, :split].reshape(batch, self.missing_u, nu)
+            old_y = guess[:, split:].reshape(batch, self.missing_y, ny)
+        else:
+            oldest_u = np.concatenate([past_u, u], axis=1)[:, :1]
+            oldest_y = past_y[:, :1] if past_y.shape[1] else np.zeros((batch, 1, ny))
+            old_u = np.repeat(oldest_u, self.missing_u, axis=1)
+            old_y = np.repeat(oldest_y, self.missing_y, axis=1)
+        return np.concatenate([old_u, known_u], axis=1), np.concatenate([old_y, known_y], axis=1)
+
+
+def fit_history(
+    records: Sequence[Record],
+    lags: Lags,
+    context: Context,
+    outputs: Sequence[Array] | None = None,
+) -> History:
+    """`outputs`: (T, ny) of each record, valid from the past window on: simulated ones, which
+    then stand for all lagged outputs instead of the measured ones."""
+    missing_u = max(0, lags.past_inputs - context.n_past_u)
+    missing_y = max(0, lags.outputs - context.n_past_y)
+    past = past_length(context)
+    first = max(past, lags.memory)
+    if outputs is not None:
+        missing_y, first = lags.outputs, max(first, past + lags.outputs)
+    if missing_u + missing_y == 0:
+        return History(lags, 0, 0, None)
+    signals = outputs if outputs is not None else [r.y for r in records]
+    stride = max(1, sum(len(r) for r in records) // _MOST_WINDOWS)
+    features: list[Array] = []
+    targets: list[Array] = []
+    for r, y in zip(records, signals, strict=True):
+        rows = np.arange(first, len(r), stride)
+        if len(rows) == 0:
+            continue
+        old_u = r.u[rows[:, None] - lags.past_inputs + np.arange(missing_u)]
+        old_y = y[rows[:, None] - lags.outputs + np.arange(missing_y)]
+        targets.append(np.concatenate([a.reshape(len(rows), -1) for a in (old_u, old_y)], axis=1))
+        features.append(np.concatenate([windows(r, context)[rows - past], r.u[rows]], axis=1))
+    if sum(len(t) for t in targets) < 2:
+        measured = max(0, lags.outputs - context.n_past_y)
+        return History(lags, measured, missing_u, None)
+    return History(lags, missing_y, missing_u, fit_encoder(features, targets))
+
+
+def _features(past_u: Array, past_y: Array, first: Array) -> Array:
+    batch = len(first)
+    return np.concatenate([past_u.reshape(batch, -1), past_y.reshape(batch, -1), first], axis=1)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Range low (ny,) to high (ny,), z-scored, that outputs in free run are clipped to."""
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, records: Sequence[Record], margin: float) -> Limits:
+        """The range of the records, widened on each side by `margin` times its width."""
+        y = np.concatenate([r.y for r in records])
+        low, high = y.min(axis=0), y.max(axis=0)
+        return cls(low - margin * (high - low), high + margin * (high - low))
+
+
+class OneStep(Protocol):
+    """Prediction of the next output from the regressors."""
+
+    def __call__(self, z: Array) -> Array:
+        """(B, d) -> (B, ny)."""
+        ...
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """A one-step model simulated on its own outputs, clipped to the limits; a `Simulator`."""
+
+    one_step: OneStep
+    history: History
+    limits: Limits
+
+    def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H, ny)."""
+        old_u, old_y = self.history(past_u, past_y, u)
+        drive = lagged_inputs(np.concatenate([old_u, u], axis=1), self.history.lags)
+        batch, ny = len(u), past_y.shape[2]
+        past = old_y[:, ::-1].reshape(batch, -1)
+        result = np.empty((*u.shape[:2], ny))
+        for k in range(u.shape[1]):
+            y = self.one_step(np.concatenate([past, drive[:, k]], axis=1))
+            y = np.clip(y, self.limits.low, self.limits.high)
+            result[:, k] = y
+            past = np.concatenate([y, past], axis=1)[:, : past.shape[1]]
+        return result

@@ -1,0 +1,190 @@
+"""Training records as the models see them: z-scored, cut into past windows, padded to one shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.candidate import Context
+from asia.data import Array, Trajectory
+from asia.errors import UserError
+from asia.models._data.scaling import Scaling
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Record:
+    """One z-scored record: u (T, nu), y (T, ny); weight (T,), 0 where a sample does not count;
+    measured_u (T, nu): the inputs as past windows show them, where u is delayed."""
+
+    u: Array
+    y: Array
+    weight: Array
+    measured_u: Array
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+
+def past_length(context: Context) -> int:
+    """Samples before the first simulated one."""
+    return max(context.n_past_u, context.n_past_y)
+
+
+def check(trajectories: Sequence[Trajectory], context: Context) -> None:
+    """Raises UserError when there is nothing to simulate or a record has the wrong channels."""
+    if not trajectories:
+        raise UserError("no training records: a model needs at least one trajectory")
+    for t in trajectories:
+        if t.u.shape[1] != context.nu or t.y.shape[1] != context.ny:
+            raise UserError(
+                f"record '{t.name}': {t.u.shape[1]} inputs and {t.y.shape[1]} outputs, "
+                f"expected {context.nu} and {context.ny}"
+            )
+        if len(t) <= past_length(context):
+            raise UserError(
+                f"record '{t.name}': {len(t)} samples leave nothing to simulate after a past "
+                f"window of {past_length(context)}; give a longer record or a shorter window"
+            )
+
+
+def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[Record]:
+    """All samples of each record, z-scored, every sample counting."""
+    pairs = [(scaling.inputs(t.u), scaling.outputs(t.y)) for t in trajectories]
+    return [Record(u, y, np.ones(len(y)), u) for u, y in pairs]
+
+
+def window(past_u: Array, past_y: Array) -> Array:
+    """past_u (B, npu, nu), past_y (B, npy, ny) -> (B, npu*nu + npy*ny), z-scored alike."""
+    batch = past_u.shape[0]
+    return np.concatenate([past_u.reshape(batch, -1), past_y.reshape(batch, -1)], axis=1)
+
+
+def windows(record: Record, context: Context) -> Array:
+    """Past window before each sample from `past_length` on: (T - past_length, d)."""
+    start = past_length(context)
+    rows = np.arange(start, len(record))
+    back_u = rows[:, None] + np.arange(-context.n_past_u, 0)
+    back_y = rows[:, None] + np.arange(-context.n_past_y, 0)
+    return window(record.measured_u[back_u], record.y[back_y])
+
+
+def holdout_records(count: int, fraction: float) -> list[int]:
+    """Of four records or more, those to hold out whole, spread over them; of fewer, none."""
+    left_out = round(fraction * count)
+    if count < 4 or left_out < 1:
+        return []
+    return [int((i + 0.5) * count / left_out) for i in range(left_out)]
+
+
+def holdout_masks(
+    records: Sequence[Record], fraction: float, blocks: int = 8, shortest: int = 0
+) -> list[Mask]:
+    """For each record (T,) booleans, True where held out: `blocks` stretches spread over it, fewer
+    where they would have less than `shortest` samples.
+
+    A simulated output depends on inputs alone, so a sample whose weight is zero is unseen even
+    though the simulation runs through it.
+    """
+    masks: list[Mask] = []
+    for record in records:
+        length = len(record)
+        period = max(length / blocks, 4.0, min(shortest / fraction, length))
+        phase = np.arange(length) % period
+        masks.append((phase >= (1 - fraction) / 2 * period) & (phase < (1 + fraction) / 2 * period))
+    return masks
+
+
+def reweighted(records: Sequence[Record], masks: Sequence[Mask], keep: bool) -> list[Record]:
+    """Records whose weight is kept only where the mask equals `keep`."""
+    return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
+
+
+def shortened(records: Sequence[Record], samples: int, shortest: int) -> list[Record]:
+    """The first part of each record, the same fraction of all but no less than `shortest` samples
+    where it has them, about `samples` in total; of many records only some, spread over them."""
+    if sum(len(r) for r in records) <= samples:
+        return list(records)
+    most = max(3, samples // shortest)
+    chosen = np.unique(
+        np.linspace(0, len(records) - 1, min(most, len(records))).round().astype(int)
+    )
+    kept = [records[i] for i in chosen]
+    fraction = samples / sum(len(r) for r in kept)
+    return [_rows(r, slice(0, max(shortest, round(fraction * len(r))))) for r in kept]
+
+
+def _rows(r: Record, rows: slice) -> Record:
+    return Record(r.u[rows], r.y[rows], r.weight[rows], r.measured_u[rows])
+
+
+def contiguous_splits(
+    records: Sequence[Record], parts: int, shortest: int
+) -> list[tuple[list[Record], list[Record]]]:
+    """(kept, left out) pairs: whole records left out in turn when there are at least `parts`,
+    else stretches of each record of at least `shortest` samples."""
+    if len(records) >= parts:
+        pieces = list(records)
+        groups = [list(range(i, len(pieces), parts)) for i in range(parts)]
+    else:
+        pieces = []
+        membership: list[int] = []
+        for r in records:
+            count = max(1, min(parts, len(r) // max(shortest, 1)))
+            for i, rows in enumerate(np.array_split(np.arange(len(r)), count)):
+                pieces.append(_rows(r, slice(int(rows[0]), int(rows[-1]) + 1)))
+                membership.append(i)
+        groups = [[k for k, m in enumerate(membership) if m == i] for i in sorted(set(membership))]
+    if len(groups) < 2:
+        return [(pieces, pieces)]
+    return [
+        ([p for k, p in enumerate(pieces) if k not in g], [pieces[k] for k in g]) for g in groups
+    ]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Records padded to one length, without their past windows.
+
+    window (R, d), u (R, T, nu), y (R, T, ny), weight (R, T): zero in the padding; all windows
+    of all records for starts in mid-record: starts (S, 2) of (record, sample), start_windows
+    (S, d).
+    """
+
+    window: Array
+    u: Array
+    y: Array
+    weight: Array
+    lengths: tuple[int, ...]
+    start_windows: Array
+    starts: NDArray[np.int_]
+
+
+def batch(records: Sequence[Record], context: Context) -> Batch:
+    """Pads the simulated part of each record to the longest."""
+    skip = past_length(context)
+    lengths = tuple(len(r) - skip for r in records)
+    longest = max(lengths)
+
+    def padded(values: Array) -> Array:
+        part = values[skip:]
+        fill = [(0, longest - len(part))] + [(0, 0)] * (part.ndim - 1)
+        return np.pad(part, fill)
+
+    every = [windows(r, context) for r in records]
+    starts = np.concatenate(
+        [np.stack([np.full(n, i), np.arange(n)], axis=1) for i, n in enumerate(lengths)]
+    )
+    return Batch(
+        window=np.stack([w[0] for w in every]),
+        u=np.stack([padded(r.u) for r in records]),
+        y=np.stack([padded(r.y) for r in records]),
+        weight=np.stack([padded(r.weight) for r in records]),
+        lengths=lengths,
+        start_windows=np.concatenate(every),
+        starts=starts,
+    )

@@ -1,0 +1,126 @@
+"""Stretches that a model is simulated over while it is fitted or chosen, and the error on them.
+
+With a horizon they are windows of that length, as the model will be judged; without one they are
+whole records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Array, Trajectory
+from asia.models._data.records import Record, contiguous_splits, past_length
+
+# A longer record is cut, and its parts are simulated side by side: time is what a loop pays for.
+_LONGEST = 4000
+_MOST_SAMPLES = 40_000
+
+
+@dataclass(frozen=True)
+class Segments:
+    """z-scored: past_u (S, n_past_u, nu), past_y (S, n_past_y, ny), then u (S, H, nu) and
+    y (S, H, ny), padded with zeros where weight (S, H) is zero."""
+
+    past_u: Array
+    past_y: Array
+    u: Array
+    y: Array
+    weight: Array
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+
+class Simulator(Protocol):
+    """A fitted model in z-scores."""
+
+    def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """As `simulate` of a model, all z-scored."""
+        ...
+
+
+def segments(
+    records: Sequence[Record], context: Context, samples: int = _MOST_SAMPLES
+) -> Segments | None:
+    """Stretches of the records after their past windows, about `samples` in total and evenly
+    spread where there are more; None where every record is too short for one."""
+    past = past_length(context)
+    places = [(r, first) for r in records for first in _firsts(len(r), past, context.horizon)]
+    if not places:
+        return None
+    longest = context.horizon or _LONGEST
+    lengths = [min(longest, len(r) - first) for r, first in places]
+    most = max(1, samples // max(lengths))
+    if len(places) > most:
+        chosen = np.linspace(0, len(places) - 1, most).round().astype(int)
+        places, lengths = [places[i] for i in chosen], [lengths[i] for i in chosen]
+    height = max(lengths)
+
+    def rows(values: Array, first: int, length: int) -> Array:
+        return np.pad(values[first : first + length], ((0, height - length), (0, 0)))
+
+    pairs = list(zip(places, lengths, strict=True))
+    return Segments(
+        np.stack([r.measured_u[k - context.n_past_u : k] for r, k in places]),
+        np.stack([r.y[k - context.n_past_y : k] for r, k in places]),
+        np.stack([rows(r.u, k, n) for (r, k), n in pairs]),
+        np.stack([rows(r.y, k, n) for (r, k), n in pairs]),
+        (np.arange(height) < np.array(lengths)[:, None]).astype(np.float64),
+    )
+
+
+def simulation_error(simulate: Simulator, data: Segments) -> float:
+    """Weighted mean squared error over samples and channels, infinite where it diverges."""
+    with np.errstate(all="ignore"):
+        misfit = simulate(data.past_u, data.past_y, data.u) - data.y
+        total = float((data.weight[..., None] * misfit**2).sum())
+    total /= max(float(data.weight.sum()) * data.y.shape[-1], 1.0)
+    return total if np.isfinite(total) else float("inf")
+
+
+def left_out_error(
+    records: Sequence[Record],
+    context: Context,
+    fit: Callable[[Sequence[Record]], Sequence[Simulator]],
+    shortest: int,
+) -> Array:
+    """Mean over splits of the log of the mean squared simulation error on what was left out, one
+    number for each simulator that `fit` makes from what was kept; infinite where one diverges.
+
+    Whole records are left out when there are at least three, else stretches of them of at least
+    `shortest` samples.
+    """
+    logs: list[list[float]] = []
+    for kept, left in contiguous_splits(records, 3, shortest):
+        data = segments(left, context)
+        if data is None or not kept:
+            continue
+        logs.append([np.log(simulation_error(s, data) + 1e-300) for s in fit(kept)])
+    return np.mean(logs, axis=0) if logs else np.zeros(1)
+
+
+def window_pieces(
+    trajectories: Sequence[Trajectory], context: Context, most: int
+) -> list[Trajectory]:
+    """Past window and horizon as records of their own, `most` of them spread evenly; the records
+    themselves where the protocol has no horizon."""
+    if context.horizon is None:
+        return list(trajectories)
+    past, horizon = past_length(context), context.horizon
+    places = [(t, k - past) for t in trajectories for k in _firsts(len(t), past, horizon)]
+    chosen = np.unique(np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(int))
+    return [t[k : k + past + horizon] for t, k in (places[i] for i in chosen)]
+
+
+def _firsts(length: int, past: int, horizon: int | None) -> list[int]:
+    """First simulated samples; the last window ends with the record."""
+    span = horizon or _LONGEST
+    firsts = list(range(past, length, span))
+    if horizon is not None and firsts and length - past >= horizon:
+        firsts[-1] = length - horizon
+    return firsts

@@ -1,0 +1,1 @@
+"""A person's equations: simulation and fit."""

@@ -1,0 +1,192 @@
+"""What a grey-box consists of: the settings, and the coordinates that training searches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Literal
+
+from asia.models._equations.ode import Equations
+from asia.problem.physics.expressions import Name
+
+Initial = Literal["measured", "estimated"]
+
+
+@dataclass(frozen=True)
+class Config:
+    """A grey-box: the problem's equations and what is added to them.
+
+    Every addition has no effect at its prior mean. A ridge holds it there: `residual_ridge` the
+    network; `ridge` linear term, offsets and delay; limits and spilled fractions, being physical,
+    are held as weakly as the parameters of the equations.
+
+    saturation: states with a learned upper limit (a full tank). spill: what a full state cannot
+    hold goes, by a learned fraction, into the next state of the physics. linear: a linear term in
+    states and inputs added to the dynamics. offset: outputs that get a constant bias, and states
+    whose derivative gets one. input_delay: greatest input delay searched, in samples; 0 is none.
+    residual: hidden tanh units of a small network of states and inputs added to the dynamics; 0 is
+    none.
+    ridge: the cost is the mean squared normalised simulation error plus `ridge` times the sum of
+    squared effects; an effect of 1 is as large as the signal it acts on.
+    robust: Huber threshold in standard deviations of the output; None is least squares.
+    substeps: Runge-Kutta steps a sample.
+    initial: how a simulation starts: "measured" at the last measured outputs, where every state is
+    an output; "estimated" from the whole past window; None is measured with a horizon, where that
+    is possible, and else estimated.
+    """
+
+    saturation: tuple[str, ...] = ()
+    spill: bool = False
+    linear: bool = False
+    offset: tuple[str, ...] = ()
+    input_delay: float = 0.0
+    residual: int = 0
+    ridge: float = 1e-3
+    residual_ridge: float = 1e-2
+    robust: float | None = None
+    substeps: int = 2
+    initial: Initial | None = None
+
+    def __post_init__(self) -> None:
+        if self.spill and not self.saturation:
+            raise ValueError("greybox.Config: spill needs a state in saturation")
+        if self.residual < 0 or self.input_delay < 0:
+            raise ValueError("greybox.Config: residual and input_delay must be >= 0")
+        if self.ridge < 0 or self.residual_ridge < 0:
+            raise ValueError("greybox.Config: ridge and residual_ridge must be >= 0")
+        if self.substeps < 1:
+            raise ValueError("greybox.Config: substeps must be >= 1")
+        if self.robust is not None and self.robust <= 0:
+            raise ValueError("greybox.Config: robust must be > 0 or None")
+
+    @property
+    def augmented(self) -> bool:
+        """Whether anything is added to the equations."""
+        return bool(
+            self.saturation or self.linear or self.offset or self.input_delay or self.residual
+        )
+
+
+@dataclass(frozen=True)
+class Range:
+    """Search range of a parameter; searched in log when it is positive."""
+
+    min: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Structure:
+    """All that is fixed before training. Hashable: compiled programs are found by it.
+
+    sampling_time in s; low, high (nx,): physical bounds of the states, infinite where open;
+    measured: whether simulations start at the last measured outputs.
+    """
+
+    equations: Equations
+    config: Config
+    ranges: tuple[Range, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    sampling_time: float
+    n_past_u: int
+    n_past_y: int
+    measured: bool = False
+
+    def __post_init__(self) -> None:
+        states, outputs = self.equations.states, self.equations.outputs
+        for field, names, known in (
+            ("saturation", self.config.saturation, states),
+            ("offset", self.config.offset, states + outputs),
+        ):
+            for name in names:
+                if name not in known:
+                    raise ValueError(
+                        f"greybox.Config: {field} names '{name}', known are {', '.join(known)}"
+                    )
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.equations.states)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.equations.inputs)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.equations.outputs)
+
+    @property
+    def n_past(self) -> int:
+        """Samples before the first simulated one."""
+        return max(self.n_past_u, self.n_past_y)
+
+    @property
+    def n_fit(self) -> int:
+        """Samples before the first simulated one over which the state is fitted: those whose
+        inputs are known, and without past inputs, or when it is measured, the newest output."""
+        if self.measured:
+            return 1
+        return max(self.n_past_u, min(self.n_past_y, 1))
+
+    @cached_property
+    def measured_states(self) -> dict[int, int]:
+        """Output index of each state that is observed as it is."""
+        system = self.equations
+        pairs = [
+            (system.states.index(expression.root.name), k)
+            for k, expression in enumerate(system.observation)
+            if isinstance(expression.root, Name) and expression.root.name in system.states
+        ]
+        return dict(pairs)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Where each part lies in the vector of coordinates."""
+        return Layout.of(self)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Slices of the coordinate vector, one for each part of the model."""
+
+    parameters: slice
+    limits: slice
+    spill: slice
+    linear: slice
+    rate_offset: slice
+    output_offset: slice
+    delay: slice
+    hidden: slice
+    readout: slice
+    size: int
+
+    @classmethod
+    def of(cls, structure: Structure) -> Layout:
+        """The layout of `structure`."""
+        config, nx, nu = structure.config, structure.nx, structure.nu
+        observed = structure.equations.outputs
+        sizes = (
+            len(structure.ranges),
+            len(config.saturation),
+            len(config.saturation) if config.spill else 0,
+            nx * (nx + nu) if config.linear else 0,
+            sum(name in structure.equations.states for name in config.offset),
+            sum(
+                name in observed and name not in structure.equations.states
+                for name in config.offset
+            ),
+            nu if config.input_delay else 0,
+            config.residual * (nx + nu + 1),
+            config.residual * nx,
+        )
+        edges = [0]
+        for size in sizes:
+            edges.append(edges[-1] + size)
+        slices = [slice(a, b) for a, b in pairwise(edges)]
+        return cls(*slices, size=edges[-1])

@@ -1,0 +1,252 @@
+"""Where the fit of a grey-box starts: records cut to segments, draws, screening, scales."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data import Array, Trajectory
+from asia.models._equations.config import Structure
+from asia.models._equations.simulate import Scales, simulate_states
+from asia.models._solvers.levenberg_marquardt import LMResult
+
+# Where an addition has no effect: a limit far above any state, a fraction of zero.
+_NO_LIMIT = 20.0
+_NO_SPILL = -30.0
+_SCREENED_PER_START = 16
+_MOST_SCREENED_VALUES = 20_000_000
+_MOST_INITIAL_STATES = 240
+# Samples times squared coordinates of one iteration where initial states are measured.
+_MOST_WORK, _MEASURED_WINDOWS = 2e9, (60, 400)
+# Of the width of a parameter's range, where 2 spans it.
+_SPREAD_OF_PARAMETERS = 0.3
+# Beyond any state in any unit, and sums of its squares are still numbers.
+_OPEN = 1e100
+# A start this many times as lively as the median one has run away.
+_RUNAWAY = 1e6
+
+
+class Segments(NamedTuple):
+    """Training records side by side: u (S, T, nu), y (S, T, ny), mask (S, T), 0 in the padding."""
+
+    u: Array
+    y: Array
+    mask: Array
+
+
+class Starts(NamedTuple):
+    """Starting points, one a row: coordinates and initial states with their normalisation."""
+
+    z: Array
+    shift: Array
+    x_guess: Array
+    scales: Scales
+
+
+def cut_segments(
+    structure: Structure, trajectories: Sequence[Trajectory], horizon: int | None
+) -> Segments:
+    """Whole records, or, with a horizon, windows spread over them: past and horizon, or where the
+    initial state is measured the last past sample and the horizon."""
+    pieces: list[Trajectory] = list(trajectories)
+    if horizon is not None:
+        length = (1 if structure.measured else structure.n_past) + horizon
+        pieces = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
+        pieces = [t for t in pieces if len(t) == length] or list(trajectories)
+        most = _most_windows(structure, length)
+        if len(pieces) > most:
+            chosen = np.linspace(0, len(pieces) - 1, most).round().astype(int)
+            pieces = [pieces[i] for i in chosen]
+    longest = max(len(t) for t in pieces)
+
+    def pad(values: Array) -> Array:
+        return np.pad(values, ((0, longest - len(values)), (0, 0)), mode="edge")
+
+    mask = np.array([np.arange(longest) < len(t) for t in pieces], dtype=np.float64)
+    u = np.stack([pad(t.u) for t in pieces])
+    if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
+        # As in simulation, where the input of the last past sample is not known.
+        u[:, 0] = u[:, 1]
+    return Segments(u, np.stack([pad(t.y) for t in pieces]), mask)
+
+
+def _most_windows(structure: Structure, length: int) -> int:
+    if not structure.measured:
+        return max(1, _MOST_INITIAL_STATES // structure.nx)
+    each = length * structure.ny * max(structure.layout.size, 1) ** 2
+    return int(np.clip(_MOST_WORK / each, *_MEASURED_WINDOWS))
+
+
+def initial_states(structure: Structure, starts: Starts, result: LMResult, i: int) -> Array:
+    """Initial states (S, nx) that fit `i` ended with."""
+    shift = np.asarray(result.theta[i, structure.layout.size :]).reshape(-1, structure.nx)
+    return starts.x_guess[i] + shift * starts.scales.x_scale[i]
+
+
+def _first_guess(structure: Structure, segments: Segments) -> Array:
+    """Initial states (S, nx): the first measurement, else the middle of the bounds, else 0."""
+    low, high = np.array(structure.low), np.array(structure.high)
+    closed = np.isfinite(low) & np.isfinite(high)
+    middle = np.where(closed, 0.5 * (np.where(closed, low, 0.0) + np.where(closed, high, 0.0)), 0.0)
+    guess = np.tile(np.clip(middle, low, high), (segments.u.shape[0], 1))
+    for state, output in structure.measured_states.items():
+        guess[:, state] = segments.y[:, 0, output]
+    return guess
+
+
+def _base_scales(structure: Structure, segments: Segments) -> Scales:
+    """Scales before any state is known."""
+    nx, inside = structure.nx, segments.mask > 0
+
+    def deviation(values: Array) -> Array:
+        spread = values[inside].std(axis=0)
+        return np.where(spread > 0, spread, 1.0)
+
+    return Scales(
+        x_center=np.zeros(nx),
+        x_scale=np.ones(nx),
+        x_max=np.ones(nx),
+        rate=np.ones(nx),
+        u_center=segments.u[inside].mean(axis=0),
+        u_scale=deviation(segments.u),
+        y_scale=deviation(segments.y),
+        low=np.full(nx, -_OPEN),
+        high=np.full(nx, _OPEN),
+        hidden=np.zeros((structure.config.residual, nx + structure.nu + 1)),
+    )
+
+
+@lru_cache(maxsize=64)
+def simulate_many(structure: Structure) -> Any:
+    """Compiled: (z (P, size), scales (P, ...), x0 (P, S, nx), u (S, T, nu)) -> outputs, states."""
+
+    def one(z: jax.Array, scales: Scales, x0: jax.Array, u: jax.Array) -> Any:
+        return jax.vmap(lambda x, v: simulate_states(structure, scales, z, x, v))(x0, u)
+
+    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
+
+
+def _neutral(structure: Structure) -> Array:
+    z = np.zeros(structure.layout.size)
+    z[structure.layout.limits] = _NO_LIMIT
+    z[structure.layout.spill] = _NO_SPILL
+    return z
+
+
+def draws(structure: Structure, segments: Segments, count: int) -> int:
+    """Points drawn to choose `count` starts from: as many as memory allows, at most 16 times."""
+    values = segments.mask.size * structure.config.substeps * structure.nx * count
+    return count * int(np.clip(_MOST_SCREENED_VALUES // values, 1, _SCREENED_PER_START))
+
+
+def screen(
+    structure: Structure, segments: Segments, count: int, rng: np.random.Generator
+) -> Starts:
+    """The `count` best of many points drawn in the parameter ranges, the middle among them."""
+    layout, base = structure.layout, _base_scales(structure, segments)
+    drawn = draws(structure, segments, count)
+    z = np.tile(_neutral(structure), (drawn, 1))
+    z[1:, layout.parameters] = rng.uniform(-1.0, 1.0, (drawn - 1, len(structure.ranges)))
+    guess = np.tile(_first_guess(structure, segments), (drawn, 1, 1))
+    repeated = _repeat(base, drawn)
+    states = np.asarray(simulate_many(structure)(z, repeated, guess, segments.u)[1])
+    center, scale = _spread(states, segments)
+    hidden = [i for i in range(structure.nx) if i not in structure.measured_states]
+    guess[:, :, hidden] = center[:, None, hidden]
+    scales = repeated._replace(x_center=center, x_scale=scale)
+    order = _ranking(structure, segments, Starts(z, np.zeros_like(guess), guess, repeated))
+    return _take(Starts(z, np.zeros_like(guess), guess, scales), order[:count])
+
+
+def _ranking(structure: Structure, segments: Segments, starts: Starts) -> NDArray[np.intp]:
+    """Starts from the smallest simulation error to the greatest."""
+    outputs = simulate_many(structure)(starts.z, starts.scales, starts.x_guess, segments.u)[0]
+    error = (np.asarray(outputs) - segments.y) / starts.scales.y_scale[0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = (error**2 * segments.mask[:, :, None]).sum(axis=(1, 2, 3))
+    return np.argsort(cost, kind="stable")
+
+
+def _take(starts: Starts, rows: NDArray[np.intp]) -> Starts:
+    return jax.tree.map(lambda a: a[rows], starts)
+
+
+def _spread(states: Array, segments: Segments) -> tuple[Array, Array]:
+    """Mean and standard deviation (P, nx) of simulated states (P, S, T, nx)."""
+    inside = states[:, segments.mask > 0]
+    deviation = inside.std(axis=1)
+    scale = np.maximum(deviation, 1e-3 * np.abs(inside).max(axis=1))
+    # A start that runs away would make its own initial state weightless.
+    usual = np.median(scale, axis=0)
+    scale = np.minimum(scale, np.where(usual > 0, _RUNAWAY * usual, np.inf))
+    return inside.mean(axis=1), np.where(scale > 0, scale, 1.0)
+
+
+def _repeat(scales: Scales, count: int) -> Scales:
+    return jax.tree.map(lambda a: np.tile(a, (count,) + (1,) * np.ndim(a)), scales)
+
+
+def augment(
+    structure: Structure,
+    segments: Segments,
+    starts: Starts,
+    result: LMResult,
+    rng: np.random.Generator,
+) -> Starts:
+    """Starting points around the best fits of the equations alone, with the additions drawn."""
+    layout, size = structure.layout, structure.layout.size
+    count = len(starts.z)
+    drawn = draws(structure, segments, count)
+    # The better half of the first fits, in turn: others have often ended in a poor minimum.
+    order = np.argsort(result.cost, kind="stable")[: max(1, count // 2)]
+    parents = np.resize(order, drawn)
+    z = np.asarray(result.theta)[parents, :size].copy()
+    x0 = np.stack([initial_states(structure, starts, result, int(i)) for i in parents])
+    z[len(order) :, layout.parameters] += rng.normal(
+        scale=_SPREAD_OF_PARAMETERS, size=(drawn - len(order), len(structure.ranges))
+    )
+    plain = np.tile(_neutral(structure), (drawn, 1))
+    plain[:, layout.parameters] = z[:, layout.parameters]
+    scales = _state_scales(structure, segments, plain, x0)
+    z[:, layout.limits] = rng.uniform(np.log(0.5), 0.0, z[:, layout.limits].shape)
+    z[:, layout.spill] = rng.uniform(-2.0, 1.0, z[:, layout.spill].shape)
+    z[:, layout.delay] = rng.uniform(0.0, 0.8, z[:, layout.delay].shape)
+    # One start with next to no effect, so that additions do not begin worse than the equations.
+    z[0, layout.limits], z[0, layout.spill], z[0, layout.delay] = 0.0, -4.0, 0.0
+    drawn_starts = Starts(z, np.zeros_like(x0), x0, scales)
+    ranking = _ranking(structure, segments, drawn_starts)
+    return _take(drawn_starts, np.concatenate([[0], ranking[ranking != 0]])[:count])
+
+
+def add_network(
+    structure: Structure, starts: Starts, result: LMResult, rng: np.random.Generator
+) -> Starts:
+    """The best fit again and again, each time with another first layer of the network."""
+    count, best = len(starts.z), int(np.argmin(result.cost))
+    inner = structure.nx + structure.nu + 1
+    z = np.tile(np.asarray(result.theta)[best, : structure.layout.size], (count, 1))
+    x0 = np.tile(initial_states(structure, starts, result, best), (count, 1, 1))
+    scales = _repeat(jax.tree.map(lambda a: a[best], starts.scales), count)
+    hidden = rng.normal(size=(count, structure.config.residual, inner)) / np.sqrt(inner)
+    return Starts(z, np.zeros_like(x0), x0, scales._replace(hidden=hidden))
+
+
+def _state_scales(structure: Structure, segments: Segments, z: Array, x0: Array) -> Scales:
+    """Scales, one row a start, from simulations with coordinates z from x0 (P, S, nx)."""
+    base = _repeat(_base_scales(structure, segments), len(z))
+    states = np.asarray(simulate_many(structure)(z, base, x0, segments.u)[1])
+    center, scale = _spread(states, segments)
+    inside = segments.mask > 0
+    moves = np.diff(states, axis=2)[:, inside[:, 1:]]
+    rate = np.sqrt((moves**2).mean(axis=1)) / structure.sampling_time
+    return base._replace(
+        x_center=center,
+        x_scale=scale,
+        x_max=states[:, inside].max(axis=1),
+        rate=np.maximum(rate, 1e-9 * scale / structure.sampling_time),
+    )

@@ -1,0 +1,1 @@
+"""Linear state-space systems: start, fit, choice."""

@@ -1,0 +1,135 @@
+"""Choice among windowed linear models: how much past the state holds, and the ridge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.models._data.records import Record, contiguous_splits, past_length
+from asia.models._data.windows import Windows, cut_windows
+from asia.models._linear.fit import Refinement
+from asia.models._linear.windows import MOST_PARAMETERS, Lags, Predictor, one_step, refined
+
+# Against the mean squared error in z-scores, from strong to weak.
+_RIDGES = (1.0, 1e-1, 1e-2, 1e-4)
+_QUICK_ITERATIONS = 4
+# Bounds on the numbers a refinement handles: samples times squared parameters.
+_SELECTION_WORK, _FINAL_WORK = 4e9, 2e10
+_FEWEST, MOST_WINDOWS = 24, 2000
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Lags and ridge, with the mean squared error on the windows of each stretch left out."""
+
+    lags: Lags
+    ridge: float
+    errors: tuple[float, ...]
+
+    @property
+    def error(self) -> float:
+        """Over all stretches."""
+        return float(np.mean(self.errors))
+
+
+def choose(records: Sequence[Record], context: Context, refinement: Refinement) -> Choice | None:
+    """The strongest ridge within one standard error, over the stretches left out, of the best,
+    for each number of lags, and the best of these; None where the past window shows nothing."""
+    splits = held_out(records, context)
+    choices = [
+        _best_ridge(splits, lags, context, refinement) for lags in _candidates(records, context)
+    ]
+    return min(choices, key=lambda c: c.error) if choices else None
+
+
+def held_out(
+    records: Sequence[Record], context: Context
+) -> list[tuple[list[Record], list[Record]]]:
+    """(kept, left out): three times other stretches left out, neighbouring records where there
+    are enough, since records that follow each other are often of one kind."""
+    if len(records) >= 3:
+        groups = np.array_split(np.arange(len(records)), 3)
+        return [
+            ([r for i, r in enumerate(records) if i not in g], [records[i] for i in g])
+            for g in groups
+        ]
+    return contiguous_splits(records, 3, past_length(context) + 2 * (context.horizon or 1))
+
+
+def fit_choice(
+    records: Sequence[Record], context: Context, choice: Choice, refinement: Refinement
+) -> Predictor:
+    """Lags and ridge refined on windows from all records."""
+    windows = cut_windows(records, context, _count(choice.lags, context, _FINAL_WORK))
+    start = one_step(windows, choice.lags, _one_step_ridge(choice.ridge))
+    return _refined(start, windows, choice.ridge, refinement.iterations, refinement)
+
+
+def _candidates(records: Sequence[Record], context: Context) -> list[Lags]:
+    nu, ny = records[0].u.shape[1], records[0].y.shape[1]
+    past_u, past_y = context.n_past_u, context.n_past_y
+    found: list[Lags] = []
+    for count in sorted({1, 2, 4, past_length(context)}):
+        lags = Lags(past_u, past_y, min(count, past_u), min(count, past_y), nu, ny)
+        fits = not found or lags.parameters <= MOST_PARAMETERS
+        if lags.order and fits and lags not in found:
+            found.append(lags)
+    return found
+
+
+def _best_ridge(
+    splits: Sequence[tuple[list[Record], list[Record]]],
+    lags: Lags,
+    context: Context,
+    refinement: Refinement,
+) -> Choice:
+    count = _count(lags, context, _SELECTION_WORK)
+    errors = np.array(
+        [
+            _path(cut_windows(kept, context, count), cut_windows(left, context, MOST_WINDOWS), lags,
+                  refinement)
+            for kept, left in splits
+        ]
+    )  # fmt: skip
+    means = errors.mean(axis=0)
+    best = int(np.argmin(means))
+    apart = errors - errors[:, best : best + 1]
+    limit = apart.std(axis=0, ddof=1) / np.sqrt(len(splits)) if len(splits) > 1 else 0.0 * means
+    chosen = int(np.argmax(means - means[best] <= limit))
+    return Choice(lags, _RIDGES[chosen], tuple(errors[:, chosen].tolist()))
+
+
+def _path(kept: Windows, left: Windows, lags: Lags, refinement: Refinement) -> list[float]:
+    """Mean squared error on `left` along the ridges, each fit started from the one before."""
+    current, errors = one_step(kept, lags, _one_step_ridge(_RIDGES[0])), list[float]()
+    for ridge in _RIDGES:
+        current = _refined(current, kept, ridge, _QUICK_ITERATIONS, refinement)
+        errors.append(min(current.error(left), 1e12))
+    return errors
+
+
+def _refined(
+    start: Predictor, windows: Windows, ridge: float, iterations: int, refinement: Refinement
+) -> Predictor:
+    if start.lags.parameters > MOST_PARAMETERS:
+        return one_step(windows, start.lags, _one_step_ridge(ridge))
+    return refined(
+        start,
+        windows,
+        ridge,
+        min(iterations, refinement.iterations),
+        max(refinement.tolerance, 1e-4),
+    )
+
+
+def _one_step_ridge(ridge: float) -> float:
+    # One-step errors are smaller than those over a horizon, and so is what holds against them.
+    return max(1e-4 * ridge, 1e-9)
+
+
+def _count(lags: Lags, context: Context, work: float) -> int:
+    each = (context.horizon or 1) * lags.ny * lags.parameters**2
+    return int(np.clip(work / each, _FEWEST, MOST_WINDOWS))

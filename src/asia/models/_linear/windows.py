@@ -1,0 +1,194 @@
+"""Linear model whose state is the past window itself, fitted over the windows' whole horizon.
+
+y[k] = theta' [w[k], u[k], 1], where w[k] holds the last outputs and inputs and the model's own
+outputs take the place of measured ones as they appear. Started by one-step least squares, then
+refined on the simulation error over the horizon; nothing asks it to be stable beyond that.
+Source: Ljung, System Identification, 2nd ed., sections 4.2 and 7.2 (output-error predictor).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+from asia.models._data.encoder import Encoder, affine
+from asia.models._data.windows import Windows
+from asia.models._linear.system import LinearSystem
+
+# Beyond this size one-step least squares is kept: the refinement's cost grows with the square.
+MOST_PARAMETERS = 400
+
+
+@dataclass(frozen=True)
+class Lags:
+    """Samples of the past kept in the state, of those the protocol shows.
+
+    n_past_u, n_past_y: shown; u, y: kept, at most as many.
+    """
+
+    n_past_u: int
+    n_past_y: int
+    u: int
+    y: int
+    nu: int
+    ny: int
+
+    @property
+    def order(self) -> int:
+        """Length of the state."""
+        return self.u * self.nu + self.y * self.ny
+
+    @property
+    def parameters(self) -> int:
+        """Length of theta."""
+        return (self.order + self.nu + 1) * self.ny
+
+    def state(self, features: Array) -> Array:
+        """Past windows (W, d) as `window` lays them out -> states (W, order)."""
+        return features @ self.selection()
+
+    def selection(self) -> Array:
+        """(d, order) matrix of zeros and ones."""
+        split, end = self.n_past_u * self.nu, self.n_past_u * self.nu + self.n_past_y * self.ny
+        rows = np.r_[split - self.u * self.nu : split, end - self.y * self.ny : end]
+        return np.eye(end)[:, rows]
+
+    def shift(self) -> tuple[Array, Array, Array]:
+        """w <- w S + u U + y Y for row vectors: S (order, order), U (nu, order), Y (ny, order)."""
+        split, size = self.u * self.nu, self.order
+        s, from_u, from_y = (np.zeros((n, size)) for n in (size, self.nu, self.ny))
+        for first, last, step in ((0, split, self.nu), (split, size, self.ny)):
+            s[np.arange(first + step, last), np.arange(first, last - step)] = 1.0
+        if self.u:
+            from_u[:, split - self.nu : split] = np.eye(self.nu)
+        if self.y:
+            from_y[:, size - self.ny :] = np.eye(self.ny)
+        return s, from_u, from_y
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """theta (order + nu + 1, ny) of the rows above, for z-scored signals, and the ridge it was
+    fitted with, against the mean squared error."""
+
+    lags: Lags
+    theta: Array
+    ridge: float = 0.0
+
+    def simulate(self, windows: Windows) -> Array:
+        """(W, H, ny)."""
+        s, from_u, from_y = self.lags.shift()
+        x, outputs = self.lags.state(windows.features), np.empty_like(windows.y)
+        for k in range(windows.u.shape[1]):
+            u = windows.u[:, k]
+            outputs[:, k] = _regressors(x, u) @ self.theta
+            x = x @ s + u @ from_u + outputs[:, k] @ from_y
+        return outputs
+
+    def error(self, windows: Windows) -> float:
+        """Mean squared simulation error; infinite where it diverges."""
+        with np.errstate(all="ignore"):
+            error = float(((self.simulate(windows) - windows.y) ** 2).mean())
+        return error if np.isfinite(error) else float("inf")
+
+    def system(self) -> tuple[LinearSystem, Encoder]:
+        """State-space form, the constant 1 as its last state, and the map from past windows."""
+        n, lags = self.lags.order, self.lags
+        s, from_u, from_y = lags.shift()
+        by_x, by_u, constant = self.theta[:n], self.theta[n:-1], self.theta[-1:]
+        a = np.zeros((n + 1, n + 1))
+        a[:n, :n] = s + by_x @ from_y
+        a[n, :n] = (constant @ from_y)[0]
+        a[n, n] = 1.0
+        b = np.pad(from_u + by_u @ from_y, ((0, 0), (0, 1)))
+        c = np.concatenate([by_x, constant])
+        selection = np.pad(lags.selection(), ((0, 0), (0, 1)))
+        encoder = affine(selection, np.eye(n + 1)[n])
+        return LinearSystem(a.T, b.T, c.T, by_u.T, np.zeros(lags.ny)), encoder
+
+
+def one_step(windows: Windows, lags: Lags, ridge: float) -> Predictor:
+    """Least squares on all one-step predictions inside the windows; `ridge`, against the mean
+    square of the signals, holds the model to `held`."""
+    s, from_u, from_y = lags.shift()
+    x, rows = lags.state(windows.features), []
+    for k in range(windows.u.shape[1]):
+        u, y = windows.u[:, k], windows.y[:, k]
+        rows.append(_regressors(x, u))
+        x = x @ s + u @ from_u + y @ from_y
+    phi = np.concatenate(rows)
+    target = np.swapaxes(windows.y, 0, 1).reshape(len(phi), -1)
+    gram = phi.T @ phi + ridge * len(phi) * np.eye(phi.shape[1])
+    rest = held(lags)
+    theta = rest + np.linalg.solve(gram, phi.T @ (target - phi @ rest))
+    return Predictor(lags, np.asarray(theta, np.float64))
+
+
+def held(lags: Lags) -> Array:
+    """theta of the model that holds the last output: what ridge pulls to."""
+    theta = np.zeros((lags.order + lags.nu + 1, lags.ny))
+    if lags.y:
+        theta[lags.order - lags.ny : lags.order] = np.eye(lags.ny)
+    return theta
+
+
+def refined(
+    start: Predictor, windows: Windows, ridge: float, iterations: int, tolerance: float
+) -> Predictor:
+    """Levenberg-Marquardt on the mean squared simulation error over the windows' horizon, plus
+    `ridge` times the squared distance from `held`."""
+    rest = held(start.lags)
+
+    def objective(model: Predictor) -> float:
+        return model.error(windows) + ridge * float(((model.theta - rest) ** 2).sum())
+
+    current, cost, damping = start, objective(start), 1e-3
+    for _ in range(iterations if np.isfinite(cost) else 0):
+        gram, gradient = _normal_equations(current, windows)
+        gram = gram / windows.y.size + ridge * np.eye(len(gram))
+        gradient = gradient / windows.y.size - ridge * (current.theta - rest).ravel()
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-30))
+        scaled, right = gram / np.outer(scale, scale), gradient / scale
+        before = cost
+        while damping < 1e8:
+            step = np.linalg.solve(scaled + damping * np.eye(len(scaled)), right) / scale
+            theta = current.theta + step.reshape(current.theta.shape)
+            moved = Predictor(start.lags, theta, ridge)
+            cost = objective(moved)
+            if cost < before:
+                current, damping = moved, max(damping * 0.2, 1e-9)
+                break
+            damping *= 8.0
+        if not cost < before * (1.0 - tolerance):
+            break
+    return current
+
+
+def _regressors(x: Array, u: Array) -> Array:
+    return np.concatenate([x, u, np.ones((len(x), 1))], axis=1)
+
+
+def _normal_equations(model: Predictor, windows: Windows) -> tuple[Array, Array]:
+    """J' J (P, P) and J' e (P,), summed step by step so that no Jacobian is held."""
+    lags, ny = model.lags, model.lags.ny
+    s, from_u, from_y = lags.shift()
+    by_x = model.theta[: lags.order]
+    x = lags.state(windows.features)
+    size = model.theta.size
+    sensitivity = np.zeros((len(windows), lags.order, size))
+    gram, gradient = np.zeros((size, size)), np.zeros(size)
+    for k in range(windows.u.shape[1]):
+        u = windows.u[:, k]
+        phi = _regressors(x, u)
+        moved = np.matmul(by_x.T, sensitivity)
+        for j in range(ny):
+            moved[:, j, j::ny] += phi
+        y = phi @ model.theta
+        rows = moved.reshape(-1, size)
+        gram += rows.T @ rows
+        gradient += rows.T @ (windows.y[:, k] - y).ravel()
+        x = x @ s + u @ from_u + y @ from_y
+        sensitivity = np.matmul(s.T, sensitivity) + np.matmul(from_y.T, moved)
+    return gram, gradient

@@ -1,0 +1,1 @@
+"""What the network families share: simulation, training methods, layers."""

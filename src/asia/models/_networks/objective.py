@@ -1,0 +1,146 @@
+"""Simulation as training sees it, with what is added for robustness, and its loss."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from asia.errors import UserError
+from asia.models._data.chunks import Data
+from asia.models._networks.network import (
+    Cell,
+    FeatureMap,
+    OutputFeedback,
+    Params,
+    SequenceMap,
+    Structure,
+    rollout,
+)
+from asia.models.methods import Adam, Loss
+
+
+class Fed(NamedTuple):
+    """Measured outputs y (B, T, ny) that replace a cell's own where mask (B, T) is 1."""
+
+    y: jax.Array
+    mask: jax.Array
+
+
+def objective(
+    loss: Loss,
+    residual: jax.Array,
+    weight: jax.Array,
+    washout: int = 0,
+    horizons: tuple[int, ...] | None = None,
+) -> jax.Array:
+    """residual (B, T, ny), weight (B, T) -> mean loss of the samples that count; with `horizons`
+    the mean over h of that of the first h samples."""
+    length = residual.shape[1]
+    weight = weight * (jnp.arange(length) >= washout)
+    error = (weight[..., None] * pointwise(loss, residual)).mean(axis=-1).sum(axis=0)
+    count = weight.sum(axis=0)
+    ends = jnp.array([length if h is None else min(h, length) for h in horizons or (None,)]) - 1
+    return jnp.mean(jnp.cumsum(error)[ends] / jnp.maximum(jnp.cumsum(count)[ends], 1.0))
+
+
+def pointwise(loss: Loss, residual: jax.Array) -> jax.Array:
+    """Loss of each number; Huber's is scaled to equal the square near zero."""
+    if loss == "mae":
+        return jnp.abs(residual)
+    if loss == "huber":
+        small = jnp.clip(residual, -1.0, 1.0)
+        return small * (2.0 * residual - small)
+    return residual**2
+
+
+def error_of(cell: Structure, loss: Loss, params: Any, data: Data) -> jax.Array:
+    """Mean loss of the plain simulation."""
+    return objective(loss, rollout(cell, params, data.window, data.u) - data.y, data.weight)
+
+
+def check_structure(cell: Structure, params: Params, method: Adam) -> None:
+    """Raises UserError when the method asks for what the network cannot do."""
+    if max(method.teacher, method.teacher_end) > 0 and not isinstance(cell, OutputFeedback):
+        raise UserError(
+            "Adam: teacher is for networks that feed back their own output, and this one does "
+            "not; leave teacher and teacher_end at 0"
+        )
+    if method.carry and (isinstance(cell, SequenceMap) or not isinstance(cell, Cell)):
+        raise UserError(
+            "Adam: carry is for networks with a state, and this one computes all samples at once; "
+            "leave carry out"
+        )
+    if method.dropout > 0 and _drops_weights(cell) and "out_w" not in params:
+        raise UserError(
+            "Adam: dropout needs an output layer, and this network has none; leave dropout at 0"
+        )
+
+
+def forward(
+    cell: Structure,
+    method: Adam,
+    params: Any,
+    data: Data,
+    teacher: jax.Array,
+    key: jax.Array,
+    state: Any = None,
+) -> tuple[jax.Array, Any]:
+    """Outputs (B, T, ny) and the state after the last sample, None of a structure without one.
+    `state`: to start from, None for that of the past window."""
+    noisy, dropped, fed_by = jax.random.split(key, 3)
+    u = data.u
+    if method.noise > 0:
+        u = u + method.noise * jax.random.normal(noisy, u.shape, u.dtype)
+    if method.dropout > 0 and _drops_weights(cell):
+        weights = params["out_w"]
+        params = {**params, "out_w": weights * _kept(method, (len(weights), 1), dropped)}
+    if isinstance(cell, SequenceMap):
+        return cell.sequence(params, data.window, u), None
+    fed = None
+    if max(method.teacher, method.teacher_end) > 0:
+        mask = jax.random.bernoulli(fed_by, teacher, data.weight.shape) & (data.weight > 0)
+        fed = Fed(data.y, mask.astype(u.dtype))
+    features, state = _features(cell, params, data.window, u, fed, state)
+    if method.dropout > 0 and not _drops_weights(cell):
+        shape = (features.shape[0], 1, features.shape[2])
+        features = features * _kept(method, shape, dropped)
+    return cell.output(params, features, u), state
+
+
+def scan(
+    cell: Cell, params: Any, state: Any, u: jax.Array, fed: Fed | None = None
+) -> tuple[jax.Array, Any]:
+    """u (B, T, nu) -> features (B, T, hidden) and the last state."""
+
+    def advance(state: Any, now: tuple[jax.Array, Fed | None]) -> tuple[Any, jax.Array]:
+        u, given = now
+        state, features = cell.step(params, state, u)
+        if given is not None and isinstance(cell, OutputFeedback):
+            state = cell.feed(params, state, given.y, given.mask[:, None])
+        return state, features
+
+    in_time = jax.tree.map(lambda v: jnp.swapaxes(v, 0, 1), (u, fed))
+    state, features = jax.lax.scan(advance, state, in_time)
+    return jnp.swapaxes(features, 0, 1), state
+
+
+def _features(
+    cell: Cell | FeatureMap, params: Any, window: jax.Array, u: jax.Array, fed: Fed | None,
+    state: Any,
+) -> tuple[jax.Array, Any]:  # fmt: skip
+    if isinstance(cell, FeatureMap):
+        return cell.features(params, window, u), None
+    start = cell.initial(params, window) if state is None else state
+    return scan(cell, params, start, u, fed)
+
+
+def _drops_weights(cell: Structure) -> bool:
+    """Where the output is computed inside, dropping a feature means dropping its row of out_w."""
+    return isinstance(cell, SequenceMap | OutputFeedback)
+
+
+def _kept(method: Adam, shape: tuple[int, ...], key: jax.Array) -> jax.Array:
+    kept = jax.random.bernoulli(key, 1.0 - method.dropout, shape)
+    return kept / jnp.float32(1.0 - method.dropout)

@@ -1,0 +1,125 @@
+"""One fit of a network's parameters: what is held out, when to stop, which method runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+
+from asia.candidate import Context, Model
+from asia.models._data.chunks import laid, whole
+from asia.models._data.records import (
+    Batch,
+    Record,
+    batch,
+    holdout_masks,
+    holdout_records,
+    reweighted,
+)
+from asia.models._networks import adam, lbfgs, shooting
+from asia.models._networks.monitor import Log, Monitor, Score
+from asia.models._networks.network import Params, Structure
+from asia.models._networks.objective import error_of
+from asia.models.methods import LBFGS, Adam, NetworkMethod
+
+_error = jax.jit(error_of, static_argnums=(0, 1))
+
+
+@dataclass(frozen=True)
+class Split:
+    """Training samples: fitted and held_out for the search of the number of steps, full for the
+    fit after it."""
+
+    fitted: Batch
+    held_out: Batch
+    full: Batch
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is fitted to what: horizon in samples, None for whole records; score: of the protocol's
+    early stopping, None where it has none."""
+
+    structure: Structure
+    samples: Split | Batch
+    horizon: int | None
+    seed: int
+    log: Log
+    score: Score | None = None
+
+
+def fit(
+    structure: Structure,
+    params: Params,
+    records: Sequence[Record],
+    context: Context,
+    method: NetworkMethod,
+    model_of: Callable[[Params], Model] | None = None,
+) -> Params:
+    """Trained float32 parameters; `model_of` makes the model that `context.validation_score` is
+    asked about."""
+    score = None
+    if method.stop == "validation" and context.validation_score and model_of:
+        score = partial(_validation, context.validation_score, model_of)
+    samples: Split | Batch = batch(records, context)
+    if score is None and method.holdout > 0:
+        samples = _split(records, context, method.holdout)
+    with jax.enable_x64(False):
+        seed = context.seed % 2**31
+        task = Task(structure, samples, context.horizon, seed, context.log, score)
+        return train(task, params, method)
+
+
+def _validation(
+    oracle: Callable[[Model], float], model_of: Callable[[Params], Model], params: Params
+) -> float:
+    return oracle(model_of(params))
+
+
+def train(task: Task, params: Params, method: NetworkMethod) -> Params:
+    """The best parameters by the score, or those after the number of steps that did best on the
+    held-out samples, or those after all steps."""
+    patience = method.patience if method.stop is not None else None
+    if isinstance(task.samples, Batch):
+        monitor = Monitor(method, task.log, task.score, patience if task.score else None)
+        monitor.start(params)
+        last = _run(task, task.samples, params, method, method.steps, monitor)
+        return last if monitor.best is None else monitor.best
+    split = task.samples
+    monitor = Monitor(method, task.log, partial(_held_out_error, task, split, method), patience)
+    _run(task, split.fitted, params, method, method.steps, monitor)
+    again = Monitor(method, task.log, replay=monitor.rates)
+    return _run(task, split.full, params, method, monitor.best_step, again)
+
+
+def _run(
+    task: Task, samples: Batch, params: Params, method: NetworkMethod, steps: int, monitor: Monitor
+) -> Params:
+    cell, horizon = task.structure, task.horizon
+    if isinstance(method, LBFGS):
+        return lbfgs.run(cell, params, samples, method, horizon, steps, monitor)
+    if isinstance(method, Adam):
+        return adam.run(cell, params, samples, method, horizon, task.seed, steps, monitor)
+    return shooting.run(cell, params, samples, method, steps, monitor)
+
+
+def _split(records: Sequence[Record], context: Context, fraction: float) -> Split:
+    full = batch(records, context)
+    chosen = holdout_records(len(records), fraction)
+    if chosen:
+        kept = [r for i, r in enumerate(records) if i not in chosen]
+        return Split(batch(kept, context), batch([records[i] for i in chosen], context), full)
+    masks = holdout_masks(records, fraction, shortest=context.horizon or 0)
+    fitted, held_out = (
+        replace(full, weight=batch(reweighted(records, masks, keep), context).weight)
+        for keep in (False, True)
+    )
+    return Split(fitted, held_out, full)
+
+
+def _held_out_error(task: Task, split: Split, method: NetworkMethod, params: Params) -> float:
+    held_out = split.held_out
+    data = whole(held_out) if task.horizon is None else laid(held_out, task.horizon)
+    return float(_error(task.structure, method.loss, params, data))

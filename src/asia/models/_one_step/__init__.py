@@ -1,0 +1,1 @@
+"""Models that predict one step ahead and are used in free run."""

@@ -1,0 +1,135 @@
+"""What families that predict one step ahead and are used in free run share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Array
+from asia.errors import UserError
+from asia.models._data.lags import FreeRun, Lags, Limits, fit_history
+from asia.models._data.records import Record, past_length, shortened
+from asia.models._data.scaling import Scaling
+from asia.models._data.segments import left_out_error
+from asia.models._one_step.polynomial import Polynomial, PolynomialRun, all_terms, equations, solve
+
+C = TypeVar("C")
+
+RIDGES = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2)
+# Choosing takes hundreds of fits; this many samples tell candidates apart.
+_SELECTION_SAMPLES = 6000
+
+
+@dataclass(frozen=True)
+class FreeRunModel(Generic[C]):
+    """An input-output model; `run` and `scaling` are None before training."""
+
+    config: C
+    run: FreeRun | None = None
+    scaling: Scaling | None = None
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
+        (B, H, ny). Raises UserError before training."""
+        if self.run is None or self.scaling is None:
+            raise UserError("input-output model: not trained yet; call train before simulate")
+        s = self.scaling
+        return s.physical(self.run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
+
+
+@dataclass(frozen=True)
+class LagChoice:
+    """Given numbers of lags and delay, or None where the data decide: numbers among 1..max_order
+    (outputs and inputs alike), delay among 0..max_delay; the fewest parameters within `tolerance`
+    (relative, of the root mean squared error) of the best."""
+
+    outputs: int | None
+    inputs: int | None
+    delay: int | None
+    max_order: int
+    max_delay: int = 10
+    tolerance: float = 0.03
+
+
+def linear_run(
+    records: Sequence[Record], lags: Lags, context: Context, ridge: float, margin: float
+) -> PolynomialRun:
+    """ARX by ridge regression, limited to the training range widened by `margin` times."""
+    ny, nu = records[0].y.shape[1], records[0].u.shape[1]
+    terms = all_terms(lags.outputs * ny + lags.inputs * nu, 1)
+    x, y = equations(records, lags, terms)
+    theta = solve(x.T @ x, x.T @ y, ridge)
+    model = Polynomial(terms, theta, np.ones(theta.shape, bool))
+    return PolynomialRun(model, fit_history(records, lags, context), Limits.of(records, margin))
+
+
+def choose_lags(records: Sequence[Record], context: Context, choice: LagChoice) -> Lags:
+    """Lags of a linear model by its simulation error on what was left out of the fit."""
+    part = selection(records, context, choice.max_order)
+    highest = max(1, min(choice.max_order, min(len(r) for r in part) // 12))
+    delay = choice.delay
+    if delay is None:
+        few = [Lags(min(2, highest), min(2, highest), d) for d in range(choice.max_delay + 1)]
+        delay = _best(few, _errors(part, context, few), 0.01).delay
+    counts = range(1, highest + 1)
+    numbers = product(
+        counts if choice.outputs is None else (choice.outputs,),
+        counts if choice.inputs is None else (choice.inputs,),
+    )
+    lags = [Lags(a, b, delay) for a, b in numbers]
+    if len(lags) == 1:
+        return lags[0]
+    ny, nu = context.ny, context.nu
+    lags.sort(key=lambda item: item.outputs * ny + item.inputs * nu)
+    return _best(lags, _errors(part, context, lags), choice.tolerance)
+
+
+def selection(records: Sequence[Record], context: Context, max_order: int) -> list[Record]:
+    """What choices are made on: parts long enough to leave something to simulate."""
+    shortest = 3 * (past_length(context) + (context.horizon or 0)) + 12 * max_order
+    return shortened(
+        [r for r in records if len(r) > past_length(context)], _SELECTION_SAMPLES, shortest
+    )
+
+
+def choose_ridge(
+    records: Sequence[Record],
+    context: Context,
+    fit: Callable[[Sequence[Record], float], FreeRun],
+    shortest: int,
+) -> float:
+    """The ridge with the least simulation error on what was left out of the fit."""
+    errors = left_out_error(
+        records, context, lambda kept: [fit(kept, ridge) for ridge in RIDGES], shortest
+    )
+    return RIDGES[int(np.argmin(errors))]
+
+
+def usable(records: Sequence[Record], lags: Lags) -> None:
+    """Raises UserError where no record is long enough for the lags."""
+    if all(len(r) <= lags.memory for r in records):
+        raise UserError(
+            f"training records: the longest has {max(len(r) for r in records)} samples, the model "
+            f"needs {lags.memory} before the first it can predict; use fewer lags"
+        )
+
+
+def _errors(records: Sequence[Record], context: Context, lags: Sequence[Lags]) -> Array:
+    usable(records, max(lags, key=lambda item: item.memory))
+    shortest = 2 * past_length(context) + 4 * max(item.memory for item in lags)
+    return left_out_error(
+        records,
+        context,
+        lambda kept: [linear_run(kept, item, context, 1e-7, 10.0) for item in lags],
+        shortest,
+    )
+
+
+def _best(lags: Sequence[Lags], errors: Array, tolerance: float) -> Lags:
+    limit = errors.min() + 2 * np.log1p(tolerance)
+    return lags[int(np.argmax(errors <= limit))]

@@ -1,0 +1,1 @@
+"""Levenberg-Marquardt, and least squares."""

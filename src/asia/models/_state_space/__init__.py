@@ -1,0 +1,1 @@
+"""Neural state-space and block-oriented structures."""

@@ -1,0 +1,236 @@
+"""Problems from disk: built-in ones by name, a person's own by path, a run's from its lock."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+
+from asia._nearest import suggestion
+from asia.data._trajectory import Signal, Trajectory
+from asia.data.sources.kinds import CsvSource, DataSource, SealedSource
+from asia.data.sources.records import Channels, parse_source, read_records
+from asia.errors import UserError
+from asia.problem._guard import guard_source, without_guard
+from asia.problem._lock import check_digests
+from asia.problem._problem import Problem, TestSource
+from asia.problem._protocol import check_protocol, with_groups
+from asia.problem._schema import DataTable, LockFile, ProblemFile, ProblemTables
+from asia.problem._toml import read_table
+from asia.problem.physics.check import check_physics
+from asia.protocol._cuts import least_case
+from asia.protocol._rules import ProtocolRule
+
+_FILE = "problem.toml"
+_LEAST_BEYOND_PAST = 10
+
+
+@dataclass(frozen=True)
+class _Texts:
+    name: str
+    description: str
+    baseline: str | None
+    notes: str = ""
+    strategies: str = ""
+
+
+def builtin_problems() -> tuple[str, ...]:
+    """Names of the problems that come with ASIA."""
+    return tuple(sorted(p.parent.name for p in _builtin_root().glob(f"*/{_FILE}")))
+
+
+def load_problem(name_or_path: str | Path) -> Problem:
+    """A built-in problem by name, or a directory with problem.toml, or that file.
+
+    Reads the training records; the test records stay closed. Raises UserError with one clear
+    sentence for anything the person can mend.
+    """
+    path = _find(name_or_path)
+    file = read_table(path, ProblemFile)
+    texts = _Texts(
+        name=file.name or path.resolve().parent.name,
+        description=_description(path, file.description),
+        baseline=_optional_text(path.parent / "baseline.py"),
+        notes=_named_text(path, file.notes),
+        strategies=_named_text(path, file.strategies),
+    )
+    return _assemble(file, path.resolve().parent, texts)
+
+
+def load_lock(path: Path) -> Problem:
+    """The problem of a run, from its problem.lock.toml alone.
+
+    Raises UserError that names what no longer has the digest it had when the run began. The
+    digest of the test data goes into the handle `test` and is verified when they are opened.
+    """
+    file = read_table(path, LockFile)
+    texts = _Texts(file.name, file.description, file.baseline, file.notes, file.strategies)
+    problem = _assemble(file, path.resolve().parent, texts, file.digests.test, file.digests.guard)
+    check_digests(problem, file.digests, path)
+    return problem
+
+
+def _builtin_root() -> Path:
+    return Path(str(resources.files("asia"))) / "problems"
+
+
+def _find(name_or_path: str | Path) -> Path:
+    path = Path(name_or_path)
+    if (path / _FILE).is_file():
+        return path / _FILE
+    if path.is_file():
+        return path
+    builtin = _builtin_root() / str(name_or_path) / _FILE
+    if str(name_or_path) in builtin_problems():
+        return builtin
+    if path.is_dir():
+        raise UserError(f"{path} has no {_FILE}: make one with asia init")
+    known = builtin_problems()
+    raise UserError(
+        f"no problem '{name_or_path}': expected a directory with {_FILE} or a built-in name "
+        f"({', '.join(known)}){suggestion(str(name_or_path), known)}"
+    )
+
+
+def _optional_text(path: Path) -> str | None:
+    return _text(path) if path.is_file() else None
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from error
+
+
+def _description(path: Path, named: str | None) -> str:
+    if named is None:
+        return _optional_text(path.parent / "description.md") or ""
+    return _text(path.parent / named)
+
+
+def _named_text(path: Path, named: str | None) -> str:
+    return "" if named is None else _text(path.parent / named)
+
+
+def _assemble(
+    file: ProblemTables,
+    root: Path,
+    texts: _Texts,
+    test_sha256: str | None = None,
+    guard_sha256: str | None = None,
+) -> Problem:
+    channels = Channels(
+        tuple(s.signal() for s in file.inputs),
+        tuple(s.signal() for s in file.outputs),
+        file.sampling_time,
+    )
+    _check_names(channels)
+    physics = file.physics.physics() if file.physics else None
+    if physics is not None:
+        names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
+        check_physics(physics, *names)
+    check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
+    data, test = _data(file.data, root)
+    guard = guard_source(file.data.guard, data, root)
+    records = read_records(data, "train", channels)
+    if guard.names:
+        records = replace(records, trajectories=without_guard(records.trajectories, guard))
+    names = [t.name for t in records.trajectories]
+    rule = with_groups(file.protocol.rule(), file.data.groups, names)
+    require_length(records.trajectories, rule)
+    _require_motion(records.trajectories, channels.outputs)
+    return Problem(
+        name=texts.name,
+        description=texts.description,
+        sampling_time=channels.sampling_time,
+        inputs=channels.inputs,
+        outputs=channels.outputs,
+        train=records.trajectories,
+        data=data,
+        test=TestSource(test, test_sha256),
+        protocol=rule,
+        budget=file.budget.budget(),
+        physics=physics,
+        baseline=texts.baseline,
+        notes=texts.notes,
+        strategies=texts.strategies,
+        truth=records.truth,
+        warnings=records.warnings,
+        guard=replace(guard, sha256=guard_sha256),
+    )
+
+
+def _check_names(channels: Channels) -> None:
+    counts = Counter(s.name for s in (*channels.inputs, *channels.outputs))
+    for name, count in counts.items():
+        if count > 1:
+            raise UserError(f"signal '{name}' is named {count} times among inputs and outputs")
+
+
+def _data(table: DataTable, root: Path) -> tuple[DataSource, DataSource | SealedSource | None]:
+    sealed = table.sealed
+    if table.source is not None:
+        if table.train or table.test or sealed:
+            raise UserError("[data] has both source and file names: keep one of them")
+        source = parse_source(table.source, table.seed)
+        return source, source
+    if table.seed is not None:
+        raise UserError("data.seed belongs to a simulated source: leave it out")
+    if not table.train:
+        raise UserError('[data] names no training data: expected train = ["file.csv"] or source')
+    train = tuple((root / name).resolve() for name in table.train)
+    test = tuple((root / name).resolve() for name in table.test)
+    guard = (
+        ()
+        if isinstance(table.guard, int)
+        else tuple((root / name).resolve() for name in table.guard)
+    )
+    lists = {"train": train, "test": test, "guard": guard}
+    for path, count in Counter((*train, *test, *guard)).items():
+        if count > 1:
+            named = [name for name, paths in lists.items() if path in paths]
+            what = f"both {' and '.join(named)}" if len(named) > 1 else "one list twice"
+            raise UserError(f"[data] names {path} in {what}: name every record once")
+    if sealed is not None:
+        if test:
+            raise UserError("[data] has both test and sealed: keep one of them")
+        return CsvSource(train), SealedSource((root / sealed.file).resolve(), sealed.sha256)
+    return CsvSource(train), CsvSource(test) if test else None
+
+
+def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
+    """Raises UserError when a record is too short for the folds: each held-out block must be able
+    to hold a past window and some samples to train on."""
+    if rule.folds.kind == "leave_one_group_out":
+        least = rule.past + max(least_case(rule), _LEAST_BEYOND_PAST)
+        wanted = f"a past window of {rule.past}"
+        advice = "a shorter past window"
+    else:
+        count = rule.folds.count
+        least = rule.past + count * (rule.past + max(least_case(rule), _LEAST_BEYOND_PAST))
+        wanted = f"{count} folds with a past window of {rule.past}"
+        advice = "fewer folds, a shorter past window"
+    if rule.horizon is not None:
+        wanted += f" and a horizon of {rule.horizon}"
+        advice = f"{advice} or horizon"
+    for t in trajectories:
+        if len(t) < least:
+            raise UserError(
+                f"record '{t.name}' has {len(t)} samples, but {wanted} need at least {least}: "
+                f"use {advice} or a longer record"
+            )
+
+
+def _require_motion(trajectories: Sequence[Trajectory], outputs: Sequence[Signal]) -> None:
+    for index, signal in enumerate(outputs):
+        value = float(trajectories[0].y[0, index])
+        if all((t.y[:, index] == value).all() for t in trajectories):
+            raise UserError(
+                f"output '{signal.name}' is {value:g} in every training sample: there is nothing "
+                "to identify; name another column or bring records in which it moves"
+            )

@@ -1,0 +1,1 @@
+"""New problems from records, and the encryption of their test records."""

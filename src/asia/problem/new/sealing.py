@@ -1,0 +1,194 @@
+"""Moving test records into an encrypted store."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from asia.data._copies import shared_samples
+from asia.data._digest import data_digest
+from asia.data._store import (
+    SUFFIX,
+    Content,
+    SealedFile,
+    SealHead,
+    key_path,
+    new_key,
+    open_store,
+    sync_folder,
+    write_store,
+)
+from asia.data._trajectory import Trajectory
+from asia.data.sources.csv import read_csv, read_whole
+from asia.errors import UserError
+from asia.problem._toml import toml_value
+
+STORE = f"test{SUFFIX}"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """How records are read: names of columns, sampling time in seconds."""
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    sampling_time: float
+
+    def read(self, content: Content) -> Trajectory:
+        """Raises UserError."""
+        path = Path(content.name)
+        wanted = self.inputs, self.outputs, self.sampling_time
+        return read_csv(path, *wanted, content.data).trajectory
+
+
+@dataclass(frozen=True)
+class Sealing:
+    """What is to be sealed. originals: plain files to remove once it is, in the order of
+    `contents`; none where the rows came out of files that stay."""
+
+    columns: Columns
+    contents: tuple[Content, ...]
+    originals: tuple[Path, ...] = ()
+
+    @property
+    def records(self) -> tuple[Trajectory, ...]:
+        """What the files hold. Raises UserError."""
+        return tuple(self.columns.read(content) for content in self.contents)
+
+    def toml(self) -> str:
+        """The entry of [data]."""
+        entry = {"file": STORE, "sha256": data_digest(self.records)}
+        return (
+            "# The test records, encrypted; sha256 is the digest of their values. The key is kept\n"
+            "# elsewhere, and asia unseal opens them once, at the end.\n"
+            f"sealed = {toml_value(entry)}\n"
+        )
+
+    def write(self, folder: Path, train: Sequence[Trajectory], keys: Path) -> Path:
+        """Make a key and, in `folder`, the store; on return both are on the disk. The key's path;
+        none is left behind by a failure. Raises UserError, OSError."""
+        records, columns = self.records, self.columns
+        name = new_key(keys)
+        head = SealHead(
+            key=name,
+            sha256=data_digest(records),
+            inputs=columns.inputs,
+            outputs=columns.outputs,
+            sampling_time=float(columns.sampling_time),
+            files=tuple(
+                SealedFile(content.name, len(content.data), len(record))
+                for content, record in zip(self.contents, records, strict=True)
+            ),
+            shared_samples=shared_samples(records, train),
+        )
+        key = key_path(keys, name)
+        try:
+            write_store(folder / STORE, head, self.contents, keys)
+            sync_folder(folder)
+        except BaseException:
+            key.unlink(missing_ok=True)
+            raise
+        return key
+
+
+@dataclass(frozen=True)
+class Removal:
+    """Plain files that are gone, and what is to be said of those and of others, in words."""
+
+    removed: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def seal_files(paths: Sequence[Path], train: Sequence[Path], columns: Columns) -> Sealing:
+    """The files as what is to be sealed. Raises UserError for one that cannot be moved or does not
+    read."""
+    used = {path.resolve() for path in train}
+    for path in paths:
+        if path.is_symlink():
+            raise UserError(
+                f"{path} is a link, and sealing would leave the file behind it: give "
+                f"{path.resolve()} itself"
+            )
+        if path.resolve() in used:
+            raise UserError(f"{path} is named in both train and test: name every record once")
+    counts = Counter(path.resolve() for path in paths)
+    for path, count in counts.items():
+        if count > 1:
+            raise UserError(f"--test names {path} {count} times: name every record once")
+    names = Counter(path.name for path in paths)
+    contents = tuple(
+        Content(
+            path.name if names[path.name] == 1 else f"{path.resolve().parent.name}_{path.name}",
+            read_whole(path),
+        )
+        for path in paths
+    )
+    return Sealing(columns, contents, tuple(path.resolve() for path in paths))
+
+
+def check_key_folder(keys: Path, directory: Path) -> None:
+    """Raises UserError when the key would lie beside what it opens."""
+    real = keys.resolve()
+    if real == directory or directory in real.parents:
+        raise UserError(
+            f"the keys in {keys} would lie in the problem's directory, and open what they lie "
+            "beside: name another folder with --keys or ASIA_KEYS"
+        )
+
+
+def remove_plain(sealing: Sealing, store: Path, keys: Path) -> Removal:
+    """Remove the plain files, once the store was read back and holds the same bytes. Raises
+    UserError, with all files still there, when it does not."""
+    if open_store(store, keys) != sealing.contents:
+        raise UserError(f"{store} does not hold what was sealed: the plain files were left alone")
+    removed: list[Path] = []
+    notes: list[str] = []
+    for path, content in zip(sealing.originals, sealing.contents, strict=False):
+        why = _why_kept(path, content)
+        if why is None:
+            notes += _left_behind(path)
+            try:
+                path.unlink()
+                sync_folder(path.parent)
+            except OSError as error:
+                why = f"could not be removed ({error.strerror}): remove it yourself"
+        if why is None:
+            removed.append(path)
+        else:
+            notes.append(f"the plain file {path} {why}")
+    return Removal(tuple(removed), tuple(notes))
+
+
+def _why_kept(path: Path, content: Content) -> str | None:
+    for folder in _downloads():
+        if folder in path.parents:
+            return (
+                "belongs to a download and stays, for others read it from there: the store hides "
+                "nothing that is not public"
+            )
+    if read_whole(path) != content.data:
+        return "changed while it was sealed and stays: compare it with your original"
+    return None
+
+
+def _left_behind(path: Path) -> list[str]:
+    """Where else the rows of a file that goes may still be."""
+    notes: list[str] = []
+    if path.stat().st_nlink > 1:
+        notes.append(f"{path} has other names on this disk (hard links), which still hold it")
+    if any((folder / ".git").exists() for folder in path.parents):
+        notes.append(f"{path} lies in a git repository, whose history may still hold it")
+    return notes
+
+
+def _downloads() -> list[Path]:
+    """Folders of public data sets."""
+    own = os.environ.get("ASIA_DATA_DIR")
+    home = Path.home()
+    return [
+        *([Path(own).resolve()] if own else []),
+        *((home / name).resolve() for name in (".nonlinear_benchmarks", ".asia")),
+    ]

@@ -1,0 +1,1 @@
+"""A person's equations: what they may hold, and their checks."""

@@ -1,0 +1,84 @@
+"""Where folds and windows cut records, in 0-based samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from asia.protocol._rules import ProtocolRule
+
+
+@dataclass(frozen=True)
+class Part:
+    """Samples of a record, by its number."""
+
+    record: int
+    samples: range
+
+
+@dataclass(frozen=True)
+class Split:
+    """One fold: what is held out (the past windows before it are not part of it), and what
+    trains."""
+
+    held_out: tuple[Part, ...]
+    train: tuple[Part, ...]
+
+
+def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> list[Split]:
+    """The folds of records of these names and lengths; empty parts where a record is too short."""
+    records = range(len(names))
+    if rule.folds.kind == "leave_one_group_out":
+        return [
+            Split(
+                tuple(
+                    Part(i, range(rule.past, lengths[i]))
+                    for i in records
+                    if names[i] in group.records
+                ),
+                tuple(Part(i, range(lengths[i])) for i in records if names[i] not in group.records),
+            )
+            for group in rule.folds.groups
+        ]
+    cuts = [blocks(length, rule) for length in lengths]
+    return [
+        Split(
+            tuple(Part(i, cuts[i][k]) for i in records),
+            tuple(Part(i, rest) for i in records for rest in rests(lengths[i], cuts[i][k], rule)),
+        )
+        for k in range(rule.folds.count)
+    ]
+
+
+def blocks(length: int, rule: ProtocolRule) -> list[range]:
+    """The held-out block of each contiguous fold: what lies after the first past window in
+    `folds.count` parts, the first ones a sample longer when it does not divide; empty ones when
+    too short."""
+    size, longer = divmod(max(length - rule.past, 0), rule.folds.count)
+    edges = [rule.past + k * size + min(k, longer) for k in range(rule.folds.count + 1)]
+    return [range(start, stop) for start, stop in pairwise(edges)]
+
+
+def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
+    """What trains while `block` is held out: the samples before and after it, as far as they hold
+    a past window of their own and one case more."""
+    parts = range(rule.past, block.start), range(block.stop, length)
+    return [part for part in parts if len(part) >= rule.past + least_case(rule)]
+
+
+def least_case(rule: ProtocolRule) -> int:
+    """Samples of the shortest case."""
+    return rule.horizon if rule.horizon is not None else 1
+
+
+def windows(samples: range, rule: ProtocolRule) -> list[range]:
+    """The cases that cover `samples`: all of them at once, or windows of `horizon`, one after the
+    other, the last of which ends with them and may overlap its neighbour; none when too short."""
+    if rule.horizon is None:
+        return [samples] if samples else []
+    if len(samples) < rule.horizon:
+        return []
+    last = samples.stop - rule.horizon
+    starts = [*range(samples.start, last, rule.horizon), last]
+    return [range(start, start + rule.horizon) for start in starts]

@@ -1,0 +1,136 @@
+"""Reading held-out data out of scores, or out of verdicts: an agent that submits a baseline plus
+one cosine at a time and solves for what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from asia.data import Array
+from asia.problem._schema import LADDER_STEP
+from asia.redteam._prober import HALVINGS, Desk, Spoil, forgetful, one_start, turn
+from asia.redteam._types import Play, SearchAttack, Stop
+from asia.redteam.attacks.searches import Scene
+from asia.scoring import Failure, Score, combine, score_fold
+
+QUERIES = 200
+_SAMPLES, _ERROR, _SIZE = 2000, 0.3, 0.3
+_GAIN = 0.9
+_WORSE, _STEP = 0.25, 0.01
+
+Ask = Callable[[Array], float]
+Doubt = Callable[[Array], bool]
+
+
+def hidden_error() -> Array:
+    """What the baseline leaves of an output of unit standard deviation: coloured, of 0.3."""
+    rng = np.random.default_rng(9)
+    error = np.zeros(_SAMPLES)
+    for k in range(1, _SAMPLES):
+        error[k] = 0.9 * error[k - 1] + rng.normal()
+    return _ERROR * error / np.sqrt(np.mean(error**2))
+
+
+def probe(ask: Ask) -> Array:
+    """The correction (T,) that scores give away. ask: told V of the baseline plus a correction.
+
+    First the coefficient of each cosine from the difference it makes (for exact scores the answer
+    to a linear system), then whatever is told to be better is kept.
+    """
+    waves = [_wave(k) for k in range((QUERIES - 5) // 2)]
+    base = ask(np.zeros(_SAMPLES)) ** 2
+    solved, greedy = np.zeros(_SAMPLES), np.zeros(_SAMPLES)
+    for wave in waves:
+        gap = ask(_SIZE * wave) ** 2 - base
+        if gap != 0:
+            solved += wave * (_SIZE**2 - gap) / (2 * _SIZE)
+    least = ask(solved)
+    for wave in waves:
+        told = ask(greedy + 0.1 * wave)
+        if told < least:
+            greedy, least = greedy + 0.1 * wave, told
+    return min((solved, greedy, np.zeros(_SAMPLES)), key=ask)
+
+
+def bisect(ask: Ask, doubt: Doubt) -> Array:
+    """The correction (T,) that verdicts give away. doubt: whether a candidate with that correction,
+    breaking a relation on purpose, is told so.
+
+    A baseline made worse is the one to beat. What is added to a better one is bisected to where the
+    verdict turns; beside it each cosine turns the verdict by its sign.
+    """
+    worse = _wave(_SAMPLES // 2)
+    ask(_WORSE * worse)
+    edge = turn(lambda share: doubt(share * worse), _WORSE) * worse
+    found = np.zeros(_SAMPLES)
+    for k in range(QUERIES - HALVINGS - 1):
+        found += _STEP * _wave(k) * (1 if doubt(edge + _STEP * _wave(k)) else -1)
+    return min((found, np.zeros(_SAMPLES)), key=exact)
+
+
+def exact(correction: Array) -> float:
+    """V in full."""
+    return _score(correction).value
+
+
+def _score(correction: Array) -> Score:
+    """Of the baseline plus a correction, as the search scores where the Ladder is on."""
+    y, y_hat = hidden_error()[:, None], correction[:, None]
+    return combine([score_fold([y], [y_hat], np.ones(1), "rmse", in_parts=True)])
+
+
+class Ladder:
+    """A search with the Ladder. spoil: how candidates break a relation in `doubt`."""
+
+    def __init__(self, spoil: Spoil | None = None) -> None:
+        self._desk = Desk(LADDER_STEP)
+        self._spoil = spoil
+
+    def ask(self, correction: Array) -> float:
+        """V as it is told."""
+        told = self._desk.submit(_score(correction)).outcome
+        assert isinstance(told, Score)
+        return told.value
+
+    def doubt(self, correction: Array) -> bool:
+        """Whether the candidate, breaking a relation, is told so."""
+        return isinstance(self._desk.submit(_score(correction), self._spoil).outcome, Failure)
+
+
+def _wave(k: int) -> Array:
+    times = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    return np.sqrt(2.0) * np.cos(np.pi * (k + 1) * times)
+
+
+def _with_ladder(scene: Scene) -> Play:
+    del scene
+    found = [probe(Ladder().ask)]
+    for spoil in (forgetful, one_start(_ERROR + 0.05)):
+        ladder = Ladder(spoil)
+        found.append(bisect(ladder.ask, ladder.doubt))
+    value = min(map(exact, found))
+    return Play(value < _GAIN * _ERROR, (Stop.FEEDBACK,), _words(value), flagged=False)
+
+
+def _with_exact(folder: Path) -> bool:
+    del folder
+    return exact(probe(exact)) < _GAIN * _ERROR
+
+
+def _words(value: float) -> str:
+    return f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries told on a ladder of {LADDER_STEP:g}"
+
+
+PROBING = (
+    SearchAttack(
+        29,
+        "read the data out of scores",
+        "submits a baseline plus one cosine at a time and solves for the held-out error, by scores "
+        'and by verdicts on models spoilt on purpose (with feedback = "ladder")',
+        _with_ladder,
+        _with_exact,
+        (Stop.FEEDBACK,),
+    ),
+)

@@ -1,0 +1,264 @@
+"""Attacks of agents on the search: its ledger, its luck, its figures. Played against the real code
+in a scratch folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asia.agents import AgentView, Proposal
+from asia.data import Trajectory
+from asia.errors import UserError
+from asia.ledger import SearchView, verify
+from asia.problem.load import load_problem
+from asia.protocol import make_folds
+from asia.redteam._problem import small_problem
+from asia.redteam._types import Play, SearchAttack, Stop
+from asia.sandbox import Isolation
+from asia.search import prepare, search
+
+LUCKY = """
+import os
+import numpy as np
+
+
+class Model:
+    def __init__(self, gain):
+        self.gain = gain
+
+    def simulate(self, past_u, past_y, u):
+        return self.gain * u[..., :1]
+
+
+def fit(trajectories, context):
+    return Model(int.from_bytes(os.urandom(4), "big") / 2**32)
+"""
+_RERUNS = (
+    LUCKY,
+    "# once more, with luck\n" + LUCKY,
+    LUCKY.replace("def fit", "\n\n\ndef fit").replace("(self, gain)", "( self,gain )"),
+    LUCKY.replace("    return Model", '    """Twice is better."""\n    return Model'),
+)
+Record = dict[str, Any]
+Edit = Callable[[list[Record]], list[Record]]
+
+
+@dataclass(frozen=True)
+class Lucky:
+    """Proposes one candidate that draws its fit at random, over and over."""
+
+    name: str = "redteam"
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        """The same again, in other clothes."""
+        number = len(view.trials) - 1
+        if number >= len(_RERUNS):
+            return None
+        return Proposal(_RERUNS[number], "luck", f"rerun {number}", "luck", "a better draw")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A real search of a cheating agent in a scratch folder, run once and attacked often."""
+
+    folder: Path
+    level: Isolation
+
+    @cached_property
+    def view(self) -> SearchView:
+        """The finished search."""
+        problem = load_problem(_write_problem(self.folder / "problem"))
+        problem = replace(problem, baseline=LUCKY)
+        ready = prepare(
+            problem, Lucky().name, seed=0, runs=self.folder, name="run", isolation=self.level
+        )
+        return search(ready, Lucky(), lambda event, view: None, lambda view: None)
+
+    def edited(self, edit: Callable[[Path], None]) -> Path:
+        """A copy of the run after an edit."""
+        assert self.view.complete
+        copy = self.folder / "copy"
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(self.folder / "run", copy)
+        edit(copy)
+        return copy
+
+
+def _write_problem(folder: Path) -> Path:
+    record = small_problem("simulation").record
+    folder.mkdir()
+    table = np.concatenate([record.u[:, :1], record.y], axis=1)
+    np.savetxt(folder / "train.csv", table, delimiter=",", header="u,y", comments="")
+    (folder / "problem.toml").write_text(
+        'name = "redteam"\nsampling_time = 1.0\ninputs = ["u"]\noutputs = ["y"]\n'
+        '[data]\ntrain = ["train.csv"]\n[protocol]\npast_inputs = 4\npast_outputs = 4\n'
+        f"[budget]\nexperiments = {len(_RERUNS) + 1}\nfit_seconds = 60\n"
+    )
+    return folder
+
+
+def _best_score(records: list[Record]) -> list[Record]:
+    """The last scored experiment gets V = 0."""
+    last = next(r for r in reversed(records) if r["event"] == "evaluated")
+    last["outcome"]["value"] = 0.0
+    return records
+
+
+def _own_digest(records: list[Record]) -> list[Record]:
+    for record in _best_score(records):
+        _sign(record, record["prev"])
+    return records
+
+
+def _all_digests(records: list[Record]) -> list[Record]:
+    prev = "0" * 64
+    for record in _best_score(records):
+        prev = _sign(record, prev)
+    return records
+
+
+def _forged(records: list[Record]) -> list[Record]:
+    last = next(r for r in reversed(records) if r["event"] == "evaluated")
+    forged = json.loads(json.dumps(last)) | {"seq": len(records), "prev": records[-1]["self"]}
+    return [*records, forged]
+
+
+def _sign(record: Record, prev: str) -> str:
+    record["prev"] = prev
+    body = {name: value for name, value in record.items() if name != "self"}
+    record["self"] = hashlib.sha256(_line(body)).hexdigest()
+    return hashlib.sha256(_line(record)).hexdigest()
+
+
+def _line(record: Record) -> bytes:
+    return json.dumps(record, ensure_ascii=False, separators=(",", ":")).encode()
+
+
+def _rewrite(edit: Edit) -> Callable[[Path], None]:
+    def apply(run: Path) -> None:
+        path = run / "ledger.jsonl"
+        records: list[Record] = [json.loads(line) for line in path.read_bytes().splitlines()]
+        path.write_bytes(b"".join(_line(record) + b"\n" for record in edit(records)))
+
+    return apply
+
+
+def _artifact(run: Path) -> None:
+    path = min((run / "artifacts").glob("[0-9a-f]" * 64))
+    path.write_bytes(path.read_bytes() + b" ")
+
+
+def _lock(run: Path) -> None:
+    path = run / "problem.lock.toml"
+    path.write_text(path.read_text().replace("past_outputs = 4", "past_outputs = 3"))
+
+
+_EDITS: dict[str, Callable[[Path], None]] = {
+    "a better V": _rewrite(_best_score),
+    "a better V with its own digest": _rewrite(_own_digest),
+    "a better V with all digests": _rewrite(_all_digests),
+    "a record less": _rewrite(lambda records: [*records[:-3], *records[-2:]]),
+    "two records exchanged": _rewrite(lambda r: [*r[:-3], r[-2], r[-3], r[-1]]),
+    "a record more": _rewrite(_forged),
+    "the end cut off": _rewrite(lambda records: records[:-2]),
+    "another model": _artifact,
+    "another protocol": _lock,
+}
+
+
+def _edit_the_ledger(scene: Scene) -> Play:
+    assert scene.view.complete
+    head = verify(scene.folder / "run").head
+    by_chain, by_head, missed = 0, 0, list[str]()
+    for name, edit in _EDITS.items():
+        try:
+            found = verify(scene.edited(edit)).head
+        except UserError:
+            by_chain += 1
+        else:
+            by_head += found != head
+            missed += [name] if found == head else []
+    words = f"{by_chain} of {len(_EDITS)} edits break the chain, {by_head} change its printed head"
+    return Play(bool(missed), (Stop.LEDGER,), ", ".join(missed) or words)
+
+
+def _edit_plain_results(folder: Path) -> bool:
+    path = folder / "results.jsonl"
+    path.write_text('{"candidate": 1, "v": 0.36}\n{"candidate": 2, "v": 0.9}\n')
+    path.write_text(path.read_text().replace("0.9", "0.0"))
+    best = min((json.loads(line) for line in path.read_text().splitlines()), key=lambda r: r["v"])
+    return best["candidate"] == 2
+
+
+def _rerun(scene: Scene) -> Play:
+    first, *again = scene.view.finished
+    values = {e.score.value for e in (first, *again) if e.score is not None}
+    same = all(e.result is not None and e.result.duplicate_of == 1 for e in again)
+    words = f"{len(again)} reruns answered from the ledger, {len(values)} value of V"
+    return Play(not same or len(values) != 1, (Stop.LEDGER,), words)
+
+
+def _rerun_with_luck(folder: Path) -> bool:
+    del folder
+    errors = np.abs(np.random.default_rng(0).random(50) - 0.5)
+    return bool(errors.min() < errors[0])
+
+
+def _constant_output() -> Trajectory:
+    record = small_problem("simulation").record
+    y = np.concatenate([record.y, np.ones_like(record.y)], axis=1)
+    return Trajectory(record.u, y, 1.0, "record")
+
+
+def _divide_by_nothing(scene: Scene) -> Play:
+    del scene
+    try:
+        make_folds([_constant_output()], small_problem("simulation").rule)
+    except UserError as error:
+        return Play(False, (Stop.PROBLEM,), str(error).partition(":")[0], flagged=False)
+    return Play(True, (), "an output that does not move was taken")
+
+
+def _divide_plainly(folder: Path) -> bool:
+    del folder
+    y = _constant_output().y
+    with np.errstate(all="ignore"):
+        errors = np.sqrt(np.mean((y - y[:1]) ** 2, axis=0)) / y.std(axis=0)
+    return float(np.nan_to_num(errors)[1]) == 0.0
+
+
+SEARCHES = (
+    SearchAttack(
+        31,
+        "edit the ledger",
+        "changes, adds, exchanges and removes records, with and without new digests, swaps a model "
+        "and the protocol",
+        _edit_the_ledger,
+        _edit_plain_results,
+        (Stop.LEDGER,),
+    ),
+    SearchAttack(
+        32,
+        "submit again and hope",
+        "submits a candidate that draws its luck again and again, in other clothes",
+        _rerun,
+        _rerun_with_luck,
+        (Stop.LEDGER,),
+    ),
+    SearchAttack(
+        34,
+        "divide by nothing",
+        "brings an output that does not move, by whose spread the error is divided",
+        _divide_by_nothing,
+        _divide_plainly,
+        (Stop.PROBLEM,),
+    ),
+)

@@ -1,0 +1,1 @@
+"""What an attack leaves, and what that amounts to."""

@@ -1,0 +1,1 @@
+"""Attacks with isolation off, in an outer sandbox."""

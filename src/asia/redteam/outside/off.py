@@ -1,0 +1,156 @@
+"""Attacks with isolation off, inside an outer sandbox: do they really work?"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import NoReturn
+
+from asia.redteam._problem import Kind, small_problem
+from asia.redteam._types import CandidateAttack, Finding, Mistake, Seen, Verdict
+from asia.redteam.attacks.source import HONEST, fill_in
+from asia.redteam.evidence.success import better, scored
+from asia.redteam.evidence.targets import Targets, targets
+from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
+from asia.redteam.outside.gullible import judge, load_leftovers
+from asia.sandbox import Layer
+
+OFF, CONTROL = "off", "control"
+_LONGEST_SECONDS = 15.0
+_PATIENCE_SECONDS = 2.0
+_SAID = re.compile(r"METRIC nrmse=(\S+)")
+_NO_LAYERS: tuple[Layer, ...] = ()
+
+
+def attack_without_isolation(attack: CandidateAttack) -> Finding:
+    """Whether one variant at least succeeds. Runs the attack's code for real: to be called inside
+    an outer sandbox only."""
+    # Here an honest candidate has a score too: to have one is no success.
+    won = better if attack.won is scored else attack.won
+    found: list[Finding] = []
+    for name, source in attack.sources.items():
+        with targets(attack.memory_mb) as given:
+            seen = _see(source, attack.kind, attack.mistake, given, attack.limit)
+            finding = conclude(attack, name, seen, _NO_LAYERS, won)
+            if finding.through and not won(seen):  # to leave something is not what it tries
+                finding = replace(finding, verdict=Verdict.NO_GAIN)
+            found.append(finding)
+        if found[-1].through:
+            break
+    return worst_of(found, attack.number, OFF)
+
+
+def broken(attack: CandidateAttack) -> CandidateAttack:
+    """The same with a `fit` that only raises, as a control: it must not succeed."""
+    head = "def fit(trajectories, context):\n"
+    raising = head + '    raise RuntimeError("a control")\n'
+    return replace(attack, sources={n: s.replace(head, raising) for n, s in attack.sources.items()})
+
+
+@cache
+def _honest(kind: Kind) -> float:
+    with targets(0) as given:
+        value = _see(HONEST, kind, None, given, _LONGEST_SECONDS, honest=0.0).value
+    assert value is not None
+    return value
+
+
+def _see(
+    source: str,
+    kind: Kind,
+    mistake: Mistake | None,
+    given: Targets,
+    limit: float,
+    honest: float | None = None,
+) -> Seen:
+    honest, problem = _honest(kind) if honest is None else honest, small_problem(kind)
+    source = fill_in(source, given.told, problem)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        Path(folder, "candidate.py").write_text(source)
+        begin = time.monotonic()
+        patience = min(limit + _PATIENCE_SECONDS, _LONGEST_SECONDS)
+        ended = _run(partial(judge, source, problem, mistake), folder, patience)
+        seconds = time.monotonic() - begin
+        _run(load_leftovers, folder, _LONGEST_SECONDS)
+    survivors = given.traces.survivors()
+    return Seen(
+        value=_value(ended, mistake),
+        honest=honest,
+        detail=ended.errors,
+        output=ended.output,
+        steps=said_steps(ended.output),
+        seconds=seconds,
+        limit=limit,
+        overran=ended.code is None,
+        ran=given.ran,
+        ledger=given.ledger_changed,
+        leaked=given.secret in ended.output,
+        hurt=given.neighbour.hurt,
+        survivors=survivors,
+        strays=given.traces.strays(),
+    )
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """How a process ended: its exit code, None if it had to be killed; what it printed, and where
+    it complained."""
+
+    code: int | None
+    output: str
+    errors: str
+
+
+def _run(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
+    """In a process of its own, forked, as to start Python anew takes most of the time."""
+    child = os.fork()
+    if child == 0:
+        _child(job, folder)
+    end, late = time.monotonic() + seconds, False
+    while (done := os.waitpid(child, os.WNOHANG))[0] == 0:
+        time.sleep(0.002)
+        if time.monotonic() > end and not late:
+            late = True
+            os.kill(child, signal.SIGKILL)
+    code = None if late else os.waitstatus_to_exitcode(done[1])
+    texts = (Path(folder, name).read_text(errors="replace") for name in (".out", ".err"))
+    return _Ended(code, *texts)
+
+
+def _child(job: Callable[[], None], folder: str) -> NoReturn:
+    status = 1
+    try:
+        os.chdir(folder)
+        for number, name in ((1, ".out"), (2, ".err")):
+            os.dup2(os.open(name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
+        job()
+        status = 0
+    except SystemExit:
+        status = 0
+    except BaseException:  # noqa: BLE001 - whatever a candidate raises ends here
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def _value(ended: _Ended, mistake: Mistake | None) -> float | None:
+    """The first score that was printed, if the evaluation came to its end; None without one."""
+    said = _SAID.search(ended.output)
+    if ended.code != 0:
+        return None
+    if said is None:
+        return 0.0 if mistake is Mistake.STARTS_AT_ZERO else None
+    try:
+        return float(said[1])
+    except ValueError:
+        return None

@@ -1,0 +1,72 @@
+"""What a picture of several searches shows. No matplotlib here: a comparison builds these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from asia.data import Array
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One search: V of each experiment in order, None where it has no score."""
+
+    values: tuple[float | None, ...]
+
+    def best_so_far(self, length: int) -> Array:
+        """(length,); NaN before the first score, the last value again after the end."""
+        values = [np.nan if v is None else v for v in self.values]
+        padded = np.array(values + [np.nan] * (length - len(values)))
+        return np.fmin.accumulate(padded)
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of the comparison, a curve a seed."""
+
+    label: str
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True)
+class Level:
+    """A V to compare with."""
+
+    label: str
+    value: float
+
+
+@dataclass(frozen=True)
+class SidesPicture:
+    """Searches against each other; `name` of the file, `metric` `rmse` or `mae`."""
+
+    name: str
+    title: str
+    sides: tuple[Side, ...]
+    levels: tuple[Level, ...]
+    metric: str
+
+
+@dataclass(frozen=True)
+class PublishedMee:
+    """Published Mean Euclidean Errors of one model: (output group, samples, error)."""
+
+    model: str
+    errors: tuple[tuple[str, int, float], ...]
+
+
+@dataclass(frozen=True)
+class BenchPictures:
+    """All pictures of a comparison. progress: name of the file and run directory; opened: the run
+    whose sealed test was opened; test_mark: a published test error to mark beside ours; caption:
+    what to know of the protocol of the published Mean Euclidean Errors."""
+
+    progress: tuple[tuple[str, Path], ...]
+    sides: tuple[SidesPicture, ...]
+    opened: Path | None = None
+    test_mark: tuple[str, float] | None = None
+    mee: tuple[PublishedMee, ...] = ()
+    caption: str = ""

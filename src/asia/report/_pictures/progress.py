@@ -1,0 +1,323 @@
+"""V against experiment number: the picture of a search."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.transforms import blended_transform_factory
+from scipy.optimize import isotonic_regression
+
+from asia.data import Array
+from asia.ledger import Control, Experiment, SearchView
+from asia.report._pictures.style import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    QUIET,
+    RED,
+    WIDTH,
+    number,
+    plain,
+    quiet_grid,
+)
+from asia.report._pictures.tags import Surroundings, Tag, place
+from asia.scoring import Score
+
+_HEIGHT = 4.3
+_LOG_FROM = 6.0
+_OFF_SCALE = 4.0
+_MOST_TAGS = 12
+_TAG_FONT = 7.5
+_DASHES = ((5.0, 2.5), (1.2, 1.8), (7.0, 2.0, 1.2, 2.0), (2.5, 1.5))
+_RUNG_NAMES = {"simulated truth": "noise floor (truth)"}
+
+
+@dataclass(frozen=True)
+class _Point:
+    number: int
+    value: float
+    title: str
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What is drawn: kept, discarded and off-scale experiments, those on the guard records, numbers
+    of the failed ones, rungs as (name, V), and the number of experiments."""
+
+    kept: tuple[_Point, ...]
+    discarded: tuple[_Point, ...]
+    beyond: tuple[_Point, ...]
+    guard: tuple[_Point, ...]
+    failed: tuple[int, ...]
+    rungs: tuple[tuple[str, float], ...]
+    count: int
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        points = (*self.kept, *self.discarded, *self.guard)
+        return (*(p.value for p in points), *(v for _, v in self.rungs))
+
+    @property
+    def log(self) -> bool:
+        return bool(self.values) and max(self.values) > _LOG_FROM * min(self.values) > 0
+
+
+def draw_progress(view: SearchView, metric: str, beside: Control | None = None) -> Figure:
+    """A point each experiment, the incumbent as a step line, failures as crosses on the upper
+    edge, the last look at the guard as diamonds, tags at improvements, the rungs and the control
+    arm `beside` as thin lines. metric: `rmse` or `mae`."""
+    search = _gather(view, beside)
+    figure = Figure(figsize=(WIDTH, _HEIGHT), layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    _scale(axes, search, metric)
+    axes.set_title(_title(view), fontweight="bold", fontsize=9.5, pad=11.0)
+    _mark(axes, search)
+    labels = [_rung(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
+    if axes.get_legend_handles_labels()[1]:
+        figure.legend(loc="outside lower center", ncols=4, handletextpad=0.5, columnspacing=2.2)
+    canvas.draw()
+    figure.set_layout_engine("none")
+    _spread(labels, figure.dpi)
+    if search.kept:
+        _tag(axes, canvas, search)
+    return figure
+
+
+def _gather(view: SearchView, beside: Control | None) -> _Search:
+    rungs = tuple(
+        (_RUNG_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
+        for r in view.rungs
+        if isinstance(r.outcome, Score)
+    )
+    if beside is not None and beside.value is not None:
+        rungs = (*rungs, ("expert, same budget", beside.value))
+    scored = [(e, e.score.value) for e in view.finished if e.score]
+    kept = tuple(_point(e, v) for e, v in scored if _is_kept(e))
+    others = [_point(e, v) for e, v in scored if not _is_kept(e)]
+    guard = _guarded(view)
+    usual = [v for _, v in rungs] + [p.value for p in kept]
+    ceiling = _OFF_SCALE * max(usual, default=float("inf"))
+    return _Search(
+        kept,
+        tuple(p for p in others if p.value <= ceiling),
+        tuple(p for p in (*others, *guard) if p.value > ceiling),
+        tuple(p for p in guard if p.value <= ceiling),
+        tuple(e.number for e in view.finished if e.failure),
+        rungs,
+        max((e.number for e in view.finished), default=0),
+    )
+
+
+def _guarded(view: SearchView) -> list[_Point]:
+    scores = view.looks[-1].scores if view.looks else ()
+    return [
+        _Point(s.experiment, s.outcome.value, "guard")
+        for s in scores
+        if isinstance(s.outcome, Score)
+    ]
+
+
+def _is_kept(e: Experiment) -> bool:
+    return e.result is not None and e.result.status == "keep"
+
+
+def _point(e: Experiment, value: float) -> _Point:
+    return _Point(e.number, value, e.proposed.title)
+
+
+def _title(view: SearchView) -> str:
+    start, best = view.started, view.best
+    head = f"{plain(start.problem, 28)}, agent {plain(start.agent, 14)}, seed {start.seed}"
+    if best is None or best.score is None:
+        return f"{head}: no model yet"
+    total = len(view.finished)
+    link = ": " if start.early_stopping == "inner" else "\n"
+    value = f"{view.v_name} = {number(best.score.value)}"
+    return f"{head}{link}best {value} (experiment {best.number} of {total})"
+
+
+def _scale(axes: Axes, search: _Search, metric: str) -> None:
+    axes.set_xlabel("Experiment")
+    axes.set_ylabel(f"Cross-validated {metric.upper()} / output std, V [-]")
+    axes.set_xlim(0.4, max(search.count, 1) + 0.6)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=16, min_n_ticks=1))
+    low, high = min(search.values, default=0.0), max(search.values, default=1.0)
+    if search.log:
+        log_values(axes, low, high)
+    else:
+        axes.set_ylim(0.0, high * 1.12 if high > 0 else 1.0)
+    quiet_grid(axes)
+
+
+def log_values(axes: Axes, low: float, high: float) -> None:
+    """A log scale of V from below `low` to above `high`, with plain numbers."""
+    axes.set_yscale("log")
+    axes.set_ylim(low / 1.6, high * 1.35)
+    steps = (1.0, 2.0, 5.0) if high / low < 300.0 else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=steps))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _mark(axes: Axes, search: _Search) -> None:
+    edge = blended_transform_factory(axes.transData, axes.transAxes)
+    if search.kept:
+        x, y = [p.number for p in search.kept], [p.value for p in search.kept]
+        ends = [*x, search.count], [*y, y[-1]]
+        axes.step(
+            *ends,
+            where="post",
+            color=BLUE,
+            lw=1.6,
+            marker="o",
+            ms=6.0,
+            zorder=5,
+            markevery=list(range(len(x))),
+            label="best so far",
+        )
+    if search.discarded:
+        x, y = [p.number for p in search.discarded], [p.value for p in search.discarded]
+        axes.plot(x, y, "o", mfc="white", mec=QUIET, ms=5.0, zorder=4, label="discarded")
+    if search.guard:
+        x, y = [p.number for p in search.guard], [p.value for p in search.guard]
+        axes.plot(
+            x, y, "D", mfc="white", mec=GREEN, mew=1.4, ms=5.0, zorder=6, label="guard records"
+        )
+    for numbers, marker, colour, label in (
+        ([p.number for p in search.beyond], "^", QUIET, "off scale"),
+        (search.failed, "x", RED, "failed, no score"),
+    ):
+        if numbers:
+            axes.plot(
+                numbers,
+                [1.0] * len(numbers),
+                marker=marker,
+                mfc="white",
+                mec=colour,
+                mew=1.6,
+                ms=6.0,
+                ls="",
+                transform=edge,
+                clip_on=False,
+                zorder=6,
+                label=label,
+            )
+
+
+def _rung(axes: Axes, index: int, name: str, value: float) -> Text:
+    dashes = _DASHES[index % len(_DASHES)]
+    axes.axhline(value, color=QUIET, lw=0.8, dashes=dashes, zorder=2)
+    return axes.annotate(
+        f"{name} {number(value)}",
+        xy=(1.0, value),
+        xycoords=("axes fraction", "data"),
+        xytext=(9.0, 0.0),
+        textcoords="offset points",
+        va="center",
+        fontsize=_TAG_FONT,
+        color=INK,
+        arrowprops={"arrowstyle": "-", "color": FAINT, "lw": 0.6, "shrinkA": 1, "shrinkB": 0},
+        annotation_clip=False,
+    )
+
+
+def _spread(labels: Sequence[Text], dpi: float) -> None:
+    """Move labels up and down until no two overlap, as little as possible (least squares)."""
+    if len(labels) < 2:
+        return
+    boxes = [label.get_window_extent() for label in labels]
+    middle = np.array([(b.y0 + b.y1) / 2 for b in boxes])
+    order = np.argsort(middle, kind="stable")
+    steps = np.arange(len(labels)) * max(b.height for b in boxes) * 1.15
+    moved = isotonic_regression(middle[order] - steps).x + steps
+    points = 72.0 / dpi
+    for index, y in zip(order, moved, strict=True):
+        labels[index].set_position((9.0, float(y - middle[index]) * points))
+
+
+def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Search) -> None:
+    chosen = _most_telling(search.kept)
+    texts = [_balanced(plain(p.title, 66), 26) for p in chosen]
+    weights = ["bold" if p is search.kept[-1] else "normal" for p in chosen]
+    to_pixels = axes.transData.transform
+    tags: list[Tag] = []
+    for point, text, weight in zip(chosen, texts, weights, strict=True):
+        x, y = to_pixels((point.number, point.value))
+        box = Text(0, 0, text, fontsize=_TAG_FONT, fontweight=weight, figure=canvas.figure)
+        extent = box.get_window_extent(canvas.get_renderer())
+        tags.append(Tag((float(x), float(y)), (extent.width + 4.0, extent.height + 4.0)))
+    around = _surroundings(axes, search, canvas.figure.dpi)
+    points = 72.0 / canvas.figure.dpi
+    for point, text, weight, tag, found in zip(
+        chosen, texts, weights, tags, place(tags, around), strict=True
+    ):
+        if found is None:
+            continue
+        (x, y), (w, h) = found.corner, tag.size
+        axes.annotate(
+            text,
+            xy=(point.number, point.value),
+            xytext=((x + 2.0 - tag.anchor[0]) * points, (y + 2.0 - tag.anchor[1]) * points),
+            textcoords="offset points",
+            ha="left",
+            va="bottom",
+            fontsize=_TAG_FONT,
+            fontweight=weight,
+            bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.85},
+            arrowprops={
+                "arrowstyle": "-",
+                "color": QUIET,
+                "lw": 0.7,
+                "shrinkA": 0,
+                "shrinkB": 3.5,
+                "relpos": ((found.leader[0] - x) / w, (found.leader[1] - y) / h),
+            },
+            zorder=7,
+        )
+
+
+def _balanced(text: str, width: int) -> str:
+    """`text` on as few lines of at most `width` characters as it needs, about equally long."""
+    wrapped = [textwrap.wrap(text, w, break_on_hyphens=False) for w in range(width // 2, width + 1)]
+    return "\n".join(next(lines for lines in wrapped if len(lines) <= len(wrapped[-1])))
+
+
+def _most_telling(kept: Sequence[_Point]) -> list[_Point]:
+    """The best model, the first one, then by how much each improved on the one before."""
+    if len(kept) < 2:
+        return list(kept)
+    gains = {b.number: a.value - b.value for a, b in pairwise(kept)}
+    middle = sorted(kept[1:-1], key=lambda p: -gains[p.number])
+    return [kept[-1], kept[0], *middle][:_MOST_TAGS]
+
+
+def _surroundings(axes: Axes, search: _Search, dpi: float) -> Surroundings:
+    frame = axes.get_window_extent()
+    to_pixels = axes.transData.transform
+    shown = [(p.number, p.value) for p in (*search.kept, *search.discarded, *search.guard)]
+    left, right = axes.get_xlim()
+    lines: list[Array] = [to_pixels([(left, v), (right, v)]).ravel() for _, v in search.rungs]
+    for a, b in zip(search.kept, (*search.kept[1:], None), strict=True):
+        end = b.number if b else search.count
+        lines.append(to_pixels([(a.number, a.value), (end, a.value)]).ravel())
+        if b:
+            lines.append(to_pixels([(end, a.value), (end, b.value)]).ravel())
+    pad = 6.0
+    return Surroundings(
+        (frame.x0 + pad, frame.y0 + pad, frame.x1 - pad, frame.y1 - 2 * pad),
+        np.asarray(to_pixels(shown)).reshape(-1, 2),
+        8.0,
+        np.array(lines).reshape(-1, 4),
+        0.9 * dpi,
+    )

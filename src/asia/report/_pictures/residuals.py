@@ -1,0 +1,94 @@
+"""Residual analysis of the best experiment on its held-out folds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from asia.data import Array, Signal
+from asia.ledger import Experiment, Run
+from asia.problem.load import Problem
+from asia.protocol import Fold
+from asia.report._artifacts import fold_outputs
+from asia.report._pictures.correlation import cross_correlation, independent_band, white_band
+from asia.report._pictures.simulation import lowest, worst_fits
+from asia.report._pictures.style import BLUE, INK, SHADE, WIDTH, headline, plain, quiet_grid, shown
+
+_LAGS = 40
+_MOST_ROWS = 4
+_MOST_INPUTS = 3
+
+
+def draw_residuals(
+    run: Run, problem: Problem, experiment: Experiment, folds: Sequence[Fold]
+) -> Figure:
+    """Autocorrelation of the simulation residuals and their cross-correlation with each input,
+    with 99 % bands; all held-out blocks together. Of many outputs those with the lowest fit."""
+    outputs = fold_outputs(run.store, experiment, folds)
+    blocks = [b for fold in folds for b in fold.validation]
+    simulated = [y_hat for fold in outputs for y_hat in fold]
+    residual = [b.y - y_hat for b, y_hat in zip(blocks, simulated, strict=True)]
+    inputs = [b.case.u for b in blocks]
+    assert experiment.score is not None
+    chosen = lowest(worst_fits(experiment.score), _MOST_ROWS)
+    rows = len(chosen)
+    columns = 1 + min(len(problem.inputs), _MOST_INPUTS)
+    lags = max(1, min(_LAGS, min(len(r) for r in residual) // 4))
+    figure = Figure(figsize=(max(WIDTH, 2.9 * columns), 0.8 + 1.9 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex="col")
+    for row, output in enumerate(chosen):
+        e = [r[:, output] for r in residual]
+        _whiteness(grid[row, 0], e, problem.outputs[output], lags)
+        for column in range(1, columns):
+            u = [v[:, column - 1] for v in inputs]
+            _independence(grid[row, column], e, u, problem.inputs[column - 1], lags)
+    for column, axes in enumerate(grid[-1]):
+        axes.set_xlabel("Lag of the input [samples]" if column else "Lag [samples]")
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+    figure.align_ylabels(list(grid[:, 0]))
+    title = f"Experiment {experiment.number}, {plain(experiment.proposed.title, 40)}: "
+    title += f"residuals of the held-out folds, 99 % bands{_left_out(problem)}"
+    title = headline(title, figure.get_figwidth())
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    return figure
+
+
+def _left_out(problem: Problem) -> str:
+    outputs, inputs = len(problem.outputs), len(problem.inputs)
+    return shown(
+        (min(outputs, _MOST_ROWS), outputs, "outputs with the lowest fit"),
+        (min(inputs, _MOST_INPUTS), inputs, "inputs"),
+    )
+
+
+def _whiteness(axes: Axes, e: Sequence[Array], output: Signal, lags: int) -> None:
+    values = cross_correlation(e, e, lags)[lags:]
+    _stems(axes, np.arange(lags + 1), values, white_band(sum(len(r) for r in e)))
+    axes.set_title("residual with its own past")
+    axes.set_ylabel(f"{plain(output.name, 20)}\ncorrelation [-]")
+
+
+def _independence(
+    axes: Axes, e: Sequence[Array], u: Sequence[Array], signal: Signal, lags: int
+) -> None:
+    values = cross_correlation(e, u, lags)
+    far = max(lags, min(4 * lags, min(len(r) for r in e) - 1))
+    _stems(axes, np.arange(-lags, lags + 1), values, independent_band(e, u, far))
+    axes.set_title(f"residual with {plain(signal.name, 17)}")
+
+
+def _stems(axes: Axes, lags: np.ndarray[tuple[int], np.dtype[np.int_]], y: Array, band: float):
+    axes.axhspan(-band, band, color=SHADE, lw=0, zorder=0)
+    axes.axhline(0.0, color=INK, lw=0.7)
+    axes.vlines(lags, 0.0, y, color=BLUE, lw=1.2)
+    axes.plot(lags, y, "o", color=BLUE, ms=2.6)
+    low, high = min(-band, float(y.min())), max(band, float(y.max()))
+    margin = 0.08 * (high - low)
+    axes.set_ylim(low - margin, high + margin)
+    quiet_grid(axes)

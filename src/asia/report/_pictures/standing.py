@@ -1,0 +1,147 @@
+"""Our test error among the published ones: box plot and histogram."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from asia.data import Array, Signal
+from asia.report._leaderboard import Entry
+from asia.report._pictures.style import (
+    BLUE,
+    INK,
+    ORANGE,
+    QUIET,
+    RED,
+    SHADE,
+    WIDTH,
+    plain,
+    quantity,
+    quiet_grid,
+)
+
+
+def draw_standing(
+    entries: Sequence[Entry],
+    ours: float,
+    output: Signal,
+    run: str,
+    mark: tuple[str, float] | None = None,
+) -> Figure:
+    """Published test RMSE with our mark. ours: test RMSE in the unit of `output`; mark: another
+    one to point out, with its name."""
+    values = np.array([e.test_rmse for e in entries])
+    figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
+    FigureCanvasAgg(figure)
+    box, bars = figure.subplots(1, 2, width_ratios=(1.0, 2.1))
+    label = f"Test RMSE [{plain(output.unit, 16)}]" if output.unit else "Test RMSE"
+    _box(box, values, ours)
+    box.set_ylabel(label)
+    if mark is not None:
+        box.plot([1.0], [mark[1]], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5, zorder=4)
+        bars.axvline(mark[1], color=ORANGE, lw=1.4, dashes=(1.5, 1.5))
+        bars.plot(
+            [mark[1]],
+            [0.0],
+            "D",
+            mfc="white",
+            mec=ORANGE,
+            mew=1.6,
+            ms=6.5,
+            clip_on=False,
+            zorder=4,
+            label=f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}",
+        )
+        bars.legend(loc="upper right")
+    _histogram(bars, values, ours, quantity(ours, output.unit))
+    bars.set_xlabel(label)
+    lower = int((values < ours).sum())
+    figure.suptitle(
+        f"{plain(run, 40)}: {lower} of {len(values)} published results have a lower test RMSE",
+        x=0.01,
+        ha="left",
+        fontweight="bold",
+    )
+    figure.supxlabel(_sources(entries), x=0.01, ha="left", fontsize=7.0, color=QUIET)
+    return figure
+
+
+def _box(axes: Axes, values: Array, ours: float) -> None:
+    line = {"color": INK, "linewidth": 0.9}
+    axes.boxplot(
+        values,
+        widths=0.4,
+        whis=1.5,
+        showfliers=False,
+        patch_artist=True,
+        boxprops={"facecolor": SHADE, "edgecolor": INK, "linewidth": 0.9},
+        medianprops={"color": INK, "linewidth": 1.6},
+        whiskerprops=line,
+        capprops=line,
+    )
+    axes.plot(_beside(values), values, "o", mfc="white", mec=BLUE, ms=4.0, mew=0.9, zorder=3)
+    axes.plot([1.0], [ours], "D", color=RED, ms=7.0, zorder=5)
+    axes.set_xlim(0.6, 1.7)
+    axes.set_ylim(0.0, max(values.max(), ours) * 1.08)
+    axes.set_xticks([])
+    quiet_grid(axes)
+
+
+def _histogram(axes: Axes, values: Array, ours: float, mark: str) -> None:
+    top, width = max(values.max(), ours), _bin_width(values)
+    axes.hist(
+        values, np.arange(0.0, top + 2 * width, width).tolist(), fc="#9fc3dd", ec="white", lw=0.8
+    )
+    axes.axvline(ours, color=RED, lw=1.6, dashes=(4, 2))
+    axes.plot([ours], [0.0], "D", color=RED, ms=7.0, clip_on=False, zorder=5)
+    axes.set_xlim(0.0, top * 1.05)
+    axes.set_ylabel("Published results")
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
+    quiet_grid(axes)
+    left = ours < 0.7 * top
+    axes.annotate(
+        f"this run\n{mark}",
+        xy=(ours, 0.97),
+        xycoords=("data", "axes fraction"),
+        xytext=(6.0 if left else -6.0, 0.0),
+        textcoords="offset points",
+        ha="left" if left else "right",
+        va="top",
+        color=RED,
+        fontweight="bold",
+        bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
+    )
+
+
+def _beside(values: Array) -> list[float]:
+    """x positions right of the box that keep close values apart."""
+    reach = (values.max() - values.min()) / 25.0
+    placed: list[tuple[float, float]] = []
+    columns: dict[int, float] = {}
+    for index in np.argsort(values, kind="stable"):
+        value, x = float(values[index]), 1.3
+        while any(abs(value - v) < reach and x == at for v, at in placed):
+            x = round(x + 0.07, 2)
+        placed.append((value, x))
+        columns[int(index)] = x
+    return [columns[i] for i in range(len(values))]
+
+
+def _bin_width(values: Array) -> float:
+    """Freedman and Diaconis (1981), rounded to 1, 2 or 5 times a power of ten."""
+    spread = np.subtract(*np.percentile(values, [75, 25])) or values.max()
+    width = 2.0 * spread / len(values) ** (1 / 3)
+    power = 10.0 ** np.floor(np.log10(width))
+    return float(min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(m * power - width)) * power)
+
+
+def _sources(entries: Sequence[Entry]) -> str:
+    years = sorted({e.year for e in entries})
+    return (
+        f"Published: {len(entries)} results from {years[0]} to {years[-1]}, nonlinearbenchmark.org"
+    )

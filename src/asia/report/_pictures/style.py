@@ -1,0 +1,115 @@
+"""How every picture looks. Applied for the time of a drawing; the caller's matplotlib settings
+come back unchanged."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import Any, Final
+
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.font_manager import FontProperties, findfont, get_font
+
+from asia.data import Signal
+
+# Okabe and Ito's colours: told apart by the colour-blind, and of unlike lightness in print.
+INK: Final = "#222222"
+QUIET: Final = "#6b6b6b"
+FAINT: Final = "#a8a8a8"
+BLUE: Final = "#0072B2"
+ORANGE: Final = "#E69F00"
+GREEN: Final = "#009E73"
+RED: Final = "#D1330A"
+SHADE: Final = "#e9e9e9"
+
+WIDTH: Final = 7.2
+DPI: Final = 150
+_FONT: Final = "DejaVu Sans"
+
+_STYLE: Final[dict[str, Any]] = {
+    "font.family": _FONT,
+    "font.size": 8.5,
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 5.0,
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": QUIET,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.formatter.limits": (-4, 5),
+    "grid.color": "#e3e3e3",
+    "grid.linewidth": 0.6,
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "text.color": INK,
+    "text.parse_math": False,
+    "figure.dpi": DPI,
+    "figure.titlesize": 10.0,
+    "savefig.dpi": DPI,
+    "pdf.fonttype": 42,
+}
+
+
+@contextmanager
+def drawing() -> Generator[None]:
+    """Matplotlib's defaults and our style inside, the caller's settings again outside."""
+    with style.context(["default", _STYLE]):
+        yield
+
+
+def plain(text: str, limit: int = 60) -> str:
+    """`text` on one line of at most `limit` characters, without what the font cannot draw."""
+    font = get_font(findfont(FontProperties(family=_FONT)))
+    line = " ".join(text.split())
+    line = "".join(c if font.get_char_index(ord(c)) else "?" for c in line)
+    return line if len(line) <= limit else line[: limit - 1].rstrip() + "…"
+
+
+def axis_label(signal: Signal) -> str:
+    """Name and unit for an axis an inch long: at most 16 characters a line."""
+    name, unit = plain(signal.name, 30), plain(signal.unit, 12)
+    wrapped = textwrap.wrap(name.replace("_", "_ "), 16) or [""]
+    lines = [line.replace("_ ", "_") for line in wrapped]
+    if not unit:
+        return "\n".join(lines)
+    joined = f"{lines[-1]} [{unit}]"
+    last = [joined] if len(joined) <= 17 else [lines[-1], f"[{unit}]"]
+    return "\n".join([*lines[:-1], *last])
+
+
+def number(value: float) -> str:
+    """Three significant digits."""
+    return f"{value:.3g}"
+
+
+def quantity(value: float, unit: str) -> str:
+    """A number with its unit."""
+    return f"{number(value)} {plain(unit, 16)}".rstrip()
+
+
+def shown(*counts: tuple[int, int, str], why: str = "shown") -> str:
+    """` (2 of 3 outputs shown)` for what a picture leaves out, empty when it holds all; a count is
+    (number shown, number in all, of what)."""
+    cut = [f"{some} of {total} {what}" for some, total, what in counts if some < total]
+    return f" ({', '.join(cut)} {why})" if cut else ""
+
+
+def headline(text: str, width: float) -> str:
+    """`text` as the title of a figure `width` inches wide, on as many lines as it needs."""
+    return textwrap.fill(text, int(11.5 * width))
+
+
+def quiet_grid(axes: Axes) -> None:
+    """Faint horizontal lines behind the data."""
+    axes.grid(visible=True, axis="y")

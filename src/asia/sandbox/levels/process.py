@@ -1,0 +1,53 @@
+"""The weakest level: a plain process with resource limits, under a keeper that ends its offspring.
+
+It keeps accidents away, not intent: the candidate reads what the user reads.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Collection, Sequence
+
+from asia.sandbox._types import Layer, Limits
+from asia.sandbox.walls.surroundings import child_command, environment, interpreter, package_folder
+from asia.sandbox.worker.cell import Cell, PipePairs, kill_quietly, parent_ends, start
+from asia.sandbox.worker.keeper import descendants
+
+
+def open_cell(limits: Limits, layers: Collection[Layer], inside: Sequence[str] = ()) -> Cell:
+    """Start a worker as a plain process; `inside` is put before its command line. Raises
+    SandboxError."""
+    home = tempfile.mkdtemp(prefix="asia-worker-")
+    pipes = PipePairs(os.pipe(), os.pipe())
+    requests, replies = pipes.child_ends
+    keeper = str(package_folder() / "sandbox" / "worker" / "keeper.py")
+    command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
+    command += [*inside, *child_command(requests, replies, limits, layers)]
+    try:
+        process = start(command, pipes, env=environment(home), cwd=home)
+    except BaseException:
+        shutil.rmtree(home, ignore_errors=True)
+        raise
+    return Cell(
+        process=process,
+        pipes=parent_ends(process, pipes),
+        kill=_closing_is_enough,
+        force=lambda: _force(process),
+        tidy=lambda: shutil.rmtree(home, ignore_errors=True),
+        beyond_reach=False,
+    )
+
+
+def _closing_is_enough() -> None:
+    """The keeper ends the worker when the request pipe closes, also if this process is killed."""
+
+
+def _force(process: subprocess.Popen[bytes]) -> None:
+    """The keeper does not answer: a candidate can stop it, as both have one user."""
+    while process.poll() is None and (offspring := descendants(process.pid, alive=True)):
+        for pid in offspring:
+            kill_quietly(pid)
+    kill_quietly(process.pid)

@@ -1,0 +1,77 @@
+"""Isolation on macOS, through sandbox-exec. Written to its documentation, not tested.
+
+The profile denies by default: no network, no new process, reading the system's libraries, the
+interpreter, the environment and this package, writing to devices that keep nothing. Apple calls
+sandbox-exec deprecated and still ships it. The keeper of the process level ends what is left over.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Collection, Sequence
+
+from asia.errors import SandboxError
+from asia.sandbox._types import Layer, Limits
+from asia.sandbox.levels import process
+from asia.sandbox.walls.surroundings import code_folders, interpreter
+from asia.sandbox.worker.cell import Cell
+
+_PROGRAM = "sandbox-exec"
+_SYSTEM = ("/usr/lib", "/usr/share", "/System", "/Library/Frameworks", "/private/var/db/dyld")
+_DEVICES = ("/dev/null", "/dev/zero", "/dev/random", "/dev/urandom")
+_START_SECONDS = 20.0
+
+
+def why_not() -> str | None:
+    """None if a Python really starts under the profile here, else the reason in plain words."""
+    if sys.platform != "darwin":
+        return "sandbox-exec needs macOS"
+    program = shutil.which(_PROGRAM)
+    if program is None:
+        return "the program sandbox-exec was not found"
+    command = [program, "-p", profile(), interpreter(), "-I", "-S", "-c", "pass"]
+    try:
+        trial = subprocess.run(
+            command, capture_output=True, timeout=_START_SECONDS, check=False, cwd="/", env={}
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"sandbox-exec did not start: {error}"
+    if trial.returncode != 0:
+        return f"sandbox-exec could not start Python: exit code {trial.returncode}"
+    return None
+
+
+def open_cell(limits: Limits, layers: Collection[Layer]) -> Cell:
+    """Start a worker under the profile. Raises SandboxError."""
+    program = shutil.which(_PROGRAM)
+    if program is None:
+        raise SandboxError("the program sandbox-exec was not found")
+    inside = [program, "-p", profile()] if Layer.PROFILE in layers else []
+    return process.open_cell(limits, layers, inside)
+
+
+def profile() -> str:
+    """What a worker may do, in the language of sandbox-exec."""
+    program = interpreter()
+    code = [*_SYSTEM, *(place for _, place in code_folders()), *(p for p, _ in code_folders())]
+    return "\n".join(
+        (
+            "(version 1)",
+            "(deny default)",
+            f"(allow process-exec {_each('literal', [program, os.path.realpath(program)])})",
+            "(allow sysctl-read)",
+            "(allow file-read-metadata)",
+            f"(allow file-read* {_each('subpath', code)} {_each('literal', _DEVICES)})",
+            f"(allow file-write-data {_each('literal', _DEVICES[:2])})",
+            "(deny network*)",
+            "(deny process-fork)",
+        )
+    )
+
+
+def _each(kind: str, places: Sequence[str]) -> str:
+    quoted = (place.replace("\\", "\\\\").replace('"', '\\"') for place in places)
+    return " ".join(f'({kind} "{place}")' for place in dict.fromkeys(quoted))

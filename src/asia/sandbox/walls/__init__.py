@@ -1,0 +1,1 @@
+"""What the levels are built of."""

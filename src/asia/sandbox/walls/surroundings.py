@@ -1,0 +1,128 @@
+"""What a worker is given of this machine: command line, environment, folders to read."""
+
+from __future__ import annotations
+
+import os
+import site
+import sys
+from collections.abc import Collection
+from pathlib import Path
+
+import asia
+from asia.errors import SandboxError
+from asia.sandbox._types import Layer, Limits
+
+SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
+_SYSTEM_CODE = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64")
+# Not all of /proc/self: `status` counts the signals of all processes of the user, `net` shows the
+# machine's network.
+_FACTS = (
+    *(f"/proc/self/{name}" for name in ("cmdline", "environ", "fd", "maps", "stat", "statm")),
+    "/proc/cpuinfo",
+    "/proc/sys/vm/overcommit_memory",
+    "/sys/devices/system/cpu",
+    "/sys/devices/system/node",
+)
+
+
+def environment(home: str) -> dict[str, str]:
+    """All environment variables of a worker. One thread, one hash seed: fits can be repeated.
+
+    NPROC is what XLA sizes its thread pools by; without it the last bits of a sum depend on the
+    number of cores, whatever XLA_FLAGS say.
+    """
+    return {
+        "PATH": "/usr/bin:/bin",
+        "HOME": home,
+        "TMPDIR": home,
+        "USER": "candidate",
+        "LOGNAME": "candidate",
+        "LANG": "C.UTF-8",
+        "PYTHONHASHSEED": "0",
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "NPROC": "1",
+        "JAX_PLATFORMS": "cpu",
+        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    }
+
+
+def interpreter() -> str:
+    """Path of the running Python. Raises SandboxError where it cannot be known."""
+    if not sys.executable:
+        raise SandboxError("the path of the Python interpreter is unknown; a worker cannot start")
+    return sys.executable
+
+
+def package_folder() -> Path:
+    """The folder `asia` that holds this package."""
+    return Path(asia.__file__).absolute().parent
+
+
+def child_command(
+    requests: int, replies: int, limits: Limits, layers: Collection[Layer]
+) -> list[str]:
+    """Command line of a worker; `layers` are those it puts on itself.
+
+    -P and -s rather than -I: the environment is ours, and -I would drop PYTHONHASHSEED with it.
+    """
+    script = package_folder() / "sandbox" / "worker" / "child.py"
+    folders = [str(package_folder().parent), *_user_site()]
+    numbers = [str(requests), str(replies), str(limits.memory_mb)]
+    lists = [",".join(layers), str(len(folders)), *folders, *readable()]
+    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *numbers, *lists]
+
+
+def readable() -> list[str]:
+    """All places that a worker under Landlock may read: code, and what libraries ask the system.
+
+    Landlock binds a file of /proc/self to the process that opens it, the worker.
+    """
+    code = [place for _, place in code_folders()]
+    return [*_SYSTEM_CODE, *SYSTEM_FILES, *code, *_FACTS]
+
+
+def shown_in(path: Path) -> str | None:
+    """The folder through which every candidate and every agent can read `path`, None for none."""
+    real = os.path.realpath(path)
+    code = [outside for outside, _ in code_folders()]
+    system = [os.path.realpath(place) for place in _SYSTEM_CODE]
+    return next((f for f in (*system, *code) if _within(real, [f])), None)
+
+
+def code_folders() -> list[tuple[str, str]]:
+    """(place on this machine, place in the sandbox) of all code a worker reads outside /usr."""
+    wanted: list[str] = []
+    for prefix in (sys.base_prefix, sys.prefix):
+        wanted += [os.path.realpath(prefix), os.path.abspath(prefix)]
+    wanted += [*_user_site(), str(package_folder())]
+    folders: list[tuple[str, str]] = []
+    for place in wanted:
+        if not _within(place, ["/usr", *(inside for _, inside in folders)]):
+            folders.append((os.path.realpath(place), place))
+    return folders
+
+
+def interpreter_links() -> list[tuple[str, str]]:
+    """(target, place) of the symbolic links from the interpreter's path to its file that lie
+    outside every folder of `code_folders`."""
+    known = ["/usr", "/bin", *(inside for _, inside in code_folders())]
+    links: list[tuple[str, str]] = []
+    place = interpreter()
+    while os.path.islink(place) and len(links) < 40:
+        target = os.readlink(place)
+        if not _within(place, known):
+            links.append((target, place))
+            known.append(place)
+        place = os.path.normpath(os.path.join(os.path.dirname(place), target))
+    return links
+
+
+def _user_site() -> list[str]:
+    folder = site.getusersitepackages()
+    return [folder] if folder in sys.path and os.path.isdir(folder) else []
+
+
+def _within(place: str, folders: list[str]) -> bool:
+    return any(place == folder or place.startswith(folder + os.sep) for folder in folders)

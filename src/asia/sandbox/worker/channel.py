@@ -1,0 +1,170 @@
+"""The parent's end of a worker's pipes: framed, bounded, and under one deadline."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import secrets
+import select
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from asia.sandbox.worker.cell import Pipes
+from asia.sandbox.worker.wire import REPLY_HEAD, REQUEST_HEAD, TOKEN_BYTES, Status
+
+_KEPT_OUTPUT = 64 * 1024
+_LARGEST_OUTPUT = 4 * 1024 * 1024
+_SLICE_SECONDS = 0.1
+_PIPE_BYTES = 1024 * 1024
+_F_SETPIPE_SZ = getattr(fcntl, "F_SETPIPE_SZ", None)
+
+
+class LateError(Exception):
+    """The deadline has passed."""
+
+
+class GoneError(Exception):
+    """The worker closed its end or ended."""
+
+
+class UnsolicitedError(Exception):
+    """Bytes that answer no request."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """Start of a reply: what it is and how many bytes follow."""
+
+    status: Status
+    length: int
+
+
+class Channel:
+    """Sends requests and reads replies; meanwhile drains what the candidate prints.
+
+    A reply counts only with the token of the request it answers, so bytes written beforehand on
+    the reply pipe are always found out.
+    """
+
+    def __init__(self, pipes: Pipes, running: Callable[[], bool]) -> None:
+        self._requests = pipes.requests
+        self._replies = pipes.replies
+        self._output: int | None = pipes.output
+        self._running = running
+        self._token = bytes(TOKEN_BYTES)
+        self._printed = bytearray()
+        self._printed_bytes = 0
+        self._keep_output = True
+        for fd in (pipes.requests, pipes.replies, pipes.output):
+            os.set_blocking(fd, False)
+        if _F_SETPIPE_SZ is not None:
+            for fd in (pipes.requests, pipes.replies):
+                with contextlib.suppress(OSError):
+                    fcntl.fcntl(fd, _F_SETPIPE_SZ, _PIPE_BYTES)
+
+    def new_token(self) -> bytes:
+        """Token for the next request. Raises UnsolicitedError, GoneError."""
+        if select_one(self._replies):
+            raise UnsolicitedError if os.read(self._replies, 1) else GoneError
+        self._token = secrets.token_bytes(TOKEN_BYTES)
+        return self._token
+
+    def send(self, body: bytes, deadline: float) -> None:
+        """Send one request. Raises LateError, GoneError."""
+        for data in (memoryview(REQUEST_HEAD.pack(len(body))), memoryview(body)):
+            done = 0
+            while done < len(data):
+                self._wait(self._requests, select.POLLOUT, deadline)
+                try:
+                    done += os.write(self._requests, data[done : done + _PIPE_BYTES])
+                except BlockingIOError:
+                    continue
+                except BrokenPipeError as error:
+                    raise GoneError from error
+
+    def receive_head(self, deadline: float) -> Head:
+        """Wait for the next reply. Raises LateError, GoneError, UnsolicitedError."""
+        status, token, length = REPLY_HEAD.unpack(self.receive(REPLY_HEAD.size, deadline))
+        if token != self._token:
+            raise UnsolicitedError
+        try:
+            return Head(Status(status), length)
+        except ValueError as error:
+            raise UnsolicitedError from error
+
+    def receive(self, length: int, deadline: float) -> bytes:
+        """Exactly `length` bytes. Raises LateError, GoneError."""
+        data = bytearray()
+        while len(data) < length:
+            self._wait(self._replies, select.POLLIN, deadline)
+            try:
+                part = os.read(self._replies, min(length - len(data), _PIPE_BYTES))
+            except BlockingIOError:
+                continue
+            if not part:
+                raise GoneError
+            data += part
+        return bytes(data)
+
+    def take_output(self) -> str:
+        """What was printed so far, without control characters; nothing is kept from here on."""
+        while self._output is not None and select_one(self._output):
+            self._drain()
+        self._keep_output = False
+        return printable(bytes(self._printed))
+
+    def close(self) -> None:
+        """Close the parent's ends. The worker's keeper takes it as the order to end."""
+        self._close_output()
+        os.close(self._requests)
+        os.close(self._replies)
+
+    def _wait(self, fd: int, event: int, deadline: float) -> None:
+        while True:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise LateError
+            poller = select.poll()
+            poller.register(fd, event)
+            if self._output is not None:
+                poller.register(self._output, select.POLLIN)
+            ready = {place for place, _ in poller.poll(min(left, _SLICE_SECONDS) * 1000)}
+            if self._output in ready:
+                self._drain()
+            if fd in ready:
+                return
+            # A process that outlives the worker may hold its pipes: end of file never comes.
+            if not ready and not self._running() and not select_one(fd, event):
+                raise GoneError
+
+    def _drain(self) -> None:
+        assert self._output is not None
+        try:
+            part = os.read(self._output, _KEPT_OUTPUT)
+        except BlockingIOError:
+            return
+        self._printed_bytes += len(part)
+        if self._keep_output:
+            self._printed += part[: _KEPT_OUTPUT - len(self._printed)]
+        if not part or self._printed_bytes > _LARGEST_OUTPUT:
+            self._close_output()
+
+    def _close_output(self) -> None:
+        if self._output is not None:
+            os.close(self._output)
+            self._output = None
+
+
+def select_one(fd: int, event: int = select.POLLIN) -> bool:
+    """Whether `fd` has something to tell, end of file included."""
+    poller = select.poll()
+    poller.register(fd, event)
+    return bool(poller.poll(0))
+
+
+def printable(data: bytes) -> str:
+    """Text of untrusted bytes: control characters other than newline and tab are left out."""
+    text = data.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
+    return "".join(c for c in text if c in "\n\t" or c.isprintable())

@@ -1,0 +1,315 @@
+"""The worker's own side of the sandbox, and the only file that runs candidate code.
+
+Run as a script in a fresh process; nothing in the parent imports it.
+Arguments: request fd, reply fd, memory limit in MB, the layers it puts on itself (commas between),
+the number of folders to add to the import path, these, then the places it may read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import linecache
+import os
+import pickle
+import resource
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from asia.candidate import Context, Model
+    from asia.data import Array, Trajectory
+    from asia.sandbox.walls import lockdown
+    from asia.sandbox.worker import wire
+else:
+    # By their folders: the package around them imports what only the parent needs.
+    _HERE = os.path.dirname(os.path.abspath(__file__))
+    sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "walls")]
+    import lockdown
+    import wire
+
+    del sys.path[:2]
+
+_SOURCE_NAME = "candidate.py"
+_LARGEST_FILE = 64 * 1024 * 1024
+_OPEN_FILES = 256
+_MESSAGE_CHARACTERS = 1000
+
+
+def _restrict(memory_mb: int) -> None:
+    """Limits on resources, before the system call filter takes away the means to set them."""
+    limits = {
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_FSIZE: _LARGEST_FILE,
+        resource.RLIMIT_NOFILE: _OPEN_FILES,
+    }
+    if sys.platform == "linux":
+        limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
+        limits[resource.RLIMIT_MEMLOCK] = 0
+        limits[resource.RLIMIT_MSGQUEUE] = 0
+        # Queued signals are counted over all processes of the user.
+        limits[resource.RLIMIT_SIGPENDING] = 0
+    for what, wanted in limits.items():
+        hard = resource.getrlimit(what)[1]
+        value = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        resource.setrlimit(what, (value, value))
+
+
+class _RefusedError(Exception):
+    """The candidate breaks the contract in a way that raised nothing by itself."""
+
+
+class _WrongShapeError(Exception):
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        super().__init__()
+        self.shape = shape
+
+
+class _Curve:
+    """Training curve of bounded size: thinned by two whenever it is full."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self._stride = 1
+        self._calls = 0
+        self._kept: list[tuple[float, float]] = []
+
+    def log(self, step: float, loss: float) -> None:
+        if self._calls % self._stride == 0:
+            if len(self._kept) == self._rows:
+                self._kept = self._kept[::2]
+                self._stride *= 2
+            if self._calls % self._stride == 0:
+                self._kept.append((float(step), float(loss)))
+        self._calls += 1
+
+    def tobytes(self) -> bytes:
+        import numpy as np
+
+        return np.array(self._kept, dtype="<f8").tobytes()
+
+
+def _execute(source: str) -> ModuleType:
+    """Run the source as module `candidate`, so that models pickle by reference to it."""
+    module = ModuleType("candidate")
+    module.__file__ = _SOURCE_NAME
+    sys.modules["candidate"] = module
+    lines = source.splitlines(keepends=True)
+    linecache.cache[_SOURCE_NAME] = (len(source), None, lines, _SOURCE_NAME)
+    exec(compile(source, _SOURCE_NAME, "exec", dont_inherit=True), module.__dict__)
+    return module
+
+
+def _as_model(value: object, what: str = "fit returned") -> Model:
+    if not callable(getattr(value, "simulate", None)):
+        raise _RefusedError(f"{what} {type(value).__name__}, which has no simulate method")
+    return value  # pyright: ignore[reportReturnType]
+
+
+class _Session:
+    """Answers requests until the parent closes the pipe."""
+
+    def __init__(self, requests: int, replies: int) -> None:
+        self._requests = requests
+        self._replies = replies
+        self._pid = os.getpid()
+        self._token = bytes(wire.TOKEN_BYTES)
+        self._model: Model | None = None
+        self._executed: str | None = None
+        self._fitting = False
+        self._asking = threading.Lock()
+
+    def serve(self) -> NoReturn:
+        self._reply(wire.Status.STARTED)
+        handlers: dict[str, Callable[..., bytes]] = {
+            "fit": self._fit,
+            "load": self._load,
+            "simulate": self._simulate,
+            "dump": self._dump,
+        }
+        while True:
+            self._token, name, arguments = pickle.loads(self._request())
+            status = wire.Status.OK
+            try:
+                body = handlers[name](*arguments)
+            except BaseException as error:  # noqa: BLE001 - the border to candidate code
+                status, body = self._describe(error, private=name in ("load", "simulate"))
+                del error
+            if os.getpid() != self._pid:
+                os._exit(0)  # a fork that strayed out of candidate code
+            self._reply(status, body)
+
+    def _request(self) -> bytes:
+        (length,) = wire.REQUEST_HEAD.unpack(self._read(wire.REQUEST_HEAD.size))
+        return self._read(length)
+
+    def _read(self, length: int) -> bytes:
+        data = bytearray()
+        while len(data) < length:
+            part = os.read(self._requests, min(length - len(data), 1 << 20))
+            if not part:
+                os._exit(0)
+            data += part
+        return bytes(data)
+
+    def _reply(self, status: int, body: bytes = b"") -> None:
+        head = wire.REPLY_HEAD.pack(status, self._token, len(body))
+        for data in (memoryview(head), memoryview(body)):
+            done = 0
+            while done < len(data):
+                done += os.write(self._replies, data[done:])
+
+    def _fit(
+        self,
+        source: str,
+        records: list[tuple[Array, Array, float, str]],
+        known: dict[str, Any],
+        scored: bool,
+    ) -> bytes:
+        trajectories = [_trajectory(*record) for record in records]
+        module = _execute(source)
+        fit = getattr(module, "fit", None)
+        if not callable(fit):
+            raise _RefusedError("the source defines no function fit(trajectories, context)")
+        curve = _Curve(wire.CURVE_ROWS)
+        context = _context(known, curve.log, self._validation_score if scored else None)
+        self._reply(wire.Status.STARTED)
+        self._fitting = True
+        self._model = _as_model(fit(trajectories, context))
+        self._fitting = False
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):
+                stream.flush()
+        return curve.tobytes()
+
+    def _validation_score(self, model: Model) -> float:
+        body = self._pickled(_as_model(model, "validation_score was given"))
+        with self._asking:
+            if not self._fitting:
+                raise RuntimeError("validation_score is there for the time of fit only")
+            self._reply(wire.Status.SCORE, body)
+            self._token, name, (answer,) = pickle.loads(self._request())
+        if name == "refuse":
+            raise RuntimeError(answer)
+        return answer
+
+    def _load(self, source: str, model: bytes) -> bytes:
+        """The source runs once, so that what it compiled serves the next model too."""
+        if source != self._executed:
+            _execute(source)
+            self._executed = source
+        self._model = _as_model(pickle.loads(model))
+        return b""
+
+    def _simulate(self, past_u: Array, past_y: Array, u: Array, ny: int) -> bytes:
+        import numpy as np
+
+        assert self._model is not None
+        result = self._model.simulate(past_u, past_y, u)
+        try:
+            y = np.array(result, order="C", subok=False)
+            if y.dtype.kind not in "biufO":
+                raise TypeError("not real numbers")
+            y = y.astype("<f8")
+        except (TypeError, ValueError) as error:
+            raise _RefusedError from error
+        if y.shape != (u.shape[0], u.shape[1], ny):
+            raise _WrongShapeError(y.shape)
+        return y.tobytes()
+
+    def _dump(self) -> bytes:
+        return self._pickled(self._model)
+
+    def _pickled(self, model: object) -> bytes:
+        import cloudpickle
+
+        return cloudpickle.dumps(model, protocol=5)
+
+    def _describe(self, error: BaseException, *, private: bool) -> tuple[int, bytes]:
+        """Status and words for an error; `private` gives away the class name only."""
+        status = wire.Status
+        if isinstance(error, _WrongShapeError):
+            import numpy as np
+
+            dimensions = error.shape[: wire.SHAPE_DIMENSIONS]
+            return status.SHAPE, np.array(dimensions, dtype="<i8").tobytes()
+        kind = _status_name(error)
+        if private:
+            return status[kind], type(error).__name__.encode("ascii", "replace")[:100]
+        try:
+            text = str(error) if isinstance(error, _RefusedError) else _candidate_traceback(error)
+        except BaseException:  # noqa: BLE001 - out of memory, or a __str__ that raises
+            text = type(error).__name__
+        return status[kind], text.encode("utf-8", "replace")[-wire.TEXT_BYTES :]
+
+
+def _status_name(error: BaseException) -> str:
+    if isinstance(error, _RefusedError):
+        return "CONTRACT"
+    if isinstance(error, SystemExit):
+        return "EXITED"
+    if isinstance(error, SyntaxError) and error.filename == _SOURCE_NAME:
+        return "SYNTAX"
+    if isinstance(error, MemoryError):
+        return "MEMORY"
+    with contextlib.suppress(BaseException):
+        if "RESOURCE_EXHAUSTED" in str(error)[:500] or "Cannot allocate memory" in str(error)[:500]:
+            return "MEMORY"
+    return "CRASH"
+
+
+def _candidate_traceback(error: BaseException) -> str:
+    """The candidate's own frames and the last two of what it called, then the message."""
+    frames = traceback.extract_tb(error.__traceback__)
+    kept = [
+        frame
+        for place, frame in enumerate(frames)
+        if frame.filename == _SOURCE_NAME or (place >= len(frames) - 2 and _called(frames, place))
+    ]
+    message = "".join(traceback.format_exception_only(error))
+    if len(message) > _MESSAGE_CHARACTERS:
+        message = message[:_MESSAGE_CHARACTERS] + " ..."
+    return "".join(traceback.format_list(kept)) + message
+
+
+def _called(frames: traceback.StackSummary, place: int) -> bool:
+    return any(frame.filename == _SOURCE_NAME for frame in frames[:place])
+
+
+def _trajectory(u: Array, y: Array, sampling_time: float, name: str) -> Trajectory:
+    from asia.data import Trajectory
+
+    return Trajectory(u, y, sampling_time, name)
+
+
+def _context(
+    known: dict[str, Any],
+    log: Callable[[float, float], None],
+    validation_score: Callable[[Model], float] | None,
+) -> Context:
+    from asia.candidate import Context
+
+    return Context(**known, log=log, validation_score=validation_score)
+
+
+def main(arguments: list[str]) -> NoReturn:
+    requests, replies, memory_mb = (int(word) for word in arguments[:3])
+    layers, folders = arguments[3].split(","), int(arguments[4])
+    if lockdown.RLIMITS in layers:
+        _restrict(memory_mb)
+    # Before numpy, whose threads Landlock would not bind.
+    lockdown.confine(layers, arguments[5 + folders :])
+    sys.path.extend(folder for folder in arguments[5 : 5 + folders] if folder not in sys.path)
+    for fd in (requests, replies):
+        os.set_inheritable(fd, False)
+    importlib.import_module("asia.candidate")  # now, off the clock of the first request
+
+    _Session(requests, replies).serve()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,305 @@
+"""A worker as the evaluation sees it: fit, load, simulate, dump."""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import math
+import pickle
+import signal
+import time
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Array, Trajectory
+from asia.errors import CandidateError, Reason, SandboxError
+from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError, WorkerKilledError
+from asia.sandbox.worker.cell import Cell
+from asia.sandbox.worker.channel import (
+    Channel,
+    GoneError,
+    Head,
+    LateError,
+    UnsolicitedError,
+    printable,
+)
+from asia.sandbox.worker.wire import (
+    CURVE_ROW_BYTES,
+    CURVE_ROWS,
+    SHAPE_DIMENSIONS,
+    TEXT_BYTES,
+    Status,
+)
+
+_START_SECONDS = 60.0
+_LAST_WORDS = 1500
+_KILLED = 128 + signal.SIGKILL
+_REASONS = {
+    Status.SYNTAX: Reason.SYNTAX,
+    Status.CONTRACT: Reason.CONTRACT,
+    Status.CRASH: Reason.CRASH,
+    Status.EXITED: Reason.EXITED,
+    Status.MEMORY: Reason.MEMORY,
+    Status.SHAPE: Reason.WRONG_LENGTH,
+}
+_KNOWN_ERRORS = frozenset(
+    name
+    for name, value in vars(builtins).items()
+    if isinstance(value, type) and issubclass(value, BaseException)
+) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
+_OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
+
+
+class Worker:
+    """One fresh process behind the walls of one isolation level; use it as a context manager.
+
+    Open, use and close it in one thread: where the thread that opened it ends, the worker ends.
+    After a CandidateError the process is gone and every further request is a SandboxError, but for
+    NOT_FINITE, after which it goes on. All requests raise CandidateError for what the candidate
+    does and SandboxError for what it cannot have caused.
+    """
+
+    def __init__(self, cell: Cell, limits: Limits) -> None:
+        self._cell = cell
+        self._limits = limits
+        self._channel = Channel(cell.pipes, cell.running)
+        self.left_behind: int | None = None
+        self._closed = False
+        self._started = False
+        self._latest = math.inf
+        self._loaded_source: str | None = None
+        self._ny = 0
+        self._model_loaded = False
+        self._cases_seen = False
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+    def fit(
+        self,
+        source: str,
+        trajectories: Sequence[Trajectory],
+        context: Context,
+        score: ScoreModel | None = None,
+    ) -> FitReply:
+        """Execute the source and call its `fit`. The context's deadline becomes the earlier of
+        its own and now + fit_seconds; its `log` is replaced by one that fills `FitReply.curve`,
+        its `validation_score` by one that asks `score`, whose time counts as the fit's."""
+        late = Reason.FIT_TIMEOUT
+        self._start()
+        deadline = time.monotonic() + self._limits.fit_seconds
+        context = replace(context, deadline=min(context.deadline, deadline))
+        records = [(t.u, t.y, t.sampling_time, t.name) for t in trajectories]
+        self._send("fit", (source, records, _plain(context), score is not None), deadline, late)
+        self._head(deadline, late, (Status.STARTED,))
+        begin = time.monotonic()
+        wanted = (Status.OK,) if score is None else (Status.OK, Status.SCORE)
+        head = self._head(deadline, late, wanted)
+        while score is not None and head.status is Status.SCORE:
+            self._answer(score, self._model_bytes(head, deadline, late), deadline)
+            head = self._head(deadline, late, wanted)
+        seconds = time.monotonic() - begin
+        if head.length > CURVE_ROWS * CURVE_ROW_BYTES or head.length % CURVE_ROW_BYTES:
+            raise self._failure(Reason.UNSOLICITED, "a training curve of an impossible size")
+        curve = _floats(self._body(head, deadline, late)).reshape(-1, 2)
+        self._ny, self._model_loaded = context.ny, True
+        return FitReply(curve, self._channel.take_output(), seconds)
+
+    def load(self, source: str, model: bytes, context: Context) -> None:
+        """Execute the source and take up the model that `dump` gave, in at most fit_seconds. May
+        be called again with another model of the same source, which is executed once."""
+        late = Reason.SIMULATE_TIMEOUT
+        self._cases_seen = True
+        if self._closed or self._loaded_source != source:
+            self._start()
+            self._loaded_source = source
+        deadline = self._by(self._limits.fit_seconds)
+        self._send("load", (source, model), deadline, late)
+        if self._head(deadline, late).length:
+            raise self._failure(Reason.UNSOLICITED)
+        self._ny, self._model_loaded = context.ny, True
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate a batch of cases, shapes as in `Model.simulate`; returns (B, H, ny), finite."""
+        self._need_model()
+        late = Reason.SIMULATE_TIMEOUT
+        self._cases_seen = True
+        shape = (u.shape[0], u.shape[1], self._ny)
+        deadline = self._by(self._limits.simulate_seconds)
+        self._send("simulate", (past_u, past_y, u, self._ny), deadline, late)
+        head = self._head(deadline, late, expected=shape)
+        if head.length != math.prod(shape) * 8:
+            raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
+        y = _floats(self._body(head, deadline, late)).reshape(shape)
+        if not np.isfinite(y).all():
+            raise CandidateError(Reason.NOT_FINITE)
+        return y
+
+    def dump(self) -> bytes:
+        """The fitted model as opaque bytes; only a worker that runs the same source reads them."""
+        self._need_model()
+        late = Reason.FIT_TIMEOUT
+        deadline = time.monotonic() + self._limits.fit_seconds
+        self._send("dump", (), deadline, late)
+        return self._model_bytes(self._head(deadline, late), deadline, late)
+
+    def answer_by(self, latest: float) -> None:
+        """No later load or simulate waits past this `time.monotonic()` value."""
+        self._latest = latest
+
+    def abort(self) -> None:
+        """End the process from another thread: the one that uses it then sees it gone."""
+        with contextlib.suppress(OSError):
+            self._cell.kill()
+            self._cell.force()
+
+    def close(self) -> None:
+        """End the process with everything it started; may be called again. What the kernel does
+        not let die is `left_behind`."""
+        if not self._closed:
+            self._closed = True
+            self._channel.close()
+            if not self._cell.end():
+                self.left_behind = self._cell.process.pid
+
+    def _start(self) -> None:
+        """Wait for the fresh process to be ready: its start is nobody's fit time."""
+        if self._started or self._closed:
+            raise SandboxError("a worker takes one fit, or models of one source; open a fresh one")
+        self._started = True
+        try:
+            head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
+            ready = head == Head(Status.STARTED, 0)
+        except (LateError, GoneError, UnsolicitedError):
+            ready = False
+        if not ready:
+            said = self._channel.take_output()[-500:].strip()
+            self.close()
+            raise SandboxError(f"a worker did not start: {said or 'no message'}")
+
+    def _by(self, seconds: float) -> float:
+        return min(time.monotonic() + seconds, self._latest)
+
+    def _answer(self, score: ScoreModel, model: bytes, deadline: float) -> None:
+        """Score a model that the candidate is training. Both processes end with a failure."""
+        late = Reason.FIT_TIMEOUT
+        try:
+            answer = ("score", (score(model, deadline),))
+        except ScoreRefusedError as refused:
+            answer = ("refuse", (str(refused),))
+        except CandidateError:
+            self.close()
+            if time.monotonic() >= deadline:
+                raise self._translated(LateError(), late) from None
+            raise
+        self._send(*answer, deadline, late)
+
+    def _need_model(self) -> None:
+        if self._closed or not self._model_loaded:
+            raise SandboxError("the worker has no model: call fit or load first")
+
+    def _send(
+        self, name: str, arguments: tuple[object, ...], deadline: float, late: Reason
+    ) -> None:
+        try:
+            token = self._channel.new_token()
+            body = pickle.dumps((token, name, arguments), protocol=5)
+            self._channel.send(body, deadline)
+        except (LateError, GoneError, UnsolicitedError) as error:
+            raise self._translated(error, late) from None
+
+    def _head(
+        self,
+        deadline: float,
+        late: Reason,
+        wanted: tuple[Status, ...] = (Status.OK,),
+        expected: tuple[int, ...] = (),
+    ) -> Head:
+        """Head of a reply that is no failure; `expected` is the shape to name in one."""
+        try:
+            head = self._channel.receive_head(deadline)
+            if head.status in wanted:
+                return head
+            if head.status not in _REASONS:
+                raise UnsolicitedError
+            length = head.length if head.length <= TEXT_BYTES else 0
+            body = self._channel.receive(length, deadline)
+        except (LateError, GoneError, UnsolicitedError) as error:
+            raise self._translated(error, late) from None
+        raise self._failure(_REASONS[head.status], self._words(head.status, body, expected))
+
+    def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
+        """A model that follows `head`."""
+        if head.length > self._limits.model_mb * 1024 * 1024:
+            detail = f"{head.length} bytes, at most {self._limits.model_mb} MB are kept"
+            raise self._failure(Reason.MODEL_SIZE, detail)
+        return self._body(head, deadline, late)
+
+    def _body(self, head: Head, deadline: float, late: Reason) -> bytes:
+        try:
+            return self._channel.receive(head.length, deadline)
+        except (LateError, GoneError) as error:
+            raise self._translated(error, late) from None
+
+    def _words(self, status: Status, body: bytes, expected: tuple[int, ...]) -> str:
+        """Detail of a failure the worker reported. Once it knows cases it may not speak freely."""
+        if status is Status.SHAPE:
+            return f"got shape {_shape_words(body, expected)}, expected {expected}"
+        text = printable(body).strip()
+        if not self._cases_seen:
+            return text
+        if status is Status.CONTRACT:
+            return "no array of numbers, or no model with simulate"
+        return text if text in _KNOWN_ERRORS else "an exception of its own"
+
+    def _translated(self, error: Exception, late: Reason) -> CandidateError | SandboxError:
+        if isinstance(error, LateError):
+            seconds = (
+                self._limits.simulate_seconds
+                if late is Reason.SIMULATE_TIMEOUT and self._model_loaded
+                else self._limits.fit_seconds
+            )
+            return self._failure(late, f"no answer within {seconds:g} s")
+        if isinstance(error, UnsolicitedError):
+            return self._failure(Reason.UNSOLICITED)
+        code = self._cell.exit_code()
+        if code is not None and (code == _KILLED or (self._cell.beyond_reach and code < 0)):
+            self.close()
+            number = -code if code < 0 else code - 128
+            return WorkerKilledError(f"the worker was ended from outside by signal {number}")
+        if self._cases_seen:
+            return self._failure(Reason.EXITED)
+        said = self._channel.take_output()[-_LAST_WORDS:].strip()
+        starved = any(words in said.lower() for words in _OUT_OF_MEMORY)
+        how = "" if code is None else f"exit code {code}; "
+        detail = f"{how}last printed: {said or 'nothing'}"
+        return self._failure(Reason.MEMORY if starved else Reason.EXITED, detail)
+
+    def _failure(self, reason: Reason, detail: str = "") -> CandidateError:
+        """End the worker; the error is the caller's to raise."""
+        self.close()
+        return CandidateError(reason, detail)
+
+
+def _plain(context: Context) -> dict[str, object]:
+    """The context's fields but its functions, which the worker has its own of."""
+    own = ("log", "validation_score")
+    return {f.name: getattr(context, f.name) for f in fields(context) if f.name not in own}
+
+
+def _floats(data: bytes) -> Array:
+    return np.frombuffer(data, dtype="<f8").astype(np.float64)
+
+
+def _shape_words(body: bytes, expected: tuple[int, ...]) -> str:
+    """The shape a candidate returned, in numbers near the expected ones only."""
+    dimensions = np.frombuffer(body[: len(body) // 8 * 8], dtype="<i8")[:SHAPE_DIMENSIONS]
+    likely = {0, 1, *(n + shift for n in expected for shift in (-1, 0, 1))}
+    words = [str(n) if n in likely else "?" for n in dimensions.tolist()]
+    return f"({', '.join(words)})"

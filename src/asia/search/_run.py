@@ -1,0 +1,294 @@
+"""Open or resume a run directory and search."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import math
+import platform
+import secrets
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
+
+from asia.agents import Agent
+from asia.candidate import Context, check_source
+from asia.errors import CandidateError, SandboxError, UserError
+from asia.evaluation import LINEAR, Evaluator, derive_seed
+from asia.executor import Executor, LocalExecutor
+from asia.ledger import (
+    RESUMABLE,
+    Chain,
+    Extended,
+    Resumed,
+    SearchView,
+    Started,
+    Store,
+    check_lock,
+    write_exports,
+    write_whole,
+)
+from asia.problem import Budget
+from asia.problem.load import (
+    Problem,
+    Seal,
+    check_feedback,
+    lock_differences,
+    lock_text,
+    protocol_digest,
+)
+from asia.protocol import EarlyStopping, make_folds
+from asia.sandbox import Isolation, Probe, probe
+from asia.seal._guard import guard_digest
+from asia.seal._test import seal
+from asia.search._hidden import check_hidden
+from asia.search._loop import Loop, OnEvent
+
+LOCK = "problem.lock.toml"
+PACKAGES = ("numpy", "scipy", "jax", "equinox", "optax", "cloudpickle", "asia-sysid")
+AGENT_PACKAGES = {"llm": ("openai", "httpx2")}
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run directory ready to be searched: nothing was written yet."""
+
+    problem: Problem
+    directory: Path
+    lock: str
+    started: Started
+    resumes: bool
+
+
+def prepare(
+    problem: Problem,
+    agent_name: str,
+    *,
+    seed: int,
+    runs: Path,
+    name: str | None = None,
+    isolation: Isolation | None = None,
+    agent_settings: Mapping[str, str] | None = None,
+) -> Prepared:
+    """Check everything a search needs and compare with what is on disk. Writes nothing.
+
+    agent_settings: what shapes the agent's proposals beside its name.
+
+    Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
+    other settings.
+    """
+    _check(problem)
+    sealed = replace(seal(problem), guard=guard_digest(problem))
+    setting = "" if problem.protocol.early_stopping == "inner" else "-validation"
+    run_name = name or f"{problem.name}-{agent_name}-s{seed}{setting}"
+    directory = runs / run_name
+    found = _probe(isolation)
+    check_hidden(problem, directory, found.level)
+    lock = lock_text(problem, sealed)
+    started = Started(
+        run=run_name,
+        problem=problem.name,
+        agent=agent_name,
+        seed=seed,
+        experiments=problem.budget.experiments,
+        hours=problem.budget.hours,
+        outputs=tuple(s.name for s in problem.outputs),
+        lock_digest=hashlib.sha256(lock.encode()).hexdigest(),
+        protocol_digest=protocol_digest(problem),
+        test_digest=sealed.sha256,
+        isolation=found.level.value,
+        isolation_notes=found.notes,
+        environment=environment(agent_name),
+        early_stopping=problem.protocol.early_stopping,
+        agent_settings=dict(agent_settings or {}),
+        ladder=problem.protocol.ladder,
+        guard_digest=sealed.guard,
+        layers=tuple(layer.value for layer in found.layers),
+        salt=secrets.token_hex(16),
+    )
+    resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
+    if resumes:
+        _compare(problem, sealed, directory)
+    return Prepared(problem, directory, lock, started, resumes)
+
+
+def search(
+    prepared: Prepared,
+    agent: Agent,
+    on_event: OnEvent,
+    on_start: Callable[[SearchView], None],
+    executor: Executor | None = None,
+) -> SearchView:
+    """Run or resume to the end of the budget; the finished view.
+
+    Unfinished runs resume, finished ones return at once, a larger budget extends. Raises UserError
+    when the run is in use, belongs to another agent or seed, or was unsealed.
+    """
+    directory, problem = prepared.directory, prepared.problem
+    with Chain(directory / "ledger.jsonl") as chain:
+        if not chain.lines:
+            write_whole(directory / LOCK, prepared.lock.encode())
+            chain.append(prepared.started)
+        view = chain.view
+        check_lock(directory, view.started)
+        check_same_search(view, prepared.started)
+        loop = Loop(
+            problem=problem,
+            baseline=problem.baseline or LINEAR,
+            agent=agent,
+            evaluator=make_evaluator(problem, view, executor),
+            chain=chain,
+            store=Store(directory / "artifacts"),
+            directory=directory,
+            on_event=on_event,
+        )
+        loop.store.tidy()
+        # A search that was killed behind its last record has not written them.
+        write_exports(directory, view)
+        on_start(view)
+        wanted = prepared.started
+        if (wanted.experiments, wanted.hours) != (view.budget, view.hours):
+            loop.record(Extended(wanted.experiments, wanted.hours))
+        stopped = loop.view.stopped
+        if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
+            loop.record(Resumed())
+        return loop.run()
+
+
+def make_evaluator(
+    problem: Problem, view: SearchView, executor: Executor | None = None
+) -> Evaluator:
+    """The evaluator of a run, at the isolation its ledger records."""
+    rule = problem.protocol
+    context = Context(
+        inputs=problem.inputs,
+        outputs=problem.outputs,
+        sampling_time=problem.sampling_time,
+        n_past_u=rule.past_inputs,
+        n_past_y=rule.past_outputs,
+        horizon=rule.horizon,
+        metric=rule.metric,
+        physics=problem.physics,
+        seed=derive_seed(view.started.seed, "search"),
+    )
+    return Evaluator(
+        folds=make_folds(problem.train, rule),
+        records=problem.train,
+        context=context,
+        rule=rule,
+        budget=problem.budget,
+        isolation=Isolation(view.started.isolation),
+        executor=executor or LocalExecutor(),
+        salt=view.started.salt,
+    )
+
+
+def with_early_stopping(problem: Problem, setting: str) -> Problem:
+    """The problem with this setting instead of its file's. Raises UserError for another word, or
+    one that the protocol's feedback rules out."""
+    for known in get_args(EarlyStopping):
+        if setting == known:
+            rule = replace(problem.protocol, early_stopping=known)
+            check_feedback(rule)
+            return replace(problem, protocol=rule)
+    raise UserError(
+        f"early stopping '{setting}': expected {' or '.join(get_args(EarlyStopping))}; "
+        "choose one, or leave it out for the problem's own"
+    )
+
+
+def check_baseline(problem: Problem) -> None:
+    """Raises UserError when the problem's baseline.py is not a candidate."""
+    if problem.baseline is None:
+        return
+    try:
+        check_source(problem.baseline)
+    except CandidateError as error:
+        raise UserError(f"baseline.py of problem '{problem.name}': {error.reason.advice}") from None
+
+
+def _check(problem: Problem) -> None:
+    check_baseline(problem)
+    _check_budget(problem.budget)
+    make_folds(problem.train, problem.protocol)
+
+
+def _check_budget(budget: Budget) -> None:
+    """The file's schema checks a budget that was read; this one may come from anywhere."""
+    if budget.experiments < 1:
+        raise UserError(f"a budget of {budget.experiments} experiments: at least 1 is needed")
+    if budget.hours is not None and not budget.hours > 0:
+        raise UserError(f"a budget of {budget.hours:g} hours: more than 0 are needed")
+
+
+def _probe(wanted: Isolation | None) -> Probe:
+    try:
+        return probe(wanted)
+    except SandboxError as error:
+        raise UserError(f"{error}; leave --isolation out for the strongest that works") from None
+
+
+def environment(agent_name: str) -> dict[str, str]:
+    """Python, platform and the versions of the packages that outcomes or prompts may depend on."""
+    names = (*PACKAGES, *AGENT_PACKAGES.get(agent_name, ()))
+    versions = {name: importlib.metadata.version(name) for name in names}
+    return {"python": platform.python_version(), "platform": platform.platform(), **versions}
+
+
+def _compare(problem: Problem, sealed: Seal, directory: Path) -> None:
+    """The budget may grow; all else must be as it was."""
+    found = lock_differences(problem, sealed, directory / LOCK)
+    different = [d for d in found if d.key not in ("budget.experiments", "budget.hours")]
+    if different:
+        raise UserError(
+            f"{directory} was started with other settings ({different[0]}); only the number of "
+            "experiments and the hours can grow: choose another --name"
+        )
+
+
+def check_same_search(view: SearchView, wanted: Started) -> None:
+    """Raises UserError unless `wanted` asks for the same search, or for more of it."""
+    start = view.started
+    for what, there, now in (
+        ("agent", start.agent, wanted.agent),
+        ("seed", start.seed, wanted.seed),
+        ("isolation", start.isolation, wanted.isolation),
+    ):
+        if there != now:
+            raise UserError(
+                f"run '{start.run}' has {what} {there}, not {now}: choose another --name"
+            )
+    lost = [layer for layer in start.layers if layer not in wanted.layers]
+    if lost:
+        raise UserError(
+            f"run '{start.run}' began with a layer of isolation that is not there "
+            f"({', '.join(lost)}): go on where it began, or choose another --name"
+        )
+    settings = start.agent_settings, wanted.agent_settings
+    for what in dict.fromkeys([*settings[0], *settings[1]]):
+        there, now = (s.get(what, "its default") for s in settings)
+        if there != now:
+            raise UserError(
+                f"run '{start.run}' has an agent with {what} {there}, not {now}: choose another "
+                "--name"
+            )
+    for what, there, now in (
+        ("experiments", view.budget, wanted.experiments),
+        ("hours", _hours(view.hours), _hours(wanted.hours)),
+    ):
+        if now < there:
+            has = f"{there:g} {what}" if math.isfinite(there) else f"no limit of {what}"
+            raise UserError(
+                f"run '{start.run}' has {has}, and a budget can only grow: ask for at least that, "
+                "or choose another --name"
+            )
+    grows = wanted.experiments > view.budget or _hours(wanted.hours) > _hours(view.hours)
+    if view.unsealing and grows:
+        raise UserError(
+            f"run '{start.run}' was unsealed; a search ends there: choose another --name"
+        )
+
+
+def _hours(value: float | None) -> float:
+    return math.inf if value is None else value
