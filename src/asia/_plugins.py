@@ -1,0 +1,110 @@
+"""Parts that installed packages add to ASIA by entry points, and parts named as `module:Name`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import Distribution, EntryPoint, distributions
+from importlib.util import find_spec
+from pathlib import Path
+
+from asia.errors import UserError
+
+GROUPS = (
+    "asia.families",
+    "asia.agents",
+    "asia.sources",
+    "asia.metrics",
+    "asia.executors",
+    "asia.sinks",
+)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of another package."""
+
+    group: str
+    """The kind of part, one of `GROUPS`."""
+    name: str
+    """What the part is called in problem files and on the command line."""
+    target: str
+    """Where it is defined, `module:Name`."""
+    package: str
+    """The package that brings it."""
+    version: str
+    """The version of that package."""
+
+    def load(self) -> object:
+        """The part itself. Raises UserError when its module cannot be imported or lacks it."""
+        return load_target(self.target, f"{self.name} of package {self.package} {self.version}")
+
+
+def load_target(target: str, what: str) -> object:
+    """The object at `module:Name`. what: its description in messages. Raises UserError when the
+    text has another form, the module cannot be imported, or it has no such name."""
+    module, _, name = target.partition(":")
+    if not module or not name:
+        raise UserError(f"{what}: '{target}' has no such form: expected 'module:Name'")
+    try:
+        found: object = import_module(module)
+    # Code of another package: whatever it raises is its failure, not ours.
+    except Exception as error:
+        raise UserError(
+            f"{what}: cannot import {module}: {type(error).__name__}: {error}"
+        ) from error
+    for attribute in name.split("."):
+        if not hasattr(found, attribute):
+            raise UserError(f"{what}: module {module} has no '{name}'")
+        found = getattr(found, attribute)
+    return found
+
+
+@cache
+def parts() -> tuple[Part, ...]:
+    """What every installed package adds, by kind and name. Reads metadata, imports nothing.
+
+    Raises UserError when two packages bring a part of the same kind and name.
+    """
+    found: dict[tuple[str, str], Part] = {}
+    for distribution in distributions():
+        for point in _points(distribution):
+            part = Part(
+                point.group,
+                point.name,
+                point.value,
+                distribution.metadata["Name"],
+                distribution.version,
+            )
+            other = found.setdefault((part.group, part.name), part)
+            if other.package != part.package:
+                raise UserError(
+                    f"packages {other.package} and {part.package} both bring '{part.name}' in "
+                    f"{part.group}: uninstall one of them"
+                )
+    return tuple(sorted(found.values(), key=lambda p: (GROUPS.index(p.group), p.name)))
+
+
+def parts_of(group: str) -> tuple[Part, ...]:
+    """The parts of one kind, by name. Raises UserError as `parts` does."""
+    return tuple(part for part in parts() if part.group == group)
+
+
+def plugin_folders() -> tuple[Path, ...]:
+    """Folders on the import path that hold the packages of parts, for workers to read. Raises
+    UserError as `parts` does."""
+    found: dict[Path, None] = {}
+    for part in parts():
+        top = part.target.partition(":")[0].partition(".")[0]
+        spec = find_spec(top)
+        if spec is not None and spec.origin is not None:
+            file = Path(spec.origin)
+            folder = file.parent.parent if file.name == "__init__.py" else file.parent
+            found[folder.resolve()] = None
+    return tuple(found)
+
+
+def _points(distribution: Distribution) -> tuple[EntryPoint, ...]:
+    # The metadata of an editable install can lie on the path twice; the first one counts.
+    return tuple(point for point in distribution.entry_points if point.group in GROUPS)
