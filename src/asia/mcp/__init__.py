@@ -7,14 +7,11 @@ Importing this package is cheap: the MCP SDK, an extra, is loaded when a server 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 
-from asia.drive import Order, RunDesk, prepare_order, start_search
 from asia.errors import UserError
 from asia.mcp._config import CLIENTS, client_configuration
-from asia.problem.load import Problem
+from asia.mcp._opened import AGENT, Opened, open_search
 
 __all__ = [
     "AGENT",
@@ -27,17 +24,6 @@ __all__ = [
     "serve_stdio",
 ]
 
-AGENT = "mcp"
-
-
-@dataclass(frozen=True)
-class Opened:
-    """A run that takes submissions, and the problem it is about."""
-
-    desk: RunDesk
-    problem: Problem
-    directory: Path
-
 
 def require_sdk() -> None:
     """Raises UserError where the extra is not installed."""
@@ -47,25 +33,19 @@ def require_sdk() -> None:
         )
 
 
-def open_search(order: Order, runs: Path, name: str | None) -> Opened:
-    """Check the order and write it down; no search is started. Raises UserError."""
-    prepared = prepare_order(order, runs, name)
-    order.save(prepared.directory)
-    desk = RunDesk(prepared.directory, start_search)
-    return Opened(desk, prepared.problem, prepared.directory)
-
-
 def serve_stdio(opened: Opened) -> None:
-    """Until the client closes the connection."""
+    """Serve until the client closes the connection."""
     from asia.mcp._server import make_server
 
     make_server(opened).run()
 
 
 def serve_http(opened: Opened, address: str, token_variable: str | None) -> None:
-    """Until interrupted. address: HOST:PORT on this machine, port 0 for any free one. The bearer
-    token is taken out of the environment variable, or made up; it is told on stderr then. Raises
-    UserError."""
+    """Serve until interrupted. address: HOST:PORT on this machine, port 0 for any free one.
+
+    The bearer token is taken out of the environment variable `token_variable`; None makes one up
+    and prints it on stderr. Raises UserError for another host or a token that is too short.
+    """
     from asia.mcp._http import serve
 
     serve(opened, address, token_variable)

@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from asia.errors import UserError
-from asia.mcp import Opened
+from asia.mcp._opened import Opened
 from asia.mcp._server import make_server
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")

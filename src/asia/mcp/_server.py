@@ -16,7 +16,7 @@ import asia
 from asia.drive import RunDesk
 from asia.errors import AsiaError, UserError
 from asia.ledger import describe_result, journal, one_line, results_table
-from asia.mcp import Opened
+from asia.mcp._opened import Opened
 from asia.mcp._texts import INSTRUCTIONS, problem_page, search_prompt
 from asia.mcp._tools import Tools
 

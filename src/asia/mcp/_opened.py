@@ -1,0 +1,31 @@
+"""The run that a server takes submissions for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from asia.drive import Order, RunDesk, prepare_order, start_search
+from asia.problem.load import Problem
+
+AGENT = "mcp"
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A run that takes submissions, and the problem it is about."""
+
+    desk: RunDesk
+    """Where candidates are handed in."""
+    problem: Problem
+    """What a model is searched for."""
+    directory: Path
+    """The directory of the run."""
+
+
+def open_search(order: Order, runs: Path, name: str | None) -> Opened:
+    """Check the order and write it down; no search is started. Raises UserError."""
+    prepared = prepare_order(order, runs, name)
+    order.save(prepared.directory)
+    desk = RunDesk(prepared.directory, start_search)
+    return Opened(desk, prepared.problem, prepared.directory)

