@@ -65,7 +65,7 @@ def searches(directory: Path) -> list[int]:
                 parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
             except OSError:
                 continue
-            if b"asia.search" in words and os.fsencode(directory.resolve()) in words:
+            if b"asia.drive" in words and os.fsencode(directory.resolve()) in words:
                 found[int(entry.name)] = parent
     return [pid for pid, parent in found.items() if parent not in found]
 
