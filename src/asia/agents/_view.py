@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics, Phase, Status
 from asia.problem import Physics
-from asia.protocol import EarlyStopping, Metric
+from asia.protocol import EarlyStopping
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Facts:
     past_outputs: int
     physics: Physics | None = None
     horizon: int | None = None
-    metric: Metric = "rmse"
+    metric: str = "rmse"
     early_stopping: EarlyStopping = "inner"
     folds: int = 2
     groups: tuple[tuple[str, ...], ...] = ()

@@ -21,7 +21,6 @@ from asia.problem import Budget
 from asia.protocol import Block, Fold, ProtocolRule, whole
 from asia.sandbox import FitReply, Isolation, Limits, Worker, WorkerKilledError, open_worker
 from asia.scoring import (
-    METRICS,
     Diagnostics,
     Failure,
     FoldScore,
@@ -297,8 +296,6 @@ def score_outputs(
     in_parts: bool = False,
 ) -> Outcome:
     """Score given simulations, one (H, ny) array a held-out block of each fold."""
-    if metric not in METRICS:
-        raise KeyError(metric)
     scores = [
         score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric, in_parts=in_parts)
         for fold, y_hat in zip(folds, outputs, strict=True)

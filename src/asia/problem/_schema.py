@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from asia.data._trajectory import Signal
 from asia.problem._problem import Budget
 from asia.problem.physics.types import Bounds, ParameterRange, Physics
+from asia.protocol._metrics import known_metric, known_test_metric
 from asia.protocol._rules import (
     EarlyStopping,
     Feedback,
     FoldRule,
-    Metric,
     OutputGroup,
     ProtocolRule,
-    TestMetric,
     TestRule,
 )
 
 LEAST_MEMORY_MB = 1600
 LADDER_STEP = 0.1
+
+MetricName = Annotated[str, AfterValidator(known_metric)]
+TestMetricName = Annotated[str, AfterValidator(known_test_metric)]
 
 
 class Table(BaseModel):
@@ -89,7 +91,7 @@ class RotationTable(Table):
 
 
 class TestTable(Table):
-    metrics: list[TestMetric] = Field(default=["rmse"], min_length=1)
+    metrics: list[TestMetricName] = Field(default=["rmse"], min_length=1)
     skip: int = Field(default=0, ge=0)
     groups: dict[str, Annotated[list[str], Field(min_length=1)] | RotationTable] = {}
     horizons: list[Annotated[int, Field(ge=1)]] = []
@@ -109,7 +111,7 @@ class ProtocolTable(Table):
     folds: FoldsTable = FoldsTable()
     past_inputs: int = Field(default=ProtocolRule.past_inputs, ge=0, le=100_000)
     past_outputs: int = Field(default=ProtocolRule.past_outputs, ge=0, le=100_000)
-    metric: Metric = "rmse"
+    metric: MetricName = "rmse"
     early_stopping: EarlyStopping = "inner"
     feedback: Feedback = "exact"
     ladder_step: Annotated[float, Field(gt=0, lt=1)] | None = None

@@ -1,19 +1,30 @@
 """How a model is judged: folds, past windows, horizon, metric."""
 
 from asia.protocol._folds import Block, Case, Fold, cut, make_folds, whole
+from asia.protocol._metrics import (
+    MEE,
+    METRICS,
+    Metric,
+    TrainingLoss,
+    find_metric,
+    known_metric,
+    known_test_metric,
+    metric_label,
+    metric_names,
+)
 from asia.protocol._rules import (
     EarlyStopping,
     Feedback,
     FoldRule,
     Group,
-    Metric,
     OutputGroup,
     ProtocolRule,
-    TestMetric,
     TestRule,
 )
 
 __all__ = [
+    "MEE",
+    "METRICS",
     "Block",
     "Case",
     "EarlyStopping",
@@ -24,9 +35,14 @@ __all__ = [
     "Metric",
     "OutputGroup",
     "ProtocolRule",
-    "TestMetric",
     "TestRule",
+    "TrainingLoss",
     "cut",
+    "find_metric",
+    "known_metric",
+    "known_test_metric",
     "make_folds",
+    "metric_label",
+    "metric_names",
     "whole",
 ]

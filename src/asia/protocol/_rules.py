@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Metric = Literal["rmse", "mae"]
-TestMetric = Literal["rmse", "mae", "mee"]
 EarlyStopping = Literal["inner", "validation"]
 Feedback = Literal["exact", "ladder"]
 
@@ -44,7 +42,7 @@ class TestRule:
     """How the sealed test is measured: `skip` samples after the past window are left out.
     `groups` and `horizons` (samples, 1-based) are those of the Mean Euclidean Error table."""
 
-    metrics: tuple[TestMetric, ...] = ("rmse",)
+    metrics: tuple[str, ...] = ("rmse",)
     skip: int = 0
     groups: tuple[OutputGroup, ...] = ()
     horizons: tuple[int, ...] = ()
@@ -65,7 +63,7 @@ class ProtocolRule:
     folds: FoldRule = FoldRule()
     past_inputs: int = 10
     past_outputs: int = 10
-    metric: Metric = "rmse"
+    metric: str = "rmse"
     early_stopping: EarlyStopping = "inner"
     horizon: int | None = None
     test: TestRule = TestRule()

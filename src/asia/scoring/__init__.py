@@ -1,8 +1,8 @@
 """(y, y_hat) -> Score or Failure. Sees targets, never runs a candidate."""
 
 from asia.scoring._diagnostics import Diagnostics, diagnose
+from asia.scoring._fit import fit_index, r2
 from asia.scoring._mee import GroupError, MeeTable, mee_table
-from asia.scoring._metrics import METRICS, fit_index, mae, r2, rmse
 from asia.scoring._outcome import (
     Failure,
     FoldScore,
@@ -16,7 +16,6 @@ from asia.scoring._outcome import (
 )
 
 __all__ = [
-    "METRICS",
     "Diagnostics",
     "Failure",
     "FoldScore",
@@ -29,10 +28,8 @@ __all__ = [
     "combine",
     "diagnose",
     "fit_index",
-    "mae",
     "mee_table",
     "r2",
-    "rmse",
     "score_fold",
     "score_test",
 ]

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from asia.data import Array
 from asia.errors import CandidateError, InternalError, Reason
-from asia.scoring._metrics import METRICS, fit_index, mae, pooled, r2, rmse
+from asia.protocol import METRICS, find_metric
+from asia.scoring._fit import fit_index, pooled, r2
 
 DIVERGED = 1e100
 PARTS = 8
@@ -18,22 +20,32 @@ PARTS = 8
 
 @dataclass(frozen=True)
 class FoldScore:
-    """One fold: `value` is the normalised metric that enters V; errors per channel are in
-    physical units, fit index in percent; None where the held-out output does not move. `parts` is
-    the normalised metric on PARTS equal parts of the held-out samples in turn, () where nothing
-    asks for it. Raises InternalError when a number is not finite."""
+    """The score on one fold. Raises InternalError when a number in it is not finite."""
 
     value: float
+    """The metric as it enters V: mean over the outputs, lower is better."""
     rmse: tuple[float, ...]
+    """RMSE of each output in its unit."""
     mae: tuple[float, ...]
+    """MAE of each output in its unit."""
     fit_index: tuple[float | None, ...]
+    """Fit index of each output in percent; None where the held-out output does not move."""
     r2: tuple[float | None, ...]
+    """R^2 of each output; None where the held-out output does not move."""
     parts: tuple[float, ...] = ()
+    """`value` on PARTS equal parts of the held-out samples; () where nothing asks for it."""
+    other: tuple[float, ...] = ()
+    """The problem's metric of each output where it is neither RMSE nor MAE, else ()."""
 
     def __post_init__(self) -> None:
-        numbers = (self.value, *self.rmse, *self.mae, *self.fit_index, *self.r2, *self.parts)
+        lists = self.rmse, self.mae, self.fit_index, self.r2, self.parts, self.other
+        numbers = (self.value, *chain.from_iterable(lists))
         if not all(n is None or math.isfinite(n) for n in numbers):
             raise InternalError("a score that is not finite was about to be recorded")
+
+    def per_channel(self, metric: str) -> tuple[float, ...]:
+        """The problem's metric of each output, in the metric's unit."""
+        return {"rmse": self.rmse, "mae": self.mae}.get(metric, self.other)
 
     @property
     def worst_fit(self) -> float | None:
@@ -43,10 +55,12 @@ class FoldScore:
 
 @dataclass(frozen=True)
 class Score:
-    """V = mean over folds. Raises InternalError when anything in it is not finite."""
+    """The score of a candidate. Raises InternalError when it is not finite."""
 
     value: float
+    """V, the mean over the folds."""
     folds: tuple[FoldScore, ...]
+    """One a fold, in order."""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value):
@@ -55,11 +69,14 @@ class Score:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why there is no score; `fold` is 1-based, None when no fold was reached."""
+    """Why there is no score."""
 
     reason: Reason
+    """The kind of failure."""
     detail: str = ""
+    """What was raised or measured, of any length."""
     fold: int | None = None
+    """The fold that failed, 1-based; None when no fold was reached."""
 
     @property
     def advice(self) -> str:
@@ -72,13 +89,16 @@ Outcome = Score | Failure
 
 @dataclass(frozen=True)
 class TestScore:
-    """Error on the sealed test in physical units: mean over channels of the pooled error, the
-    pooled error of each channel, and the mean over channels for each trajectory."""
+    """One metric on the sealed test, in the metric's own unit."""
 
     metric: str
+    """The name of the metric."""
     value: float
+    """Mean of `per_channel`."""
     per_channel: tuple[float, ...]
+    """Of each output, over the samples of all trajectories."""
     per_trajectory: tuple[float, ...]
+    """Of each trajectory, the mean over the outputs."""
 
 
 def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:
@@ -95,22 +115,25 @@ def score_fold(
     """Score the simulated blocks of one fold.
 
     y, y_hat: one (H, ny) array a block; scale (ny,). The metric of each channel is taken over all
-    samples of all blocks, divided by scale, and averaged over the channels. in_parts: fill
-    `FoldScore.parts`.
-    Raises CandidateError for a reply of the wrong size or not finite.
+    samples of all blocks, divided by scale where the metric is in the unit of the output, and
+    averaged over the channels. in_parts: fill `FoldScore.parts`. Raises CandidateError for a reply
+    of the wrong size or not finite, UserError when the metric cannot be computed.
     """
     for measured, simulated in zip(y, y_hat, strict=True):
         check_reply(simulated, measured.shape)
     a, b = pooled(y), pooled(y_hat)
-    value = float(np.mean(METRICS[metric](a, b) / scale))
+    judge = find_metric(metric)
+    value = judge.shortfall(a, b, scale)
     if not math.isfinite(value):
         raise CandidateError(Reason.NOT_FINITE)
     parts: tuple[float, ...] = ()
     if in_parts:
         cut = zip(np.array_split(a, PARTS), np.array_split(b, PARTS), strict=True)
-        parts = tuple(float(np.mean(METRICS[metric](c, d) / scale)) for c, d in cut if len(c))
+        parts = tuple(judge.shortfall(c, d, scale) for c, d in cut if len(c))
     indices = _defined(fit_index(a, b)), _defined(r2(a, b))
-    return FoldScore(value, _t(rmse(a, b)), _t(mae(a, b)), *indices, parts)
+    rmse, mae = (_t(METRICS[name].values(a, b)) for name in ("rmse", "mae"))
+    other = () if metric in METRICS else _t(judge.values(a, b))
+    return FoldScore(value, rmse, mae, *indices, parts, other)
 
 
 def combine(folds: Sequence[FoldScore]) -> Score:
@@ -119,13 +142,16 @@ def combine(folds: Sequence[FoldScore]) -> Score:
 
 
 def score_test(y: Sequence[Array], y_hat: Sequence[Array], metric: str, skip: int = 0) -> TestScore:
-    """Error on the test set in physical units, the first `skip` samples of each block left out."""
+    """The metric on the test set, the first `skip` samples of each block left out. Raises as
+    `score_fold`."""
     for measured, simulated in zip(y, y_hat, strict=True):
         check_reply(simulated, measured.shape)
-    measure = METRICS[metric]
+    measure = find_metric(metric).values
     kept = [(a[skip:], b[skip:]) for a, b in zip(y, y_hat, strict=True)]
     channels = measure(pooled([a for a, _ in kept]), pooled([b for _, b in kept]))
     each = tuple(float(np.mean(measure(a, b))) for a, b in kept)
+    if not np.isfinite([*channels, *each]).all():
+        raise CandidateError(Reason.NOT_FINITE, f"the test's {metric} is not finite")
     return TestScore(metric, float(np.mean(channels)), _t(channels), each)
 
 

@@ -26,9 +26,9 @@ from asia.ledger import (
     write_exports,
 )
 from asia.problem.load import Problem, data_digest, load_lock
-from asia.protocol import Block, whole
+from asia.protocol import MEE, Block, whole
 from asia.sandbox import Isolation
-from asia.scoring import METRICS, Failure, mee_table, score_test
+from asia.scoring import Failure, mee_table, score_test
 from asia.seal._test import check_openable, open_test
 from asia.search._run import LOCK, make_evaluator
 
@@ -176,11 +176,11 @@ class _Judge:
         rule, y = self.problem.protocol.test, [b.y for b in self.blocks]
         measured, simulated = (_by_record(parts, self.blocks) for parts in (y, y_hat))
         scores = tuple(
-            score_test(measured, simulated, m, rule.skip) for m in rule.metrics if m in METRICS
+            score_test(measured, simulated, m, rule.skip) for m in rule.metrics if m != MEE
         )
         names = [s.name for s in self.problem.outputs]
         mee = None
-        if "mee" in rule.metrics:
+        if MEE in rule.metrics:
             mee = mee_table(y, y_hat, names, rule.groups, rule.horizons)
         return TestRecord(scores, self.store.put_arrays(simulated), mee)
 

@@ -4,6 +4,7 @@ from asia.testing._agent import check_agent
 from asia.testing._candidate import check_candidate
 from asia.testing._executor import check_executor
 from asia.testing._ledger import Journal, check_ledger
+from asia.testing._metric import check_metric
 from asia.testing._sandbox import OpenWorker, check_sandbox
 
 __all__ = [
@@ -13,5 +14,6 @@ __all__ = [
     "check_candidate",
     "check_executor",
     "check_ledger",
+    "check_metric",
     "check_sandbox",
 ]

@@ -1,4 +1,4 @@
-"""Error measures. Pure numpy; arrays are (samples, channels) in physical units."""
+"""Measures of fit beside the metric. Arrays are (samples, channels) in physical units."""
 
 from __future__ import annotations
 
@@ -7,19 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from asia.data import Array
-
-
-def rmse(y: Array, y_hat: Array) -> Array:
-    """Root mean square error of each channel, (ny,)."""
-    return np.sqrt(np.mean((y - y_hat) ** 2, axis=0))
-
-
-def mae(y: Array, y_hat: Array) -> Array:
-    """Mean absolute error of each channel, (ny,)."""
-    return np.mean(np.abs(y - y_hat), axis=0)
-
-
-METRICS = {"rmse": rmse, "mae": mae}
 
 
 def fit_index(y: Array, y_hat: Array) -> Array:

@@ -1,0 +1,149 @@
+"""The metrics of the field, and those that installed packages add: one declaration each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from asia._nearest import suggestion
+from asia._plugins import parts_of
+from asia.data import Array
+from asia.errors import UserError
+
+TrainingLoss = Literal["mse", "mae", "huber"]
+
+MEE = "mee"
+"""The test metric that is a table: Mean Euclidean Error by group of outputs and step."""
+_GROUP = "asia.metrics"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """How far a simulation is from the measurement, one number an output."""
+
+    name: str
+    """What problem files, lock files and ledgers call it."""
+    label: str
+    """What people read in tables and pictures."""
+    function: Callable[[Array, Array], Array]
+    """Of y and y_hat, each (samples, ny) in physical units: the values of the outputs, (ny,)."""
+    loss: TrainingLoss = "mse"
+    """The loss of `asia.models.methods` that fits a model to be judged by this metric."""
+    unit: str = "signal"
+    """`signal`: the unit of the output, and V divides by the output's standard deviation; any
+    other text is the unit itself, `""` for none, and V divides by nothing."""
+    direction: Literal["lower", "higher"] = "lower"
+    """Which values are better."""
+    best: float = 0.0
+    """The value of a simulation that equals the measurement."""
+
+    @property
+    def normalised(self) -> bool:
+        """Whether V divides by the standard deviation of the output."""
+        return self.unit == "signal"
+
+    @property
+    def v_label(self) -> str:
+        """What V averages over outputs and folds, such as `RMSE / output std`."""
+        if self.direction == "higher":
+            return f"{self.best:g} - {self.label}"
+        return f"{self.label} / output std" if self.normalised else self.label
+
+    @property
+    def v_unit(self) -> str:
+        """The unit of V, `-` for none."""
+        return "-" if self.normalised else self.unit or "-"
+
+    def unit_of(self, signal: str) -> str:
+        """The unit of a value for an output in the unit `signal`."""
+        return signal if self.normalised else self.unit
+
+    def shortfall(self, y: Array, y_hat: Array, scale: Array) -> float:
+        """What enters V: 0 at best, lower is better, the mean over the outputs.
+
+        y, y_hat: (samples, ny); scale: (ny,) standard deviations. Raises UserError when the
+        function gives anything but one number an output.
+        """
+        values = self.values(y, y_hat)
+        if self.direction == "higher":
+            values = self.best - values
+        return float(np.mean(values / scale if self.normalised else values))
+
+    def values(self, y: Array, y_hat: Array) -> Array:
+        """The values of the outputs, (ny,). Raises UserError as `shortfall`."""
+        values = np.asarray(self.function(y, y_hat), dtype=np.float64)
+        if values.shape != y.shape[1:]:
+            raise UserError(
+                f"metric '{self.name}' gives an array of shape {values.shape}, expected "
+                f"{y.shape[1:]}, one number an output: mend its function"
+            )
+        return values
+
+
+def rmse(y: Array, y_hat: Array) -> Array:
+    """Root mean square error of each channel, (ny,)."""
+    return np.sqrt(np.mean((y - y_hat) ** 2, axis=0))
+
+
+def mae(y: Array, y_hat: Array) -> Array:
+    """Mean absolute error of each channel, (ny,)."""
+    return np.mean(np.abs(y - y_hat), axis=0)
+
+
+METRICS = {m.name: m for m in (Metric("rmse", "RMSE", rmse), Metric("mae", "MAE", mae, "mae"))}
+"""The built-in metrics by name."""
+
+
+def metric_names() -> tuple[str, ...]:
+    """The built-in metrics, then those of installed packages."""
+    return (*METRICS, *(part.name for part in parts_of(_GROUP) if part.name not in METRICS))
+
+
+def find_metric(name: str) -> Metric:
+    """The metric of that name. Raises UserError when there is none, or an installed package brings
+    something else by that name."""
+    if name in METRICS:
+        return METRICS[name]
+    for part in parts_of(_GROUP):
+        if part.name == name:
+            found = part.load()
+            if not isinstance(found, Metric) or found.name != name:
+                raise UserError(
+                    f"{part.target} of package {part.package} {part.version} is {found!r}, "
+                    f"expected an asia.protocol.Metric whose name is '{name}'"
+                )
+            return found
+    raise UserError(
+        f"there is no metric '{name}'{suggestion(name, metric_names())} (installed are "
+        f"{', '.join(metric_names())}): install the package that brings it"
+    )
+
+
+def metric_label(name: str) -> str:
+    """What people read for a metric named in a problem or a ledger; of a test metric too, and also
+    where the package that brought it is gone."""
+    try:
+        return find_metric(name).label
+    except UserError:
+        return name.upper() if name == MEE else name
+
+
+def known_metric(name: str) -> str:
+    """`name` where it is a metric's. Raises ValueError that lists the metrics, for schemas."""
+    return _one_of(name, metric_names())
+
+
+def known_test_metric(name: str) -> str:
+    """As `known_metric`, for the metrics of the sealed test."""
+    return _one_of(name, (*metric_names(), MEE))
+
+
+def _one_of(name: str, names: Sequence[str]) -> str:
+    if name not in names:
+        *first, last = (f"'{known}'" for known in names)
+        listed = f"{', '.join(first)} or {last}"
+        raise ValueError(f"is '{name}', expected {listed}{suggestion(name, names)}")
+    return name
