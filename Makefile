@@ -1,9 +1,10 @@
-# make demo: the simulated two-tank problem, set-up included. make test: all checks.
+# make demo: the simulated two-tank problem, set-up included. make test: all checks. make docs: the
+# documentation as a site, in build/site.
 PYTHON ?= python3
 BIN := .venv/bin
 RUNS ?= runs
 
-.PHONY: demo test lint format clean
+.PHONY: demo test lint docs format clean
 
 .venv/ready: pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -27,6 +28,13 @@ lint: .venv/ready-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+.venv/ready-docs: .venv/ready-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --group docs
+	@touch $@
+
+docs: .venv/ready-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 format: .venv/ready-dev
 	$(BIN)/ruff check --fix .
