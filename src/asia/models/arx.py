@@ -18,7 +18,7 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._data.lags import History, Lags, fit_history
-from asia.models._data.records import Record, check, past_length, scaled
+from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.segments import segments, simulation_error
 from asia.models._one_step.free_model import (
@@ -98,10 +98,7 @@ def train(
 
 
 def _ridge(
-    records: Sequence[Record],
-    context: Context,
-    lags: Lags,
-    method: LeastSquares | LevenbergMarquardt,
+    records: ScaledData, context: Context, lags: Lags, method: LeastSquares | LevenbergMarquardt
 ) -> float:
     if isinstance(method, LeastSquares) and method.ridge is not None:
         return method.ridge
@@ -113,7 +110,7 @@ def _ridge(
 
 
 def _output_error(
-    records: Sequence[Record], context: Context, lags: Lags, method: LevenbergMarquardt
+    records: ScaledData, context: Context, lags: Lags, method: LevenbergMarquardt
 ) -> PolynomialRun:
     run = linear_run(records, lags, context, _START_RIDGE, _MARGIN)
     ridge = _ridge(records, context, lags, method)
@@ -132,7 +129,7 @@ def _output_error(
     return min((refined, own), key=lambda r: simulation_error(r, data))
 
 
-def _own_history(records: Sequence[Record], context: Context, run: PolynomialRun) -> History:
+def _own_history(records: ScaledData, context: Context, run: PolynomialRun) -> History:
     """Past window -> lagged outputs of the model itself, simulated through its records."""
     past = past_length(context)
     outputs: list[Array] = []

@@ -21,7 +21,7 @@ from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.models import recurrent
 from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._data.records import Record
+from asia.models._data.records import ScaledData
 from asia.models._data.scaling import Scaling
 from asia.models._networks.network import NetworkModel, Params, train_network, window_size, zeros
 from asia.models.methods import NetworkMethod
@@ -51,7 +51,7 @@ class Config:
         )
 
 
-State = tuple[Any, jax.Array]
+FeedbackState = tuple[Any, jax.Array]
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,15 @@ class AutoregressiveCell(Driven):
             "fixed": {"increment": np.ones(context.ny, np.float32)},
         }
 
-    def initial(self, params: Any, window: jax.Array) -> State:
+    def initial(self, params: Any, window: jax.Array) -> FeedbackState:
         """Layers' states and the last measured output, its mean where none is given."""
         rest = jnp.zeros((window.shape[0], self.ny), window.dtype)
         y = window[:, window.shape[1] - self.ny :] if self.measured else rest
         return self.inner.initial(params["net"], window), y
 
-    def step(self, params: Any, state: State, u: jax.Array) -> tuple[State, jax.Array]:
+    def step(
+        self, params: Any, state: FeedbackState, u: jax.Array
+    ) -> tuple[FeedbackState, jax.Array]:
         """What the output is read from is the output."""
         inner, y = state
         drive = jnp.concatenate([self.drive(u), y], axis=-1)
@@ -108,7 +110,9 @@ class AutoregressiveCell(Driven):
         del params, u
         return features
 
-    def feed(self, params: Any, state: State, y: jax.Array, mask: jax.Array) -> State:
+    def feed(
+        self, params: Any, state: FeedbackState, y: jax.Array, mask: jax.Array
+    ) -> FeedbackState:
         """The state with its output replaced where the mask is 1."""
         del params
         inner, own = state
@@ -130,7 +134,7 @@ def train(
     return train_network(driven, trajectories, context, method, _with_increments)
 
 
-def _with_increments(params: Params, records: Sequence[Record], scaling: Scaling) -> Params:
+def _with_increments(params: Params, records: ScaledData, scaling: Scaling) -> Params:
     del scaling
     steps = np.concatenate([np.diff(r.y, axis=0) for r in records])
     size = np.sqrt((steps**2).mean(axis=0))

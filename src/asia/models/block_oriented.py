@@ -20,15 +20,18 @@ from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import linear, neural_ss
 from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import Record, check, past_length, scaled, windows
+from asia.models._data.records import ScaledData, check, past_length, scaled, windows
 from asia.models._data.scaling import Scaling
 from asia.models._data.segments import window_pieces
 from asia.models._linear.fit import Refinement
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 from asia.models._state_space.fit import StateFit, fit_states, of_records
 from asia.models._state_space.structure import Basis, Nonlinearity
-from asia.models._state_space.wiener_hammerstein import SeriesStructure, series_starts
-from asia.models.neural_ss import Fitted, NeuralStateSpace
+from asia.models._state_space.wiener_hammerstein import (
+    WienerHammersteinStructure,
+    wiener_hammerstein_starts,
+)
+from asia.models.neural_ss import FittedStateSpace, NeuralStateSpace
 
 __all__ = ["Config", "NeuralStateSpace", "build", "train"]
 
@@ -113,16 +116,13 @@ def train(
         plain = neural_ss.build(model.config, context)
         fitted = neural_ss.train(plain, pieces, context, method).fitted
     else:
-        fitted = _series(model.blocks, pieces, context, method)
+        fitted = _wiener_hammerstein(model.blocks, pieces, context, method)
     return replace(model, fitted=fitted)
 
 
-def _series(
-    config: Config,
-    trajectories: Sequence[Trajectory],
-    context: Context,
-    method: LevenbergMarquardt,
-) -> Fitted:
+def _wiener_hammerstein(
+    config: Config, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
+) -> FittedStateSpace:
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
     choice = linear.Config(order=config.order, delay=config.delay)
@@ -130,14 +130,14 @@ def _series(
     if config.order is None and found.system.order < 2:
         choice = replace(choice, order=2, delay=delay)
         found, delay, late = linear.fit_records(records, context, choice, Refinement())
-    template = SeriesStructure(
+    template = WienerHammersteinStructure(
         found.system.order, context.nu, context.ny, "state", config.basis, config.hidden,
         config.degree, None,
     )  # fmt: skip
     rng = np.random.default_rng(context.seed)
-    starts = series_starts(late, found.system, template, rng, method.starts)
+    starts = wiener_hammerstein_starts(late, found.system, template, rng, method.starts)
     ridge = found.error / sum(len(r) for r in late)
-    fits: list[tuple[SeriesStructure, StateFit]] = []
+    fits: list[tuple[WienerHammersteinStructure, StateFit]] = []
     for start in starts:
         x0 = np.zeros((len(late), start.structure.order))
         weights = dict.fromkeys(start.params, config.linear_ridge) | {
@@ -152,7 +152,7 @@ def _series(
     for i, loss in enumerate(best.history):
         context.log(i, float(loss))
     member = best.params, _encoder(structure, best, late, context, config)
-    return Fitted(structure, (member,), delay, scaling)
+    return FittedStateSpace(structure, (member,), delay, scaling)
 
 
 def _quiet(step: float, loss: float) -> None:
@@ -160,9 +160,9 @@ def _quiet(step: float, loss: float) -> None:
 
 
 def _encoder(
-    structure: SeriesStructure,
+    structure: WienerHammersteinStructure,
     fit: StateFit,
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
     config: Config,
 ) -> Encoder:

@@ -20,9 +20,9 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import Record, check, past_length, scaled, window, windows
+from asia.models._data.records import ScaledData, check, past_length, scaled, window, windows
 from asia.models._data.scaling import Scaling
-from asia.models._data.segments import Segments, segments
+from asia.models._data.segments import Stretches, segments
 from asia.models._solvers.least_squares import LeastSquares
 
 _MOST_SAMPLES = 40_000
@@ -92,7 +92,7 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedReservoirs:
     """What training found."""
 
     members: tuple[Member, ...]
@@ -104,7 +104,7 @@ class EchoState:
     """Echo state network; `fitted` is None before training."""
 
     config: Config
-    fitted: Fitted | None = None
+    fitted: FittedReservoirs | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
@@ -124,10 +124,7 @@ def build(config: Config, context: Context) -> EchoState:
 
 
 def train(
-    model: EchoState,
-    trajectories: Sequence[Trajectory],
-    context: Context,
-    method: LeastSquares,
+    model: EchoState, trajectories: Sequence[Trajectory], context: Context, method: LeastSquares
 ) -> EchoState:
     """Draws the reservoir from `context.seed` and fits the readout. `method.ridge` None chooses
     the ridge by the error on blocks left out. Raises UserError for records too short or
@@ -141,12 +138,12 @@ def train(
         member, error = _member(model.config, records, context, method, rng)
         context.log(i, error)
         members.append(member)
-    return replace(model, fitted=Fitted(tuple(members), scaling))
+    return replace(model, fitted=FittedReservoirs(tuple(members), scaling))
 
 
 def _member(
     config: Config,
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
     method: LeastSquares,
     rng: np.random.Generator,
@@ -186,7 +183,7 @@ def _features(states: Array, u: Array, past: Array, span: int | None) -> Array:
 
 
 def _long(
-    config: Config, reservoir: Reservoir, records: Sequence[Record], context: Context
+    config: Config, reservoir: Reservoir, records: ScaledData, context: Context
 ) -> tuple[Encoder, list[Array], list[Array]]:
     """Whole records from an empty reservoir; no less than a quarter of each is used."""
     past = past_length(context)
@@ -211,11 +208,11 @@ def _long(
 def _short(
     config: Config,
     reservoir: Reservoir,
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
     rng: np.random.Generator,
 ) -> tuple[Encoder, list[Array], list[Array]]:
-    data: Segments | None = segments(records, context, _MOST_SAMPLES)
+    data: Stretches | None = segments(records, context, _MOST_SAMPLES)
     assert data is not None  # check() has seen a record longer than the past window
     past = window(data.past_u, data.past_y)
     start = _random_layer(past.shape[1], config, rng)

@@ -23,8 +23,8 @@ from scipy.optimize import minimize
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._data.lags import FreeRun, Lags, Limits, fit_history, regressors
-from asia.models._data.records import Record, check, past_length, scaled
+from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history, regressors
+from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.segments import left_out_error, segments, simulation_error
 from asia.models._one_step.free_model import (
@@ -85,7 +85,7 @@ class Process:
 
 
 @dataclass(frozen=True)
-class Predictor:
+class GaussianPredictor:
     """mean (1 + d, ny): coefficients of [1, z]; one process an output."""
 
     mean: Array
@@ -125,7 +125,7 @@ def train(
 
 
 def _choose(
-    records: Sequence[Record], context: Context, config: Config, method: MarginalLikelihood
+    records: ScaledData, context: Context, config: Config, method: MarginalLikelihood
 ) -> Lags:
     """One number for all lags left open, by the simulation error on what was left out."""
     c = config
@@ -155,7 +155,7 @@ def _quiet(step: float, loss: float) -> None:
 
 
 def _fit(
-    records: Sequence[Record],
+    records: ScaledData,
     lags: Lags,
     context: Context,
     config: Config,
@@ -175,11 +175,11 @@ def _fit(
         log(i, evidence)
         processes.append(_process(z[rows], left[rows, i], theta))
     history = fit_history(records, lags, context)
-    limits = Limits.of(records, config.margin)
-    return FreeRun(Predictor(mean, tuple(processes)), history, limits)
+    limits = OutputRange.of(records, config.margin)
+    return FreeRun(GaussianPredictor(mean, tuple(processes)), history, limits)
 
 
-def _mean(config: Config, records: Sequence[Record], lags: Lags, context: Context) -> Array:
+def _mean(config: Config, records: ScaledData, lags: Lags, context: Context) -> Array:
     ny = context.ny
     if config.mean == "hold":
         hold = np.zeros((1 + lags.outputs * ny + lags.inputs * context.nu, ny))

@@ -18,8 +18,8 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._equations.config import Config, Range, Structure
-from asia.models._equations.fit import Fitted, fit
+from asia.models._equations.config import Config, GreyBoxStructure, Range
+from asia.models._equations.fit import FittedEquations, fit
 from asia.models._equations.measured_start import measured_simulator
 from asia.models._equations.ode import equations
 from asia.models._equations.simulate import effects, simulator
@@ -34,8 +34,8 @@ __all__ = ["Config", "GreyBox", "build", "train"]
 class GreyBox:
     """A grey-box model; `fitted` is None until it is trained."""
 
-    structure: Structure
-    fitted: Fitted | None = None
+    structure: GreyBoxStructure
+    fitted: FittedEquations | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """Open-loop simulation in physical units.
@@ -81,7 +81,7 @@ class GreyBox:
             report |= {f"{n} delay": d for n, d in zip(system.inputs, effect.delay, strict=True)}
         return {name: float(value) for name, value in report.items()}
 
-    def _trained(self) -> Fitted:
+    def _trained(self) -> FittedEquations:
         if self.fitted is None:
             raise ValueError("grey-box: the model is not trained; call greybox.train first")
         return self.fitted
@@ -99,7 +99,7 @@ def build(config: Config, context: Context) -> GreyBox:
         )
     bounds = [physics.bounds.get(name, Bounds()) for name in physics.states]
     names = [signal.name for signal in context.inputs], [signal.name for signal in context.outputs]
-    structure = Structure(
+    structure = GreyBoxStructure(
         equations=equations(physics, *names),
         config=config,
         ranges=tuple(Range(span.min, span.max) for span in physics.parameters.values()),
@@ -112,7 +112,7 @@ def build(config: Config, context: Context) -> GreyBox:
     return GreyBox(replace(structure, measured=_is_measured(structure, context)))
 
 
-def _is_measured(structure: Structure, context: Context) -> bool:
+def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:
     asked = structure.config.initial
     possible = context.n_past_y > 0 and len(structure.measured_states) == structure.nx
     if asked == "measured" and not possible:
@@ -124,10 +124,7 @@ def _is_measured(structure: Structure, context: Context) -> bool:
 
 
 def train(
-    model: GreyBox,
-    trajectories: Sequence[Trajectory],
-    context: Context,
-    method: LevenbergMarquardt,
+    model: GreyBox, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
 ) -> GreyBox:
     """The model fitted to the simulation error of whole records (with a horizon: of windows).
 

@@ -52,10 +52,7 @@ def build(config: Config, context: Context) -> GreyBox:
 
 
 def train(
-    model: GreyBox,
-    trajectories: Sequence[Trajectory],
-    context: Context,
-    method: LevenbergMarquardt,
+    model: GreyBox, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
 ) -> GreyBox:
     """The grey-box fitted to the simulation error, then the whole with its network."""
     return greybox.train(model, trajectories, context, method)

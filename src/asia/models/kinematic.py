@@ -25,11 +25,11 @@ from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import autoregressive
 from asia.models._data.features import Features, check_features, with_drive
-from asia.models._data.records import Record, check
+from asia.models._data.records import ScaledData, check
 from asia.models._data.scaling import Scaling
 from asia.models._equations.rates import Rate, find_rates, read_by_equations
 from asia.models._networks.network import NetworkModel, Params, train_network, zeros
-from asia.models.autoregressive import AutoregressiveCell, State
+from asia.models.autoregressive import AutoregressiveCell, FeedbackState
 from asia.models.methods import NetworkMethod
 
 
@@ -72,14 +72,16 @@ class KinematicCell(AutoregressiveCell):
             },
         }
 
-    def initial(self, params: Any, window: jax.Array) -> State:
+    def initial(self, params: Any, window: jax.Array) -> FeedbackState:
         """Layers' states and the last measured output, its mean where none is given."""
         _, y = super().initial(params, window)
         read = jnp.tile(params["fixed"]["read"], self.past)
         seen = jnp.pad(read, (window.shape[1] - read.size, 0), constant_values=1)
         return self.inner.initial(params["net"], window * seen), y
 
-    def step(self, params: Any, state: State, u: jax.Array) -> tuple[State, jax.Array]:
+    def step(
+        self, params: Any, state: FeedbackState, u: jax.Array
+    ) -> tuple[FeedbackState, jax.Array]:
         """What the output is read from is the output."""
         inner, y = state
         fixed = params["fixed"]
@@ -141,7 +143,7 @@ def _read(
 
 def _with_kinematics(
     params: Params,
-    records: Sequence[Record],
+    records: ScaledData,
     scaling: Scaling,
     *,
     rates: Sequence[Rate],

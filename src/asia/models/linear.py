@@ -17,13 +17,21 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._data.encoder import Encoder
-from asia.models._data.records import Record, check, past_length, scaled, shortened, window
+from asia.models._data.records import (
+    ScaledData,
+    ScaledTrajectory,
+    check,
+    past_length,
+    scaled,
+    shortened,
+    window,
+)
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows, stretches
 from asia.models._linear.fit import LinearFit, Refinement, choose_order, encoder_of, fit
 from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import Predictor
+from asia.models._linear.windows import WindowPredictor
 
 if TYPE_CHECKING:
     from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
@@ -57,7 +65,7 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedLinear:
     """What training found: system in z-scores, encoder of the past window, delay in samples."""
 
     system: LinearSystem
@@ -71,7 +79,7 @@ class LinearStateSpace:
     """Linear model; `fitted` is None before training."""
 
     config: Config
-    fitted: Fitted | None = None
+    fitted: FittedLinear | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
@@ -105,15 +113,15 @@ def train(
     records = scaled(trajectories, scaling)
     predictor = windowed(records, context, model.config, refinement_of(method))
     if predictor is not None:
-        return replace(model, fitted=Fitted(*predictor.system(), 0, scaling))
+        return replace(model, fitted=FittedLinear(*predictor.system(), 0, scaling))
     found, delay, used = fit_records(records, context, model.config, refinement_of(method))
     encoder = encoder_of(used, found, context)
-    return replace(model, fitted=Fitted(found.system, encoder, delay, scaling))
+    return replace(model, fitted=FittedLinear(found.system, encoder, delay, scaling))
 
 
 def windowed(
-    records: Sequence[Record], context: Context, config: Config, refinement: Refinement
-) -> Predictor | None:
+    records: ScaledData, context: Context, config: Config, refinement: Refinement
+) -> WindowPredictor | None:
     """With a horizon and the order open: the model whose state is the past window, unless the
     state-space model has the smaller error on windows left out. None means that one."""
     if context.horizon is None or config.order is not None:
@@ -134,11 +142,7 @@ def windowed(
 
 
 def _window_error(
-    kept: Sequence[Record],
-    left: Sequence[Record],
-    context: Context,
-    config: Config,
-    refinement: Refinement,
+    kept: ScaledData, left: ScaledData, context: Context, config: Config, refinement: Refinement
 ) -> float:
     """Mean squared error of the state-space model on windows of records it was not fitted to."""
     found, delay, used = fit_records(kept, context, config, refinement)
@@ -156,8 +160,8 @@ def refinement_of(method: LevenbergMarquardt | None) -> Refinement:
 
 
 def fit_records(
-    records: Sequence[Record], context: Context, config: Config, refinement: Refinement
-) -> tuple[LinearFit, int, list[Record]]:
+    records: ScaledData, context: Context, config: Config, refinement: Refinement
+) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
     """Delay, order, then the refined fit; returns the fit, the delay and the records it was
     fitted to, their inputs delayed: all of them, or stretches where they are too long to hold."""
     part = _selection(records, context, config)
@@ -183,7 +187,7 @@ def _samples_held(order: int, context: Context) -> int:
     return max(1000, _JACOBIAN_NUMBERS // numbers)
 
 
-def shifted(record: Record, delay: int) -> Record:
+def shifted(record: ScaledTrajectory, delay: int) -> ScaledTrajectory:
     """The record with its inputs delayed; the first input is held backwards."""
     if delay == 0:
         return record
@@ -199,19 +203,19 @@ def delayed(past: Array, future: Array, delay: int) -> Array:
     return known[:, np.maximum(rows, 0)]
 
 
-def _selection(records: Sequence[Record], context: Context, config: Config) -> list[Record]:
+def _selection(records: ScaledData, context: Context, config: Config) -> list[ScaledTrajectory]:
     """What order and delay are chosen on: every piece leaves samples to simulate after its past
     window, enough of them to tell the states apart."""
     shortest = 3 * past_length(context) + 4 * config.max_order
     return shortened(records, _SELECTION_SAMPLES, shortest)
 
 
-def _affordable(records: Sequence[Record], max_order: int) -> int:
+def _affordable(records: ScaledData, max_order: int) -> int:
     samples = min(len(r) for r in records) // 8
     return max(1, min(max_order, samples))
 
 
-def _estimate_delay(records: Sequence[Record], config: Config) -> int:
+def _estimate_delay(records: ScaledData, config: Config) -> int:
     """Delay with the least simulation error of a model of modest order, preferring the smallest
     within 1 %."""
     order = min(config.order or 2, _affordable(records, config.max_order))

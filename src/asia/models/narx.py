@@ -21,8 +21,8 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._data.lags import Lags, Limits, fit_history
-from asia.models._data.records import Record, check, past_length, scaled
+from asia.models._data.lags import Lags, OutputRange, fit_history
+from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.segments import left_out_error, segments, simulation_error
 from asia.models._one_step.free_model import (
@@ -121,10 +121,7 @@ class _Choice(NamedTuple):
 
 
 def _choose(
-    records: Sequence[Record],
-    context: Context,
-    config: Config,
-    method: LeastSquares | LevenbergMarquardt,
+    records: ScaledData, context: Context, config: Config, method: LeastSquares | LevenbergMarquardt
 ) -> _Choice:
     """Lags, number of terms and ridge with the least simulation error on what was left out."""
     c = config
@@ -147,11 +144,7 @@ def _choose(
 
 
 def _choose_terms(
-    records: Sequence[Record],
-    context: Context,
-    lags: Lags,
-    config: Config,
-    ridges: Sequence[float],
+    records: ScaledData, context: Context, lags: Lags, config: Config, ridges: Sequence[float]
 ) -> _Choice:
     """Number of terms and ridge: the fewest terms within 2 % of the least error."""
     usable(records, lags)
@@ -181,7 +174,7 @@ def _dictionary(lags: Lags, context: Context, degree: int) -> Terms:
 
 
 def _runs(
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
     lags: Lags,
     config: Config,
@@ -193,7 +186,7 @@ def _runs(
     x, y = equations(records, lags, terms)
     gram, cross = x.T @ x, x.T @ y
     chosen = [error_reduction_order(gram, cross[:, i], max(counts)) for i in range(cross.shape[1])]
-    history, limits = fit_history(records, lags, context), Limits.of(records, config.margin)
+    history, limits = fit_history(records, lags, context), OutputRange.of(records, config.margin)
     found: list[PolynomialRun] = []
     for count in counts:
         for ridge in ridges:

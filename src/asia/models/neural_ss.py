@@ -23,14 +23,22 @@ from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
 from asia.models._data.encoder import Encoder, affine, fit_encoder
-from asia.models._data.records import Record, check, past_length, scaled, window, windows
+from asia.models._data.records import (
+    ScaledData,
+    ScaledTrajectory,
+    check,
+    past_length,
+    scaled,
+    window,
+    windows,
+)
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import LinearFit, Refinement, encoder_of
-from asia.models._linear.windows import Predictor
+from asia.models._linear.windows import WindowPredictor
 from asia.models._networks.network import train_cell, window_size
-from asia.models._state_space.fit import Samples, fit_states, of_records
-from asia.models._state_space.structure import Basis, Nonlinearity, Structure
+from asia.models._state_space.fit import StateSamples, fit_states, of_records
+from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
 _LINEAR = ("a", "b", "c", "d", "offset")
@@ -72,11 +80,11 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """What training found; members hold parameters as `Structure` reads them, in z-scores, and
-    the map from the past window to the initial state."""
+class FittedStateSpace:
+    """What training found; members hold parameters as `StateSpaceStructure` reads them, in
+    z-scores, and the map from the past window to the initial state."""
 
-    structure: Structure
+    structure: StateSpaceStructure
     members: tuple[tuple[dict[str, Any], Encoder], ...]
     delay: int
     scaling: Scaling
@@ -86,7 +94,7 @@ class Fitted:
 class StateCell:
     """The model as Adam trains it: see `asia.models._networks.network.Cell`."""
 
-    structure: Structure
+    structure: StateSpaceStructure
 
     def initial(self, params: Any, window: jax.Array) -> jax.Array:
         """Encoder, or the past window itself."""
@@ -111,7 +119,7 @@ class NeuralStateSpace:
     """Neural state-space model; `fitted` is None before training."""
 
     config: Config
-    fitted: Fitted | None = None
+    fitted: FittedStateSpace | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
@@ -158,7 +166,7 @@ def train(
     if predictor is not None:
         return _train_windowed(model, predictor, records, scaling, context, method)
     found, delay, used = _linear_start(records, context, c)
-    structure = Structure(
+    structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels,
     )  # fmt: skip
@@ -170,12 +178,12 @@ def train(
         members = [(trained, Encoder(**trained.pop("encoder")))]
     else:
         members = _by_lm(structure, c, found, used, context, method)
-    return replace(model, fitted=Fitted(structure, tuple(members), delay, scaling))
+    return replace(model, fitted=FittedStateSpace(structure, tuple(members), delay, scaling))
 
 
 def _windowed_start(
-    records: Sequence[Record], context: Context, config: Config
-) -> Predictor | None:
+    records: ScaledData, context: Context, config: Config
+) -> WindowPredictor | None:
     if config.nonlinearity != "state":
         return None
     choice = linear.Config(order=config.order, delay=config.delay)
@@ -184,15 +192,15 @@ def _windowed_start(
 
 def _train_windowed(
     model: NeuralStateSpace,
-    predictor: Predictor,
-    records: Sequence[Record],
+    predictor: WindowPredictor,
+    records: ScaledData,
     scaling: Scaling,
     context: Context,
     method: LevenbergMarquardt | Adam,
 ) -> NeuralStateSpace:
     """The state is the past window, so that nothing need be learned of where a window starts."""
     c, lags = model.config, predictor.lags
-    structure = Structure(
+    structure = StateSpaceStructure(
         lags.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree, c.channels,
         lags,
     )  # fmt: skip
@@ -205,13 +213,13 @@ def _train_windowed(
         size = sum(np.size(leaf) for leaf in jax.tree.leaves(starts[0]))
         most = _WORK / (size**2 * (context.horizon or 1) * context.ny)
         w = cut_windows(records, context, int(np.clip(most, *_WINDOWS)))
-        samples = Samples(encoder(w.features), w.u, w.y, np.ones(w.y.shape[:2]), known=True)
+        samples = StateSamples(encoder(w.features), w.u, w.y, np.ones(w.y.shape[:2]), known=True)
         # What held the linear model to its training windows has to hold this one as well.
         ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
         fits = fit_states(structure, starts, samples, ridges, method, context.log)
         members = [one.params for one in fits[: c.members]]
     return replace(
-        model, fitted=Fitted(structure, tuple((p, encoder) for p in members), 0, scaling)
+        model, fitted=FittedStateSpace(structure, tuple((p, encoder) for p in members), 0, scaling)
     )
 
 
@@ -220,8 +228,8 @@ def _random(context: Context) -> np.random.Generator:
 
 
 def _linear_start(
-    records: Sequence[Record], context: Context, config: Config
-) -> tuple[LinearFit, int, list[Record]]:
+    records: ScaledData, context: Context, config: Config
+) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
     choice = linear.Config(order=config.order, delay=config.delay)
     found, delay, used = linear.fit_records(records, context, choice, Refinement())
     if config.order is None and found.system.order < 2:
@@ -237,10 +245,10 @@ def _ridges(config: Config) -> dict[str, float]:
 
 
 def _by_lm(
-    structure: Structure,
+    structure: StateSpaceStructure,
     config: Config,
     found: LinearFit,
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
     method: LevenbergMarquardt,
 ) -> list[tuple[dict[str, Any], Encoder]]:
@@ -277,9 +285,9 @@ def _encoded(
 
 
 def _by_adam(
-    structure: Structure,
+    structure: StateSpaceStructure,
     params: dict[str, Any],
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
     method: Adam,
 ) -> Any:

@@ -27,8 +27,8 @@ from asia.models import recurrent
 from asia.models._data.records import check, past_length, scaled, windows
 from asia.models._data.scaling import Scaling
 from asia.models._equations.config import Range
-from asia.models._equations.measured import MeasuredCell, Network, limits
-from asia.models._equations.measured_fit import Settings, choose_windows, fit_equations
+from asia.models._equations.measured import MeasuredCell, NetworkKind, limits
+from asia.models._equations.measured_fit import TermPenalties, choose_windows, fit_equations
 from asia.models._equations.ode import Equations, equations
 from asia.models._networks.network import (
     NetworkModel,
@@ -72,7 +72,7 @@ class Config:
     lag: bool = True
     gain: bool = True
     disturbance: bool = False
-    network: Network | None = None
+    network: NetworkKind | None = None
     hidden: int = 32
     layers: int = 1
     size: float = 1.0
@@ -153,7 +153,7 @@ def train(
     judge = None
     if method.stop == "validation" and context.validation_score is not None:
         reserve = 0 if isinstance(method, LevenbergMarquardt) else _RESERVED
-        judge = _Judge(context.validation_score, network, VALIDATION_SCORES - reserve)
+        judge = _LimitedScore(context.validation_score, network, VALIDATION_SCORES - reserve)
     own = LevenbergMarquardt(iterations=config.equations)
     first = method if isinstance(method, LevenbergMarquardt) else own
     if first.iterations > 0:
@@ -166,7 +166,7 @@ def train(
     return replace(model, network=network)
 
 
-class _Judge:
+class _LimitedScore:
     """The validation score of parameters, `most` times; after that nothing is better."""
 
     def __init__(self, oracle: Callable[[Model], float], network: NetworkModel, most: int) -> None:
@@ -187,7 +187,7 @@ def _fit_equations(
     trajectories: Sequence[Trajectory],
     context: Context,
     method: LevenbergMarquardt,
-    judge: _Judge | None,
+    judge: _LimitedScore | None,
 ) -> NetworkModel:
     cell, scaling = network.cell, network.scaling
     assert isinstance(cell, MeasuredCell)
@@ -200,7 +200,7 @@ def _fit_equations(
         plain,
         network.params,
         choose_windows(records, horizon, config.windows),
-        Settings(config.robust, config.ridge, config.sparsity),
+        TermPenalties(config.robust, config.ridge, config.sparsity),
         method,
         context.log,
         judge,

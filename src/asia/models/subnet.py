@@ -23,12 +23,12 @@ from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
 from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._data.records import Record
+from asia.models._data.records import ScaledData
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import Refinement, encoder_of
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import Lags, one_step
+from asia.models._linear.windows import WindowLags, one_step
 from asia.models._networks.layers import log_spaced, mlp, mlp_params
 from asia.models._networks.network import (
     NetworkModel,
@@ -126,16 +126,18 @@ def train(
     cell = model.cell
     from_linear = isinstance(cell, SubnetCell) and cell.config.start == "linear"
 
-    def prepare(params: Params, records: Sequence[Record], scaling: Scaling) -> Params:
+    def prepare(params: Params, records: ScaledData, scaling: Scaling) -> Params:
         del scaling
         return _from_linear_model(params, records, context) if from_linear else params
 
     return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
 
 
-def _from_linear_model(params: Params, records: Sequence[Record], context: Context) -> Params:
+def _from_linear_model(params: Params, records: ScaledData, context: Context) -> Params:
     states = len(params["a"])
-    lags = Lags(context.n_past_u, context.n_past_y, 0, context.n_past_y, context.nu, context.ny)
+    lags = WindowLags(
+        context.n_past_u, context.n_past_y, 0, context.n_past_y, context.nu, context.ny
+    )
     if context.horizon is None or lags.y == 0:
         found, _, used = linear.fit_records(
             records, context, linear.Config(order=states), Refinement()

@@ -13,12 +13,12 @@ import pytest
 from asia.errors import UserError
 from asia.models import ltc
 from asia.models._data.chunks import laid, tracks
-from asia.models._data.records import Batch, batch, holdout_masks, reweighted, scaled
+from asia.models._data.records import PaddedBatch, batch, holdout_masks, reweighted, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._networks import training
 from asia.models._networks.network import NetworkModel, Params, as_built, rollout, train_network
 from asia.models._networks.objective import objective
-from asia.models._networks.training import Split, Task
+from asia.models._networks.training import FitTask, HoldoutSplit
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import Case, case, filtered
 from tests.unit.models.network_cells import (
@@ -50,7 +50,7 @@ class Gain:
         return features * params["w"]
 
 
-def records_of(data: Case, gain: float) -> Batch:
+def records_of(data: Case, gain: float) -> PaddedBatch:
     scaling = Scaling.of(data.training)
     records = scaled(data.training, scaling)
     return batch([replace(r, y=gain * r.u) for r in records], data.context)
@@ -60,12 +60,14 @@ def silent(step: float, loss: float) -> None:
     del step, loss
 
 
-def trained(samples: Batch | Split, method: Adam, cell: Any = None, **task: Any) -> Params:
+def trained(
+    samples: PaddedBatch | HoldoutSplit, method: Adam, cell: Any = None, **task: Any
+) -> Params:
     """A gain of zero, trained."""
     start = task.pop("start", {"w": np.zeros(1, np.float32)})
     settings = {"horizon": None, "seed": 0, "log": silent, **task}
     with jax.enable_x64(False):
-        return training.train(Task(cell or Gain(), samples, **settings), start, method)
+        return training.train(FitTask(cell or Gain(), samples, **settings), start, method)
 
 
 @pytest.mark.parametrize("truncation", [None, 30])
@@ -103,7 +105,7 @@ def test_held_out_blocks_pick_the_number_of_steps() -> None:
     # The held-out samples want half the gain: passed on the way up, so fewer steps are best.
     held_out = replace(fitted, y=0.5 * fitted.y)
     method = Adam(100, 0.02, weight_decay=0.0, schedule="constant")
-    found = trained(Split(fitted, held_out, fitted), method)
+    found = trained(HoldoutSplit(fitted, held_out, fitted), method)
     whole = trained(fitted, method)
     assert found["w"] == pytest.approx(0.5, abs=0.1)
     assert whole["w"] == pytest.approx(1.0, abs=0.1)
@@ -120,7 +122,7 @@ def test_few_steps_are_picked_among_those_that_were_tried() -> None:
         del loss
         reported.append(step)
 
-    found = trained(Split(fitted, held_out, fitted), method, log=log)
+    found = trained(HoldoutSplit(fitted, held_out, fitted), method, log=log)
     assert found["w"] == pytest.approx(0.5, abs=0.05)
     assert reported == [*range(1, 11), *range(1, 6)]
 

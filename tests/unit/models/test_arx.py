@@ -7,7 +7,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import arx
-from asia.models._data.lags import Lags, Limits, fit_history
+from asia.models._data.lags import Lags, OutputRange, fit_history
 from asia.models._data.records import scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.segments import segments, simulation_error
@@ -60,7 +60,7 @@ def test_gradient_is_that_of_the_simulation_error() -> None:
     rng = np.random.default_rng(0)
     theta = 0.1 * rng.standard_normal((len(terms), 1))
     used = np.ones(theta.shape, bool)
-    history, limits = fit_history(records, lags, data.context), Limits.of(records, 5.0)
+    history, limits = fit_history(records, lags, data.context), OutputRange.of(records, 5.0)
     stretch = segments(records, data.context)
     assert stretch is not None
 

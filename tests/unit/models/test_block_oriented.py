@@ -11,7 +11,10 @@ from asia.models import block_oriented, linear
 from asia.models._data.records import scaled
 from asia.models._data.scaling import Scaling
 from asia.models._linear.fit import Refinement
-from asia.models._state_space.wiener_hammerstein import SeriesStructure, series_starts
+from asia.models._state_space.wiener_hammerstein import (
+    WienerHammersteinStructure,
+    wiener_hammerstein_starts,
+)
 from asia.models.methods import LevenbergMarquardt
 from tests.unit.models.black_box_systems import case, filtered, two_by_two, wiener
 from tests.unit.models.families import against_holding, check_same_bytes, fitted
@@ -50,8 +53,8 @@ def test_poles_are_shared_out_as_they_are_in_the_system() -> None:
     data = case(wiener_hammerstein, lengths=(600,), noise=0.01)
     records = scaled(data.training, Scaling.of(data.training))
     found, _, used = linear.fit_records(records, data.context, linear.Config(order=3), Refinement())
-    template = SeriesStructure(3, 1, 1, "state", "polynomial", 1, 5, None)
-    starts = series_starts(used, found.system, template, np.random.default_rng(0), 3)
+    template = WienerHammersteinStructure(3, 1, 1, "state", "polynomial", 1, 5, None)
+    starts = wiener_hammerstein_starts(used, found.system, template, np.random.default_rng(0), 3)
     assert starts[0].structure.first == 2
     assert [s.error for s in starts] == sorted(s.error for s in starts)
     x0 = np.zeros((1, 3))

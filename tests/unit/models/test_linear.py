@@ -13,7 +13,7 @@ import pytest
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._data.records import Record, scaled
+from asia.models._data.records import ScaledTrajectory, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._linear.fit import (
     Refinement,
@@ -111,7 +111,7 @@ def test_refinement_lowers_the_simulation_error_and_ignores_unweighted_samples()
     weight[100:150] = 0.0
     y = (t.y - t.y.mean()) / t.y.std()
     u = t.u - t.u.mean()
-    record = Record(u, y, weight, u)
+    record = ScaledTrajectory(u, y, weight, u)
     start = solve_linear_part([record], *spread_poles(2, 1))
     better = refine([record], start, Refinement())
     assert better.error < 0.9 * start.error

@@ -11,7 +11,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import linear, neural_ss
-from asia.models._state_space.structure import Structure
+from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 from tests.unit.models.black_box_systems import Case, case, filtered, late, two_by_two, wiener
 
@@ -97,7 +97,7 @@ def test_members_are_the_best_fits_and_answer_by_their_median() -> None:
 
 
 def test_polynomials_are_the_monomials_up_to_the_degree() -> None:
-    structure = Structure(1, 1, 1, "input", "polynomial", 1, 3, None)
+    structure = StateSpaceStructure(1, 1, 1, "input", "polynomial", 1, 3, None)
     start: dict[str, Any] = {"s": {"w2": np.array([[2.0], [3.0]])}}
     u = np.array([[0.5], [-1.0]])
     np.testing.assert_allclose(structure.input(np, start, u), u + 2 * u**2 + 3 * u**3)

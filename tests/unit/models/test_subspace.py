@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asia.models._data.records import Record
+from asia.models._data.records import ScaledTrajectory
 from asia.models._linear.fit import solve_linear_part
 from asia.models._linear.subspace import spread_poles, stabilised, starts
 from tests.unit.models.black_box_systems import A, filtered
 
 
-def record(length: int, noise: float = 0.0) -> Record:
+def record(length: int, noise: float = 0.0) -> ScaledTrajectory:
     rng = np.random.default_rng(5)
     u = rng.standard_normal((length, 1))
     y = filtered(u)
     y = y / y.std() + noise * rng.standard_normal(y.shape)
-    return Record(u, y, np.ones(length), u)
+    return ScaledTrajectory(u, y, np.ones(length), u)
 
 
 def test_every_method_finds_the_poles_of_clean_data() -> None:

@@ -12,9 +12,9 @@ from asia.data import Array, Signal, Trajectory
 from asia.models import linear, neural_ss
 from asia.models._data.records import scaled
 from asia.models._data.scaling import Scaling
-from asia.models._data.windows import Windows, cut_windows, stretches
-from asia.models._linear.windows import Lags, Predictor, held, one_step, refined
-from asia.models._state_space.structure import Structure
+from asia.models._data.windows import HorizonWindows, cut_windows, stretches
+from asia.models._linear.windows import WindowLags, WindowPredictor, held, one_step, refined
+from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
 HORIZON = 12
@@ -87,9 +87,9 @@ def test_neural_state_space_keeps_the_past_window_as_its_state(runs, context, me
 
 def test_neural_state_space_starts_as_the_windowed_linear_model(runs, context):
     records = scaled(runs, Scaling.of(runs))
-    windows, lags = cut_windows(records, context, 10), Lags(1, 1, 1, 1, 1, 2)
+    windows, lags = cut_windows(records, context, 10), WindowLags(1, 1, 1, 1, 1, 2)
     line = one_step(windows, lags, 1e-6)
-    structure = Structure(lags.order, 1, 2, "state", "tanh", 3, 3, None, lags)
+    structure = StateSpaceStructure(lags.order, 1, 2, "state", "tanh", 3, 3, None, lags)
     params = structure.start_windowed(line, np.random.default_rng(0))
     _, y = structure.simulate(params, lags.state(windows.features), windows.u)
     np.testing.assert_allclose(y, line.simulate(windows), atol=1e-12)
@@ -99,7 +99,7 @@ def test_state_space_form_is_the_predictor(runs, context):
     records = scaled(runs, Scaling.of(runs))
     context = replace(context, n_past_u=2, n_past_y=3)
     windows = cut_windows(records, context, 40)
-    model = one_step(windows, Lags(2, 3, 1, 2, 1, 2), 1e-6)
+    model = one_step(windows, WindowLags(2, 3, 1, 2, 1, 2), 1e-6)
     system, encoder = model.system()
     _, y = system.simulate(encoder(windows.features), windows.u)
     np.testing.assert_allclose(y, model.simulate(windows), atol=1e-9)
@@ -108,8 +108,8 @@ def test_state_space_form_is_the_predictor(runs, context):
 def test_refinement_lowers_the_error_over_the_horizon_and_a_great_ridge_holds(runs, context):
     records = scaled(runs, Scaling.of(runs))
     windows = cut_windows(records, context, 60)
-    lags = Lags(1, 1, 1, 1, 1, 2)
-    start = Predictor(lags, held(lags))
+    lags = WindowLags(1, 1, 1, 1, 1, 2)
+    start = WindowPredictor(lags, held(lags))
     better = refined(start, windows, 1e-6, 20, 1e-6)
     assert better.error(windows) < 0.2 * start.error(windows)
     stuck = refined(start, windows, 1e6, 20, 1e-9)
@@ -119,7 +119,7 @@ def test_refinement_lowers_the_error_over_the_horizon_and_a_great_ridge_holds(ru
 def test_windows_are_bounded_in_number_and_come_from_every_record(runs, context):
     records = scaled(runs, Scaling.of(runs))
     windows = cut_windows(records, context, 20)
-    assert isinstance(windows, Windows)
+    assert isinstance(windows, HorizonWindows)
     assert 15 <= len(windows) <= 24
     assert windows.u.shape[1:] == (HORIZON, 1)
     for record in records:
@@ -130,7 +130,7 @@ def test_windows_are_bounded_in_number_and_come_from_every_record(runs, context)
     np.testing.assert_array_equal(windows.features[0, 1:], records[0].y[before])
 
 
-def _first(y: Array, windows: Windows) -> int:
+def _first(y: Array, windows: HorizonWindows) -> int:
     return int(np.flatnonzero((y == windows.y[0, 0]).all(axis=1))[0])
 
 

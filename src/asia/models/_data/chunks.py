@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from asia.models._data.records import Batch
+from asia.models._data.records import PaddedBatch
 
 
-class Data(NamedTuple):
+class Simulations(NamedTuple):
     """Simulations to compare with measurements: window (B, d), u (B, T, nu), y (B, T, ny),
     weight (B, T), 0 where a sample does not count."""
 
@@ -35,13 +35,13 @@ class Places(NamedTuple):
     starts: jax.Array
 
 
-def whole(batch: Batch) -> Data:
+def whole(batch: PaddedBatch) -> Simulations:
     """Each record as one simulation."""
     arrays = (batch.window, batch.u, batch.y, batch.weight)
-    return Data(*(jnp.asarray(a, jnp.float32) for a in arrays))
+    return Simulations(*(jnp.asarray(a, jnp.float32) for a in arrays))
 
 
-def laid(batch: Batch, length: int, overlap: bool = True) -> Data:
+def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
     """Chunks of `length` samples end to end, in time order within each record; the last one of a
     record ends with it, overlapping its neighbour, or without `overlap` is padded."""
     length = min(length, batch.u.shape[1])
@@ -63,10 +63,10 @@ def laid(batch: Batch, length: int, overlap: bool = True) -> Data:
         batch.y[record[:, None], rows],
         weight,
     )
-    return Data(*(jnp.asarray(a, jnp.float32) for a in arrays))
+    return Simulations(*(jnp.asarray(a, jnp.float32) for a in arrays))
 
 
-def tracks(batch: Batch, length: int, count: int | None, washout: int) -> Data:
+def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> Simulations:
     """Long stretches to be read side by side in chunks of `length` samples: T is a multiple of it.
     `count` None: one a record; else the records are cut into about so many of equal length."""
     longest = batch.u.shape[1]
@@ -79,10 +79,10 @@ def tracks(batch: Batch, length: int, count: int | None, washout: int) -> Data:
         return jnp.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
 
     weight = data.weight.at[:, :washout].set(0.0)
-    return Data(data.window, padded(data.u), padded(data.y), padded(weight))
+    return Simulations(data.window, padded(data.u), padded(data.y), padded(weight))
 
 
-def places(batch: Batch, length: int) -> Places:
+def places(batch: PaddedBatch, length: int) -> Places:
     """Every sample from which a whole chunk fits; of a record shorter than that its start, as
     often as it has samples, so that it is drawn as often."""
     starts = np.asarray(batch.starts, np.int32)
@@ -98,7 +98,7 @@ def places(batch: Batch, length: int) -> Places:
     return Places(u, y, weight, windows, jnp.asarray(starts[rows]))
 
 
-def random_chunks(p: Places, length: int, count: int | None, key: jax.Array) -> Data:
+def random_chunks(p: Places, length: int, count: int | None, key: jax.Array) -> Simulations:
     """`count` chunks; None: as many as cover the records once, but at most 128."""
     length = min(length, p.u.shape[1])
     if count is None:
@@ -111,4 +111,4 @@ def random_chunks(p: Places, length: int, count: int | None, key: jax.Array) -> 
 
         return jax.vmap(one)(p.starts[picked])
 
-    return Data(p.windows[picked], cut(p.u), cut(p.y), cut(p.weight))
+    return Simulations(p.windows[picked], cut(p.u), cut(p.y), cut(p.weight))

@@ -11,7 +11,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import Record, past_length, windows
+from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, windows
 
 # Regressing the missing lags on the past window needs no more windows than this.
 _MOST_WINDOWS = 4000
@@ -45,7 +45,9 @@ def lagged_inputs(u: Array, lags: Lags) -> Array:
     return np.concatenate([empty, *parts], axis=-1)
 
 
-def regressors(record: Record, lags: Lags, first: int | None = None) -> tuple[Array, Array]:
+def regressors(
+    record: ScaledTrajectory, lags: Lags, first: int | None = None
+) -> tuple[Array, Array]:
     """(N, d) and targets (N, ny) of the samples from `first` (default: the memory) on; d is
     outputs * ny + inputs * nu, outputs before inputs and the newest first."""
     start = lags.memory if first is None else first
@@ -90,10 +92,7 @@ class History:
 
 
 def fit_history(
-    records: Sequence[Record],
-    lags: Lags,
-    context: Context,
-    outputs: Sequence[Array] | None = None,
+    records: ScaledData, lags: Lags, context: Context, outputs: Sequence[Array] | None = None
 ) -> History:
     """`outputs`: (T, ny) of each record, valid from the past window on: simulated ones, which
     then stand for all lagged outputs instead of the measured ones."""
@@ -129,14 +128,14 @@ def _features(past_u: Array, past_y: Array, first: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Limits:
+class OutputRange:
     """Range low (ny,) to high (ny,), z-scored, that outputs in free run are clipped to."""
 
     low: Array
     high: Array
 
     @classmethod
-    def of(cls, records: Sequence[Record], margin: float) -> Limits:
+    def of(cls, records: ScaledData, margin: float) -> OutputRange:
         """The range of the records, widened on each side by `margin` times its width."""
         y = np.concatenate([r.y for r in records])
         low, high = y.min(axis=0), y.max(axis=0)
@@ -153,11 +152,11 @@ class OneStep(Protocol):
 
 @dataclass(frozen=True)
 class FreeRun:
-    """A one-step model simulated on its own outputs, clipped to the limits; a `Simulator`."""
+    """A one-step model simulated on its own outputs, clipped to the limits; a `ScaledSimulator`."""
 
     one_step: OneStep
     history: History
-    limits: Limits
+    limits: OutputRange
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H, ny)."""

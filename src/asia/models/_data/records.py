@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,9 @@ from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._data.scaling import Scaling
 
-Mask = NDArray[np.bool_]
-
 
 @dataclass(frozen=True)
-class Record:
+class ScaledTrajectory:
     """One z-scored record: u (T, nu), y (T, ny); weight (T,), 0 where a sample does not count;
     measured_u (T, nu): the inputs as past windows show them, where u is delayed."""
 
@@ -28,6 +27,10 @@ class Record:
 
     def __len__(self) -> int:
         return len(self.u)
+
+
+ScaledData: TypeAlias = Sequence[ScaledTrajectory]
+"""All records of a fit."""
 
 
 def past_length(context: Context) -> int:
@@ -52,10 +55,10 @@ def check(trajectories: Sequence[Trajectory], context: Context) -> None:
             )
 
 
-def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[Record]:
+def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledTrajectory]:
     """All samples of each record, z-scored, every sample counting."""
     pairs = [(scaling.inputs(t.u), scaling.outputs(t.y)) for t in trajectories]
-    return [Record(u, y, np.ones(len(y)), u) for u, y in pairs]
+    return [ScaledTrajectory(u, y, np.ones(len(y)), u) for u, y in pairs]
 
 
 def window(past_u: Array, past_y: Array) -> Array:
@@ -64,7 +67,7 @@ def window(past_u: Array, past_y: Array) -> Array:
     return np.concatenate([past_u.reshape(batch, -1), past_y.reshape(batch, -1)], axis=1)
 
 
-def windows(record: Record, context: Context) -> Array:
+def windows(record: ScaledTrajectory, context: Context) -> Array:
     """Past window before each sample from `past_length` on: (T - past_length, d)."""
     start = past_length(context)
     rows = np.arange(start, len(record))
@@ -82,15 +85,15 @@ def holdout_records(count: int, fraction: float) -> list[int]:
 
 
 def holdout_masks(
-    records: Sequence[Record], fraction: float, blocks: int = 8, shortest: int = 0
-) -> list[Mask]:
+    records: ScaledData, fraction: float, blocks: int = 8, shortest: int = 0
+) -> list[NDArray[np.bool_]]:
     """For each record (T,) booleans, True where held out: `blocks` stretches spread over it, fewer
     where they would have less than `shortest` samples.
 
     A simulated output depends on inputs alone, so a sample whose weight is zero is unseen even
     though the simulation runs through it.
     """
-    masks: list[Mask] = []
+    masks: list[NDArray[np.bool_]] = []
     for record in records:
         length = len(record)
         period = max(length / blocks, 4.0, min(shortest / fraction, length))
@@ -99,12 +102,14 @@ def holdout_masks(
     return masks
 
 
-def reweighted(records: Sequence[Record], masks: Sequence[Mask], keep: bool) -> list[Record]:
+def reweighted(
+    records: ScaledData, masks: Sequence[NDArray[np.bool_]], keep: bool
+) -> list[ScaledTrajectory]:
     """Records whose weight is kept only where the mask equals `keep`."""
     return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
 
 
-def shortened(records: Sequence[Record], samples: int, shortest: int) -> list[Record]:
+def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
     """The first part of each record, the same fraction of all but no less than `shortest` samples
     where it has them, about `samples` in total; of many records only some, spread over them."""
     if sum(len(r) for r in records) <= samples:
@@ -118,13 +123,13 @@ def shortened(records: Sequence[Record], samples: int, shortest: int) -> list[Re
     return [_rows(r, slice(0, max(shortest, round(fraction * len(r))))) for r in kept]
 
 
-def _rows(r: Record, rows: slice) -> Record:
-    return Record(r.u[rows], r.y[rows], r.weight[rows], r.measured_u[rows])
+def _rows(r: ScaledTrajectory, rows: slice) -> ScaledTrajectory:
+    return ScaledTrajectory(r.u[rows], r.y[rows], r.weight[rows], r.measured_u[rows])
 
 
 def contiguous_splits(
-    records: Sequence[Record], parts: int, shortest: int
-) -> list[tuple[list[Record], list[Record]]]:
+    records: ScaledData, parts: int, shortest: int
+) -> list[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]]:
     """(kept, left out) pairs: whole records left out in turn when there are at least `parts`,
     else stretches of each record of at least `shortest` samples."""
     if len(records) >= parts:
@@ -147,7 +152,7 @@ def contiguous_splits(
 
 
 @dataclass(frozen=True)
-class Batch:
+class PaddedBatch:
     """Records padded to one length, without their past windows.
 
     window (R, d), u (R, T, nu), y (R, T, ny), weight (R, T): zero in the padding; all windows
@@ -164,7 +169,7 @@ class Batch:
     starts: NDArray[np.int_]
 
 
-def batch(records: Sequence[Record], context: Context) -> Batch:
+def batch(records: ScaledData, context: Context) -> PaddedBatch:
     """Pads the simulated part of each record to the longest."""
     skip = past_length(context)
     lengths = tuple(len(r) - skip for r in records)
@@ -179,7 +184,7 @@ def batch(records: Sequence[Record], context: Context) -> Batch:
     starts = np.concatenate(
         [np.stack([np.full(n, i), np.arange(n)], axis=1) for i, n in enumerate(lengths)]
     )
-    return Batch(
+    return PaddedBatch(
         window=np.stack([w[0] for w in every]),
         u=np.stack([padded(r.u) for r in records]),
         y=np.stack([padded(r.y) for r in records]),

@@ -14,7 +14,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
-from asia.models._data.records import Record, contiguous_splits, past_length
+from asia.models._data.records import ScaledData, contiguous_splits, past_length
 
 # A longer record is cut, and its parts are simulated side by side: time is what a loop pays for.
 _LONGEST = 4000
@@ -22,7 +22,7 @@ _MOST_SAMPLES = 40_000
 
 
 @dataclass(frozen=True)
-class Segments:
+class Stretches:
     """z-scored: past_u (S, n_past_u, nu), past_y (S, n_past_y, ny), then u (S, H, nu) and
     y (S, H, ny), padded with zeros where weight (S, H) is zero."""
 
@@ -36,7 +36,7 @@ class Segments:
         return len(self.u)
 
 
-class Simulator(Protocol):
+class ScaledSimulator(Protocol):
     """A fitted model in z-scores."""
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -45,8 +45,8 @@ class Simulator(Protocol):
 
 
 def segments(
-    records: Sequence[Record], context: Context, samples: int = _MOST_SAMPLES
-) -> Segments | None:
+    records: ScaledData, context: Context, samples: int = _MOST_SAMPLES
+) -> Stretches | None:
     """Stretches of the records after their past windows, about `samples` in total and evenly
     spread where there are more; None where every record is too short for one."""
     past = past_length(context)
@@ -65,7 +65,7 @@ def segments(
         return np.pad(values[first : first + length], ((0, height - length), (0, 0)))
 
     pairs = list(zip(places, lengths, strict=True))
-    return Segments(
+    return Stretches(
         np.stack([r.measured_u[k - context.n_past_u : k] for r, k in places]),
         np.stack([r.y[k - context.n_past_y : k] for r, k in places]),
         np.stack([rows(r.u, k, n) for (r, k), n in pairs]),
@@ -74,7 +74,7 @@ def segments(
     )
 
 
-def simulation_error(simulate: Simulator, data: Segments) -> float:
+def simulation_error(simulate: ScaledSimulator, data: Stretches) -> float:
     """Weighted mean squared error over samples and channels, infinite where it diverges."""
     with np.errstate(all="ignore"):
         misfit = simulate(data.past_u, data.past_y, data.u) - data.y
@@ -84,9 +84,9 @@ def simulation_error(simulate: Simulator, data: Segments) -> float:
 
 
 def left_out_error(
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
-    fit: Callable[[Sequence[Record]], Sequence[Simulator]],
+    fit: Callable[[ScaledData], Sequence[ScaledSimulator]],
     shortest: int,
 ) -> Array:
     """Mean over splits of the log of the mean squared simulation error on what was left out, one

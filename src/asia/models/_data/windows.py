@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
-from asia.models._data.records import Record, past_length, windows
+from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, windows
 
 # Stretches cut from one record: long ones, so that slow modes show.
 _PIECES = 4
 
 
 @dataclass(frozen=True)
-class Windows:
+class HorizonWindows:
     """z-scored: features (W, d), the past windows; u (W, H, nu) and y (W, H, ny) after them."""
 
     features: Array
@@ -27,7 +26,7 @@ class Windows:
         return len(self.features)
 
 
-def cut_windows(records: Sequence[Record], context: Context, most: int) -> Windows:
+def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
     """At most about `most` windows of `context.horizon` samples (of the longest record, where all
     are shorter), evenly spread over the records and of every record the same share."""
     past = past_length(context)
@@ -45,10 +44,10 @@ def cut_windows(records: Sequence[Record], context: Context, most: int) -> Windo
         features.append(windows(r, context)[starts])
         u.append(r.u[rows])
         y.append(r.y[rows])
-    return Windows(np.concatenate(features), np.concatenate(u), np.concatenate(y))
+    return HorizonWindows(np.concatenate(features), np.concatenate(u), np.concatenate(y))
 
 
-def stretches(records: Sequence[Record], samples: int, shortest: int) -> list[Record]:
+def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
     """Up to about `samples` samples in all: the records themselves where they hold no more, else
     stretches of at least `shortest` (where a record has them), evenly spread over each record, of
     very many records only over some."""
@@ -59,11 +58,13 @@ def stretches(records: Sequence[Record], samples: int, shortest: int) -> list[Re
     rows = np.linspace(0, len(records) - 1, min(len(records), most)).round().astype(int)
     kept = [records[i] for i in rows]
     share = samples / sum(len(r) for r in kept)
-    pieces: list[Record] = []
+    pieces: list[ScaledTrajectory] = []
     for r in kept:
         count = int(np.clip(share * len(r) // shortest, 1, _PIECES))
         length = min(len(r), max(shortest, int(share * len(r) / count)))
         for start in np.linspace(0, len(r) - length, count).round().astype(int):
             part = slice(int(start), int(start) + length)
-            pieces.append(Record(r.u[part], r.y[part], r.weight[part], r.measured_u[part]))
+            pieces.append(
+                ScaledTrajectory(r.u[part], r.y[part], r.weight[part], r.measured_u[part])
+            )
     return pieces

@@ -77,7 +77,7 @@ class Range:
 
 
 @dataclass(frozen=True)
-class Structure:
+class GreyBoxStructure:
     """All that is fixed before training. Hashable: compiled programs are found by it.
 
     sampling_time in s; low, high (nx,): physical bounds of the states, infinite where open;
@@ -167,7 +167,7 @@ class Layout:
     size: int
 
     @classmethod
-    def of(cls, structure: Structure) -> Layout:
+    def of(cls, structure: GreyBoxStructure) -> Layout:
         """The layout of `structure`."""
         config, nx, nu = structure.config, structure.nx, structure.nu
         observed = structure.equations.outputs

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.data import Array
-from asia.models._equations.config import Structure
+from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.measured_start import measured_fitter
 from asia.models._equations.simulate import Scales, WindowPrior, prior_residuals, simulate_states
 from asia.models._equations.starts import (
-    Segments,
+    RecordPieces,
     Starts,
     add_network,
     augment,
@@ -35,7 +35,7 @@ _INITIAL_RIDGE = 1e-6
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedEquations:
     """Coordinates, scales and window prior of a fitted model, with its cost after each
     iteration."""
 
@@ -45,7 +45,9 @@ class Fitted:
     history: Array
 
 
-def fit(structure: Structure, segments: Segments, method: LevenbergMarquardt, seed: int) -> Fitted:
+def fit(
+    structure: GreyBoxStructure, segments: RecordPieces, method: LevenbergMarquardt, seed: int
+) -> FittedEquations:
     """The best of `method.starts` fits, in up to three stages: the equations alone, from points
     drawn in their ranges and screened; from the better half of these the additions, with starting
     points drawn anew; from the best of these the residual network, which starts without effect.
@@ -80,10 +82,10 @@ def fit(structure: Structure, segments: Segments, method: LevenbergMarquardt, se
 
 
 @lru_cache(maxsize=64)
-def _fitter(structure: Structure, method: LevenbergMarquardt) -> Any:
+def _fitter(structure: GreyBoxStructure, method: LevenbergMarquardt) -> Any:
     """Compiled fit: (starts, segments, active) -> LMResult, one row a start."""
 
-    def one(start: Starts, segments: Segments, active: jax.Array) -> LMResult:
+    def one(start: Starts, segments: RecordPieces, active: jax.Array) -> LMResult:
         linearised = _linearised(structure, start, segments, active)
         theta0 = jnp.concatenate([start.z, start.shift.ravel()])
         return levenberg_marquardt(
@@ -97,7 +99,11 @@ def _fitter(structure: Structure, method: LevenbergMarquardt) -> Any:
 
 
 def _segment_residual(
-    structure: Structure, start: Starts, segments: Segments, theta: jax.Array, i: jax.Array
+    structure: GreyBoxStructure,
+    start: Starts,
+    segments: RecordPieces,
+    theta: jax.Array,
+    i: jax.Array,
 ) -> jax.Array:
     """Normalised, masked and, where asked for, robust errors (T ny) of segment i;
     theta (size + nx,) holds its own initial state."""
@@ -114,9 +120,9 @@ def _segment_residual(
 
 
 def _residuals(
-    structure: Structure,
+    structure: GreyBoxStructure,
     start: Starts,
-    segments: Segments,
+    segments: RecordPieces,
     active: jax.Array,
     theta: jax.Array,
 ) -> jax.Array:
@@ -132,7 +138,9 @@ def _residuals(
     return jnp.concatenate([errors.ravel(), ridge.ravel(), active * prior_residuals(structure, z)])
 
 
-def _linearised(structure: Structure, start: Starts, segments: Segments, active: jax.Array) -> Any:
+def _linearised(
+    structure: GreyBoxStructure, start: Starts, segments: RecordPieces, active: jax.Array
+) -> Any:
     """Residuals and Jacobian; a segment's errors depend on its own initial state only."""
     size, count, nx = structure.layout.size, segments.u.shape[0], structure.nx
 
@@ -157,11 +165,7 @@ def _linearised(structure: Structure, start: Starts, segments: Segments, active:
         prior = jax.jacfwd(lambda c: prior_residuals(structure, c))(z)
         prior = jnp.concatenate([prior, jnp.zeros((size, count * nx))], axis=1)
         value = jnp.concatenate(
-            [
-                values.ravel(),
-                weight * shift.ravel(),
-                active * prior_residuals(structure, z),
-            ]
+            [values.ravel(), weight * shift.ravel(), active * prior_residuals(structure, z)]
         )
         jacobian = jnp.concatenate([errors, states, prior])
         return value, jacobian.at[:, :size].multiply(active)
@@ -170,8 +174,12 @@ def _linearised(structure: Structure, start: Starts, segments: Segments, active:
 
 
 def _finish(
-    structure: Structure, segments: Segments, starts: Starts, result: LMResult, history: Array
-) -> Fitted:
+    structure: GreyBoxStructure,
+    segments: RecordPieces,
+    starts: Starts,
+    result: LMResult,
+    history: Array,
+) -> FittedEquations:
     """Learn from the training simulation what a past window says of the state, and the range
     outside which a simulation has run away."""
     best = int(np.argmin(result.cost))
@@ -195,10 +203,10 @@ def _finish(
     deviation = _deviation(structure, (y - segments.y)[inside])
     deviation = np.maximum(deviation, 1e-3 * np.asarray(scales.y_scale))
     prior = window_prior(structure, segments, scales, x, deviation)
-    return Fitted(np.asarray(z), scales, prior, np.asarray(history))
+    return FittedEquations(np.asarray(z), scales, prior, np.asarray(history))
 
 
-def _deviation(structure: Structure, error: Array) -> Array:
+def _deviation(structure: GreyBoxStructure, error: Array) -> Array:
     """Size of the simulation error (N, ny) per output, deaf to outliers where the loss is."""
     if structure.config.robust is not None:
         return 1.4826 * np.median(np.abs(error), axis=0)

@@ -20,7 +20,7 @@ from asia.models import recurrent
 from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations
 
-Network = Literal["mlp", "rnn", "gru", "lstm"]
+NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 Params = Any
 
 # A simulation beyond so many deviations of a state has run away.
@@ -29,7 +29,7 @@ _FAR = 30.0
 _REACH = 3.0
 
 
-class State(NamedTuple):
+class MeasuredState(NamedTuple):
     """x (B, nx) states, m (B, nu) inputs behind their lag, d (B, nd) disturbance, h: of the
     network, first (B, 1): whether no sample has been simulated yet."""
 
@@ -59,7 +59,7 @@ class MeasuredCell:
     lag: bool
     linear: bool
     disturbance: bool
-    network: Network | None
+    network: NetworkKind | None
     inner: recurrent.Config | None
     size: float
 
@@ -84,7 +84,7 @@ class MeasuredCell:
             values.append(jnp.exp(value) if span.min > 0 else value)
         return jnp.stack(values) if values else jnp.zeros(0)
 
-    def initial(self, params: Params, window: jax.Array) -> State:
+    def initial(self, params: Params, window: jax.Array) -> MeasuredState:
         """From the last measured outputs, and the last measured inputs where there are any."""
         fixed = params["fixed"]
         ny, nu = len(self.order), len(self.equations.inputs)
@@ -99,9 +99,13 @@ class MeasuredCell:
         if self.inner is not None:
             zero = jnp.zeros((batch, self.inner.hidden), x.dtype)
             h = [(zero, zero) for _ in range(self.inner.layers)]
-        return State(x, m, jnp.zeros((batch, self.nd), x.dtype), h, jnp.ones((batch, 1), bool))
+        return MeasuredState(
+            x, m, jnp.zeros((batch, self.nd), x.dtype), h, jnp.ones((batch, 1), bool)
+        )
 
-    def step(self, params: Params, state: State, u: jax.Array) -> tuple[State, jax.Array]:
+    def step(
+        self, params: Params, state: MeasuredState, u: jax.Array
+    ) -> tuple[MeasuredState, jax.Array]:
         """What the output is read from is the output, z-scored."""
         fixed, dt = params["fixed"], self.sampling_time
         u = u * fixed["u_std"] + fixed["u_mean"]
@@ -127,14 +131,16 @@ class MeasuredCell:
         y = (jnp.zeros_like(x).at[:, jnp.array(self.order)].set(x) - fixed["y_mean"]) / fixed[
             "y_std"
         ]
-        return State(x, m, d, h, jnp.zeros_like(state.first)), y
+        return MeasuredState(x, m, d, h, jnp.zeros_like(state.first)), y
 
     def output(self, params: Params, features: jax.Array, u: jax.Array) -> jax.Array:
         """The features."""
         del params, u
         return features
 
-    def feed(self, params: Params, state: State, y: jax.Array, mask: jax.Array) -> State:
+    def feed(
+        self, params: Params, state: MeasuredState, y: jax.Array, mask: jax.Array
+    ) -> MeasuredState:
         """The state with its outputs replaced by the measured ones, z-scored, where the mask is
         1."""
         fixed = params["fixed"]
@@ -147,7 +153,7 @@ class MeasuredCell:
         return (values - params["fixed"]["s_mean"]) / params["fixed"]["s_std"]
 
     def _learned(
-        self, params: Params, p: jax.Array, state: State, m: jax.Array, known: jax.Array
+        self, params: Params, p: jax.Array, state: MeasuredState, m: jax.Array, known: jax.Array
     ) -> tuple[jax.Array, jax.Array, Any]:
         """Learned rates (B, nd), next disturbance, next state of the network."""
         fixed = params["fixed"]

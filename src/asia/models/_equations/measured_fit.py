@@ -38,7 +38,7 @@ _LEARNED = ("linear", "offset")
 _HELD = ("fixed", "net", "out_w", "out_b")
 
 
-class Windows(NamedTuple):
+class HorizonWindows(NamedTuple):
     """z-scored: window (B, d) past, u (B, T, nu), y (B, T, ny)."""
 
     window: Any
@@ -47,7 +47,7 @@ class Windows(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Settings:
+class TermPenalties:
     """robust: where the loss turns from square to linear, in standard deviations, None never;
     ridge: weight of squared learned effects in the first round; sparsity: in the later ones."""
 
@@ -57,7 +57,7 @@ class Settings:
 
 
 @dataclass
-class _Search:
+class _EquationSearch:
     """Where the search stands, and the best parameters by the judge."""
 
     theta: jax.Array
@@ -70,8 +70,8 @@ class _Search:
 def fit_equations(
     cell: MeasuredCell,
     params: Params,
-    windows: Windows,
-    settings: Settings,
+    windows: HorizonWindows,
+    settings: TermPenalties,
     method: LevenbergMarquardt,
     log: Callable[[float, float], None],
     judge: Judge | None = None,
@@ -84,12 +84,12 @@ def fit_equations(
         theta0, unravel = ravel_pytree(free)
         learned, _ = ravel_pytree({k: jnp.full_like(v, k in _LEARNED) for k, v in free.items()})
         rounds = _ROUNDS if settings.sparsity > 0 and cell.linear else 1
-        every = _Program(cell, kept, unravel, Windows(*_single(windows)), settings)
+        every = _Program(cell, kept, unravel, HorizonWindows(*_single(windows)), settings)
         few = every
         if rounds > 1 and len(windows.u) >= _MANY:
-            quarter = Windows(*(_single(a[::4]) for a in windows))
+            quarter = HorizonWindows(*(_single(a[::4]) for a in windows))
             few = _Program(cell, kept, unravel, quarter, settings)
-        state = _Search(theta0, float("inf"), method.damping)
+        state = _EquationSearch(theta0, float("inf"), method.damping)
         first = jnp.where(learned > 0, settings.ridge, _SMALL * settings.ridge + 1e-6)
         ridge = first.astype(theta0.dtype)
         step = 0
@@ -112,7 +112,9 @@ def fit_equations(
         return {**params, **jax.tree.map(np.asarray, unravel(theta))}
 
 
-def _iterate(program: _Program, state: _Search, theta0: jax.Array, ridge: jax.Array) -> float:
+def _iterate(
+    program: _Program, state: _EquationSearch, theta0: jax.Array, ridge: jax.Array
+) -> float:
     """One accepted step; its relative gain, 0 when no damping gives one."""
     gram, gradient = program.normal(state.theta, theta0, ridge)
     size = jnp.diag(jnp.diag(gram) + 1e-12)
@@ -127,7 +129,7 @@ def _iterate(program: _Program, state: _Search, theta0: jax.Array, ridge: jax.Ar
     return 0.0
 
 
-def _ask(judge: Judge, program: _Program, state: _Search) -> None:
+def _ask(judge: Judge, program: _Program, state: _EquationSearch) -> None:
     score = judge(jax.tree.map(np.asarray, {**program.kept, **program.unravel(state.theta)}))
     if score < state.best_score:
         state.best, state.best_score = state.theta, score
@@ -147,8 +149,8 @@ class _Program:
         cell: MeasuredCell,
         kept: Params,
         unravel: Callable[[jax.Array], Params],
-        windows: Windows,
-        settings: Settings,
+        windows: HorizonWindows,
+        settings: TermPenalties,
     ) -> None:
         self.kept, self.unravel = dict(kept), unravel
         threshold = settings.robust
@@ -192,7 +194,7 @@ class _Program:
 
 def choose_windows(
     records: Sequence[tuple[Array, Array, Array]], horizon: int, most: int
-) -> Windows:
+) -> HorizonWindows:
     """At most about `most` windows of `horizon` samples, spread over all records. Each record is
     given as (windows (N, d), u (N, nu), y (N, ny)): past window before each sample, and the rest
     from the first simulated sample on."""
@@ -201,7 +203,7 @@ def choose_windows(
     places = [
         (i, k * horizon) for i, (_, _, y) in enumerate(records) for k in range(len(y) // horizon)
     ][::stride]
-    return Windows(
+    return HorizonWindows(
         np.stack([records[i][0][k] for i, k in places]),
         np.stack([records[i][1][k : k + horizon] for i, k in places]),
         np.stack([records[i][2][k : k + horizon] for i, k in places]),

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from asia.models._equations.config import Structure
+from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, prior_residuals, simulate_states
-from asia.models._equations.starts import Segments, Starts
+from asia.models._equations.starts import RecordPieces, Starts
 from asia.models._solvers.levenberg_marquardt import (
     LevenbergMarquardt,
     LMResult,
@@ -28,7 +28,7 @@ _CHUNK_VALUES = 1_000_000
 
 
 @lru_cache(maxsize=64)
-def measured_fitter(structure: Structure, method: LevenbergMarquardt, residual: Any) -> Any:
+def measured_fitter(structure: GreyBoxStructure, method: LevenbergMarquardt, residual: Any) -> Any:
     """Compiled fit from `Starts.x_guess`: (starts, segments, active) -> LMResult, one row a start.
 
     residual(structure, start, segments, theta, i): errors of segment i (T ny,), theta (size + nx,)
@@ -36,7 +36,7 @@ def measured_fitter(structure: Structure, method: LevenbergMarquardt, residual: 
     """
     nx = structure.nx
 
-    def one(start: Starts, segments: Segments, active: jax.Array) -> LMResult:
+    def one(start: Starts, segments: RecordPieces, active: jax.Array) -> LMResult:
         # JAX keeps the shapes of a traced array.
         values = segments.y.shape[1] * structure.ny * max(structure.layout.size, 1)
         count = segments.y.shape[0]
@@ -80,7 +80,7 @@ def measured_fitter(structure: Structure, method: LevenbergMarquardt, residual: 
 
 
 @lru_cache(maxsize=64)
-def measured_simulator(structure: Structure) -> Any:
+def measured_simulator(structure: GreyBoxStructure) -> Any:
     """Compiled simulate: (z, scales, past_u, past_y, u), batch first -> y_hat, from the state that
     the last past outputs are. Without past inputs the first future one is held back."""
 

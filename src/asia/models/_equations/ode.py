@@ -102,11 +102,7 @@ class Equations:
         return frozenset(found)
 
     def _evaluate(
-        self,
-        expressions: tuple[Expression, ...],
-        parameters: jax.Array,
-        x: jax.Array,
-        u: jax.Array,
+        self, expressions: tuple[Expression, ...], parameters: jax.Array, x: jax.Array, u: jax.Array
     ) -> jax.Array:
         values: dict[str, jax.Array] = {name: jnp.asarray(v) for name, v in self.constants}
         values |= {name: u[i] for i, name in enumerate(self.inputs)}

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from asia.models._equations.config import Structure
+from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.ode import runge_kutta
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt, levenberg_marquardt
 
@@ -64,7 +64,7 @@ class Effects(NamedTuple):
     readout: jax.Array
 
 
-def physical_parameters(structure: Structure, z: jax.Array) -> jax.Array:
+def physical_parameters(structure: GreyBoxStructure, z: jax.Array) -> jax.Array:
     """Parameters (np,) in physical units from their coordinates; [-1, 1] spans the range."""
     values: list[jax.Array] = []
     for i, span in enumerate(structure.ranges):
@@ -76,7 +76,7 @@ def physical_parameters(structure: Structure, z: jax.Array) -> jax.Array:
     return jnp.stack(values) if values else jnp.zeros(0)
 
 
-def effects(structure: Structure, scales: Scales, z: jax.Array) -> Effects:
+def effects(structure: GreyBoxStructure, scales: Scales, z: jax.Array) -> Effects:
     """Decode coordinates z (size,)."""
     layout, config = structure.layout, structure.config
     nx, nu, ny = structure.nx, structure.nu, structure.ny
@@ -107,7 +107,7 @@ def effects(structure: Structure, scales: Scales, z: jax.Array) -> Effects:
     )
 
 
-def prior_residuals(structure: Structure, z: jax.Array) -> jax.Array:
+def prior_residuals(structure: GreyBoxStructure, z: jax.Array) -> jax.Array:
     """Square roots of the penalties on coordinates z."""
     layout, config = structure.layout, structure.config
     weights = jnp.full(layout.size, jnp.sqrt(config.ridge))
@@ -120,7 +120,7 @@ def prior_residuals(structure: Structure, z: jax.Array) -> jax.Array:
     return weights * effect
 
 
-def delayed(structure: Structure, delay: jax.Array, u: jax.Array) -> jax.Array:
+def delayed(structure: GreyBoxStructure, delay: jax.Array, u: jax.Array) -> jax.Array:
     """u (T, nu) shifted by `delay` (nu,) samples, the first sample held before it."""
     if not structure.config.input_delay:
         return u
@@ -134,7 +134,7 @@ def delayed(structure: Structure, delay: jax.Array, u: jax.Array) -> jax.Array:
 
 
 def simulate_states(
-    structure: Structure, scales: Scales, z: jax.Array, x0: jax.Array, u: jax.Array
+    structure: GreyBoxStructure, scales: Scales, z: jax.Array, x0: jax.Array, u: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Outputs (T, ny) and states (T, nx) from x0 (nx,) at the first sample of u (T, nu)."""
     effect = effects(structure, scales, z)
@@ -156,7 +156,7 @@ def simulate_states(
     return jnp.where(jnp.isfinite(y), y, 0.0), x
 
 
-def _derivative(structure: Structure, scales: Scales, effect: Effects) -> Any:
+def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) -> Any:
     config = structure.config
 
     def derivative(x: jax.Array, u: jax.Array) -> jax.Array:
@@ -177,7 +177,9 @@ def _derivative(structure: Structure, scales: Scales, effect: Effects) -> Any:
     return derivative
 
 
-def _confine(structure: Structure, scales: Scales, effect: Effects, x: jax.Array) -> jax.Array:
+def _confine(
+    structure: GreyBoxStructure, scales: Scales, effect: Effects, x: jax.Array
+) -> jax.Array:
     """Keep the states in their bounds and limits; hand on what spills."""
     kept: list[jax.Array] = []
     spilled = jnp.zeros(())
@@ -207,7 +209,7 @@ def window_features(
 
 
 @lru_cache(maxsize=64)
-def simulator(structure: Structure) -> Any:
+def simulator(structure: GreyBoxStructure) -> Any:
     """Compiled simulate: (z, scales, prior, past_u, past_y, u), batch first -> y_hat.
 
     The state `n_fit` samples before the first simulated one is the most probable one given the

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array, Trajectory
-from asia.models._equations.config import Structure
+from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, simulate_states
 from asia.models._solvers.levenberg_marquardt import LMResult
 
@@ -31,7 +31,7 @@ _OPEN = 1e100
 _RUNAWAY = 1e6
 
 
-class Segments(NamedTuple):
+class RecordPieces(NamedTuple):
     """Training records side by side: u (S, T, nu), y (S, T, ny), mask (S, T), 0 in the padding."""
 
     u: Array
@@ -49,8 +49,8 @@ class Starts(NamedTuple):
 
 
 def cut_segments(
-    structure: Structure, trajectories: Sequence[Trajectory], horizon: int | None
-) -> Segments:
+    structure: GreyBoxStructure, trajectories: Sequence[Trajectory], horizon: int | None
+) -> RecordPieces:
     """Whole records, or, with a horizon, windows spread over them: past and horizon, or where the
     initial state is measured the last past sample and the horizon."""
     pieces: list[Trajectory] = list(trajectories)
@@ -72,23 +72,23 @@ def cut_segments(
     if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
         # As in simulation, where the input of the last past sample is not known.
         u[:, 0] = u[:, 1]
-    return Segments(u, np.stack([pad(t.y) for t in pieces]), mask)
+    return RecordPieces(u, np.stack([pad(t.y) for t in pieces]), mask)
 
 
-def _most_windows(structure: Structure, length: int) -> int:
+def _most_windows(structure: GreyBoxStructure, length: int) -> int:
     if not structure.measured:
         return max(1, _MOST_INITIAL_STATES // structure.nx)
     each = length * structure.ny * max(structure.layout.size, 1) ** 2
     return int(np.clip(_MOST_WORK / each, *_MEASURED_WINDOWS))
 
 
-def initial_states(structure: Structure, starts: Starts, result: LMResult, i: int) -> Array:
+def initial_states(structure: GreyBoxStructure, starts: Starts, result: LMResult, i: int) -> Array:
     """Initial states (S, nx) that fit `i` ended with."""
     shift = np.asarray(result.theta[i, structure.layout.size :]).reshape(-1, structure.nx)
     return starts.x_guess[i] + shift * starts.scales.x_scale[i]
 
 
-def _first_guess(structure: Structure, segments: Segments) -> Array:
+def _first_guess(structure: GreyBoxStructure, segments: RecordPieces) -> Array:
     """Initial states (S, nx): the first measurement, else the middle of the bounds, else 0."""
     low, high = np.array(structure.low), np.array(structure.high)
     closed = np.isfinite(low) & np.isfinite(high)
@@ -99,7 +99,7 @@ def _first_guess(structure: Structure, segments: Segments) -> Array:
     return guess
 
 
-def _base_scales(structure: Structure, segments: Segments) -> Scales:
+def _base_scales(structure: GreyBoxStructure, segments: RecordPieces) -> Scales:
     """Scales before any state is known."""
     nx, inside = structure.nx, segments.mask > 0
 
@@ -122,7 +122,7 @@ def _base_scales(structure: Structure, segments: Segments) -> Scales:
 
 
 @lru_cache(maxsize=64)
-def simulate_many(structure: Structure) -> Any:
+def simulate_many(structure: GreyBoxStructure) -> Any:
     """Compiled: (z (P, size), scales (P, ...), x0 (P, S, nx), u (S, T, nu)) -> outputs, states."""
 
     def one(z: jax.Array, scales: Scales, x0: jax.Array, u: jax.Array) -> Any:
@@ -131,21 +131,21 @@ def simulate_many(structure: Structure) -> Any:
     return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
 
 
-def _neutral(structure: Structure) -> Array:
+def _neutral(structure: GreyBoxStructure) -> Array:
     z = np.zeros(structure.layout.size)
     z[structure.layout.limits] = _NO_LIMIT
     z[structure.layout.spill] = _NO_SPILL
     return z
 
 
-def draws(structure: Structure, segments: Segments, count: int) -> int:
+def draws(structure: GreyBoxStructure, segments: RecordPieces, count: int) -> int:
     """Points drawn to choose `count` starts from: as many as memory allows, at most 16 times."""
     values = segments.mask.size * structure.config.substeps * structure.nx * count
     return count * int(np.clip(_MOST_SCREENED_VALUES // values, 1, _SCREENED_PER_START))
 
 
 def screen(
-    structure: Structure, segments: Segments, count: int, rng: np.random.Generator
+    structure: GreyBoxStructure, segments: RecordPieces, count: int, rng: np.random.Generator
 ) -> Starts:
     """The `count` best of many points drawn in the parameter ranges, the middle among them."""
     layout, base = structure.layout, _base_scales(structure, segments)
@@ -163,7 +163,9 @@ def screen(
     return _take(Starts(z, np.zeros_like(guess), guess, scales), order[:count])
 
 
-def _ranking(structure: Structure, segments: Segments, starts: Starts) -> NDArray[np.intp]:
+def _ranking(
+    structure: GreyBoxStructure, segments: RecordPieces, starts: Starts
+) -> NDArray[np.intp]:
     """Starts from the smallest simulation error to the greatest."""
     outputs = simulate_many(structure)(starts.z, starts.scales, starts.x_guess, segments.u)[0]
     error = (np.asarray(outputs) - segments.y) / starts.scales.y_scale[0]
@@ -176,7 +178,7 @@ def _take(starts: Starts, rows: NDArray[np.intp]) -> Starts:
     return jax.tree.map(lambda a: a[rows], starts)
 
 
-def _spread(states: Array, segments: Segments) -> tuple[Array, Array]:
+def _spread(states: Array, segments: RecordPieces) -> tuple[Array, Array]:
     """Mean and standard deviation (P, nx) of simulated states (P, S, T, nx)."""
     inside = states[:, segments.mask > 0]
     deviation = inside.std(axis=1)
@@ -192,8 +194,8 @@ def _repeat(scales: Scales, count: int) -> Scales:
 
 
 def augment(
-    structure: Structure,
-    segments: Segments,
+    structure: GreyBoxStructure,
+    segments: RecordPieces,
     starts: Starts,
     result: LMResult,
     rng: np.random.Generator,
@@ -224,7 +226,7 @@ def augment(
 
 
 def add_network(
-    structure: Structure, starts: Starts, result: LMResult, rng: np.random.Generator
+    structure: GreyBoxStructure, starts: Starts, result: LMResult, rng: np.random.Generator
 ) -> Starts:
     """The best fit again and again, each time with another first layer of the network."""
     count, best = len(starts.z), int(np.argmin(result.cost))
@@ -236,7 +238,9 @@ def add_network(
     return Starts(z, np.zeros_like(x0), x0, scales._replace(hidden=hidden))
 
 
-def _state_scales(structure: Structure, segments: Segments, z: Array, x0: Array) -> Scales:
+def _state_scales(
+    structure: GreyBoxStructure, segments: RecordPieces, z: Array, x0: Array
+) -> Scales:
     """Scales, one row a start, from simulations with coordinates z from x0 (P, S, nx)."""
     base = _repeat(_base_scales(structure, segments), len(z))
     states = np.asarray(simulate_many(structure)(z, base, x0, segments.u)[1])

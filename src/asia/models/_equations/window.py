@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from asia.data import Array
-from asia.models._equations.config import Structure
+from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, WindowPrior
-from asia.models._equations.starts import Segments
+from asia.models._equations.starts import RecordPieces
 
 
 def window_prior(
-    structure: Structure, segments: Segments, scales: Scales, x: Array, y_deviation: Array
+    structure: GreyBoxStructure,
+    segments: RecordPieces,
+    scales: Scales,
+    x: Array,
+    y_deviation: Array,
 ) -> WindowPrior:
     """Ridge regression of the simulated state, `n_fit` samples before the first simulated one, on
     the past window's samples."""
@@ -44,7 +48,9 @@ def window_prior(
     return prior._replace(mean=weights, x_deviation=np.maximum(error, 1e-3 * spread))
 
 
-def _windows(structure: Structure, u: Array, y: Array, x: Array) -> tuple[Array, Array, Array]:
+def _windows(
+    structure: GreyBoxStructure, u: Array, y: Array, x: Array
+) -> tuple[Array, Array, Array]:
     """Every past window of one record: past_u (W, n_past_u, nu), past_y (W, n_past_y, ny), and the
     state `n_fit` samples before its end (W, nx)."""
     n_past = structure.n_past

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,13 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import Record, contiguous_splits, past_length, windows
+from asia.models._data.records import (
+    ScaledData,
+    ScaledTrajectory,
+    contiguous_splits,
+    past_length,
+    windows,
+)
 from asia.models._linear.subspace import spread_poles, starts
 from asia.models._linear.system import LinearSystem, delayed_convolution, powers, states_of
 
@@ -44,7 +50,7 @@ class LinearFit:
 
 
 def fit(
-    records: Sequence[Record], order: int, refinement: Refinement, log: Log | None = None
+    records: ScaledData, order: int, refinement: Refinement, log: Log | None = None
 ) -> LinearFit:
     """Best start of this order by simulation error, then refined; log(iteration, error)."""
     pairs = [s.start(order) for s in starts(records, max(order, 4))]
@@ -66,11 +72,7 @@ def _offset(log: Log | None, by: int, least: float) -> Log | None:
 
 
 def choose_order(
-    records: Sequence[Record],
-    context: Context,
-    max_order: int,
-    tolerance: float,
-    refinement: Refinement,
+    records: ScaledData, context: Context, max_order: int, tolerance: float, refinement: Refinement
 ) -> int:
     """Smallest order whose simulation error on held-out stretches, started from their own past
     windows as the model will be used, is within `tolerance` (relative, of the root) of the best."""
@@ -87,7 +89,7 @@ def choose_order(
     return next((i for i, error in enumerate(errors, start=1) if error <= limit), 1)
 
 
-def encoder_of(records: Sequence[Record], fitted: LinearFit, context: Context) -> Encoder:
+def encoder_of(records: ScaledData, fitted: LinearFit, context: Context) -> Encoder:
     """Past window -> state, from the model's own states on the records it was fitted to."""
     states = simulated_states(records, fitted.system, fitted.x0)
     pairs = [(r, x) for r, x in zip(records, states, strict=True) if len(r) > past_length(context)]
@@ -97,7 +99,7 @@ def encoder_of(records: Sequence[Record], fitted: LinearFit, context: Context) -
 
 
 def unseen_error(
-    records: Sequence[Record], fitted: LinearFit, encoder: Encoder, context: Context
+    records: ScaledData, fitted: LinearFit, encoder: Encoder, context: Context
 ) -> float:
     """Sum of squared simulation errors of records not fitted, each from its past window; a record
     no longer than that adds nothing."""
@@ -109,7 +111,7 @@ def unseen_error(
     return total
 
 
-def simulation_error(records: Sequence[Record], system: LinearSystem, x0: Array) -> float:
+def simulation_error(records: ScaledData, system: LinearSystem, x0: Array) -> float:
     """Weighted mean squared simulation error over records and channels."""
     residual = _residual(records, system, x0)
     total = sum(float((r.weight**2).sum()) for r in records) * records[0].y.shape[1]
@@ -117,7 +119,7 @@ def simulation_error(records: Sequence[Record], system: LinearSystem, x0: Array)
     return error if np.isfinite(error) else float("inf")
 
 
-def solve_linear_part(records: Sequence[Record], a: Array, c: Array) -> LinearFit:
+def solve_linear_part(records: ScaledData, a: Array, c: Array) -> LinearFit:
     """B, D, offset and initial states by least squares on the simulation error, A and C given."""
     n, nu, ny = len(a), records[0].u.shape[1], records[0].y.shape[1]
     zero = LinearSystem(a, np.zeros((n, nu)), c, np.zeros((ny, nu)), np.zeros(ny))
@@ -135,9 +137,7 @@ def solve_linear_part(records: Sequence[Record], a: Array, c: Array) -> LinearFi
     return LinearFit(system, x0, simulation_error(records, system, x0))
 
 
-def normalised(
-    records: Sequence[Record], system: LinearSystem, x0: Array
-) -> tuple[LinearSystem, Array]:
+def normalised(records: ScaledData, system: LinearSystem, x0: Array) -> tuple[LinearSystem, Array]:
     """States scaled to unit mean square over the training records; full whitening would mix
     states of very different energy and lose accuracy."""
     states = np.concatenate(simulated_states(records, system, x0))
@@ -146,14 +146,14 @@ def normalised(
     return system.transformed(t), x0 @ t.T
 
 
-def simulated_states(records: Sequence[Record], system: LinearSystem, x0: Array) -> list[Array]:
+def simulated_states(records: ScaledData, system: LinearSystem, x0: Array) -> list[Array]:
     """States (T, n) of each record from its initial state."""
     power = powers(system.a, max(len(r) for r in records))
     return [states_of(system, power[: len(r)], x, r.u) for r, x in zip(records, x0, strict=True)]
 
 
 def refine(
-    records: Sequence[Record], start: LinearFit, refinement: Refinement, log: Log | None = None
+    records: ScaledData, start: LinearFit, refinement: Refinement, log: Log | None = None
 ) -> LinearFit:
     """Levenberg-Marquardt on A, B, C, D, offset and the initial states.
 
@@ -187,14 +187,14 @@ def refine(
     return current
 
 
-def _penalised(records: Sequence[Record], fitted: LinearFit, prior: float) -> float:
+def _penalised(records: ScaledData, fitted: LinearFit, prior: float) -> float:
     if not np.isfinite(fitted.error):
         return float("inf")
     samples = sum(float((r.weight**2).sum()) for r in records) * records[0].y.shape[1]
     return fitted.error * max(samples, 1.0) + prior * float((fitted.x0**2).sum())
 
 
-def _linearised(records: Sequence[Record], current: LinearFit, prior: float) -> tuple[Array, Array]:
+def _linearised(records: ScaledData, current: LinearFit, prior: float) -> tuple[Array, Array]:
     count, root = len(records), float(np.sqrt(prior))
     parts = [
         _record_jacobian(current.system, r, x, i, count)
@@ -206,7 +206,7 @@ def _linearised(records: Sequence[Record], current: LinearFit, prior: float) -> 
     return np.concatenate([*parts, pull]), np.append(residual, -root * current.x0)
 
 
-def _moved(records: Sequence[Record], current: LinearFit, step: Array) -> LinearFit:
+def _moved(records: ScaledData, current: LinearFit, step: Array) -> LinearFit:
     s = current.system
     shapes = [s.a, s.b, s.c, s.d, s.offset, current.x0]
     parts = np.split(step, np.cumsum([p.size for p in shapes])[:-1])
@@ -219,7 +219,7 @@ def _moved(records: Sequence[Record], current: LinearFit, step: Array) -> Linear
     return LinearFit(system, x0, simulation_error(records, system, x0))
 
 
-def _residual(records: Sequence[Record], system: LinearSystem, x0: Array) -> Array:
+def _residual(records: ScaledData, system: LinearSystem, x0: Array) -> Array:
     with np.errstate(all="ignore"):
         states = simulated_states(records, system, x0)
         return np.concatenate(
@@ -233,7 +233,7 @@ def _residual(records: Sequence[Record], system: LinearSystem, x0: Array) -> Arr
 
 
 def _record_jacobian(
-    system: LinearSystem, record: Record, x0: Array, index: int, count: int
+    system: LinearSystem, record: ScaledTrajectory, x0: Array, index: int, count: int
 ) -> Array:
     """Derivative of the weighted output of one record, (T * ny, parameters), in the order
     A, B, C, D, offset, initial states of all `count` records."""

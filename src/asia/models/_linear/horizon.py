@@ -8,10 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.candidate import Context
-from asia.models._data.records import Record, contiguous_splits, past_length
-from asia.models._data.windows import Windows, cut_windows
+from asia.models._data.records import ScaledData, ScaledTrajectory, contiguous_splits, past_length
+from asia.models._data.windows import HorizonWindows, cut_windows
 from asia.models._linear.fit import Refinement
-from asia.models._linear.windows import MOST_PARAMETERS, Lags, Predictor, one_step, refined
+from asia.models._linear.windows import (
+    MOST_PARAMETERS,
+    WindowLags,
+    WindowPredictor,
+    one_step,
+    refined,
+)
 
 # Against the mean squared error in z-scores, from strong to weak.
 _RIDGES = (1.0, 1e-1, 1e-2, 1e-4)
@@ -22,10 +28,10 @@ _FEWEST, MOST_WINDOWS = 24, 2000
 
 
 @dataclass(frozen=True)
-class Choice:
+class WindowedChoice:
     """Lags and ridge, with the mean squared error on the windows of each stretch left out."""
 
-    lags: Lags
+    lags: WindowLags
     ridge: float
     errors: tuple[float, ...]
 
@@ -35,7 +41,7 @@ class Choice:
         return float(np.mean(self.errors))
 
 
-def choose(records: Sequence[Record], context: Context, refinement: Refinement) -> Choice | None:
+def choose(records: ScaledData, context: Context, refinement: Refinement) -> WindowedChoice | None:
     """The strongest ridge within one standard error, over the stretches left out, of the best,
     for each number of lags, and the best of these; None where the past window shows nothing."""
     splits = held_out(records, context)
@@ -46,8 +52,8 @@ def choose(records: Sequence[Record], context: Context, refinement: Refinement) 
 
 
 def held_out(
-    records: Sequence[Record], context: Context
-) -> list[tuple[list[Record], list[Record]]]:
+    records: ScaledData, context: Context
+) -> list[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]]:
     """(kept, left out): three times other stretches left out, neighbouring records where there
     are enough, since records that follow each other are often of one kind."""
     if len(records) >= 3:
@@ -60,20 +66,20 @@ def held_out(
 
 
 def fit_choice(
-    records: Sequence[Record], context: Context, choice: Choice, refinement: Refinement
-) -> Predictor:
+    records: ScaledData, context: Context, choice: WindowedChoice, refinement: Refinement
+) -> WindowPredictor:
     """Lags and ridge refined on windows from all records."""
     windows = cut_windows(records, context, _count(choice.lags, context, _FINAL_WORK))
     start = one_step(windows, choice.lags, _one_step_ridge(choice.ridge))
     return _refined(start, windows, choice.ridge, refinement.iterations, refinement)
 
 
-def _candidates(records: Sequence[Record], context: Context) -> list[Lags]:
+def _candidates(records: ScaledData, context: Context) -> list[WindowLags]:
     nu, ny = records[0].u.shape[1], records[0].y.shape[1]
     past_u, past_y = context.n_past_u, context.n_past_y
-    found: list[Lags] = []
+    found: list[WindowLags] = []
     for count in sorted({1, 2, 4, past_length(context)}):
-        lags = Lags(past_u, past_y, min(count, past_u), min(count, past_y), nu, ny)
+        lags = WindowLags(past_u, past_y, min(count, past_u), min(count, past_y), nu, ny)
         fits = not found or lags.parameters <= MOST_PARAMETERS
         if lags.order and fits and lags not in found:
             found.append(lags)
@@ -81,11 +87,11 @@ def _candidates(records: Sequence[Record], context: Context) -> list[Lags]:
 
 
 def _best_ridge(
-    splits: Sequence[tuple[list[Record], list[Record]]],
-    lags: Lags,
+    splits: Sequence[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]],
+    lags: WindowLags,
     context: Context,
     refinement: Refinement,
-) -> Choice:
+) -> WindowedChoice:
     count = _count(lags, context, _SELECTION_WORK)
     errors = np.array(
         [
@@ -99,10 +105,12 @@ def _best_ridge(
     apart = errors - errors[:, best : best + 1]
     limit = apart.std(axis=0, ddof=1) / np.sqrt(len(splits)) if len(splits) > 1 else 0.0 * means
     chosen = int(np.argmax(means - means[best] <= limit))
-    return Choice(lags, _RIDGES[chosen], tuple(errors[:, chosen].tolist()))
+    return WindowedChoice(lags, _RIDGES[chosen], tuple(errors[:, chosen].tolist()))
 
 
-def _path(kept: Windows, left: Windows, lags: Lags, refinement: Refinement) -> list[float]:
+def _path(
+    kept: HorizonWindows, left: HorizonWindows, lags: WindowLags, refinement: Refinement
+) -> list[float]:
     """Mean squared error on `left` along the ridges, each fit started from the one before."""
     current, errors = one_step(kept, lags, _one_step_ridge(_RIDGES[0])), list[float]()
     for ridge in _RIDGES:
@@ -112,8 +120,12 @@ def _path(kept: Windows, left: Windows, lags: Lags, refinement: Refinement) -> l
 
 
 def _refined(
-    start: Predictor, windows: Windows, ridge: float, iterations: int, refinement: Refinement
-) -> Predictor:
+    start: WindowPredictor,
+    windows: HorizonWindows,
+    ridge: float,
+    iterations: int,
+    refinement: Refinement,
+) -> WindowPredictor:
     if start.lags.parameters > MOST_PARAMETERS:
         return one_step(windows, start.lags, _one_step_ridge(ridge))
     return refined(
@@ -130,6 +142,6 @@ def _one_step_ridge(ridge: float) -> float:
     return max(1e-4 * ridge, 1e-9)
 
 
-def _count(lags: Lags, context: Context, work: float) -> int:
+def _count(lags: WindowLags, context: Context, work: float) -> int:
     each = (context.horizon or 1) * lags.ny * lags.parameters**2
     return int(np.clip(work / each, _FEWEST, MOST_WINDOWS))

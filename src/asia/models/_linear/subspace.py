@@ -8,13 +8,12 @@ projection); Juang and Pappa, J. Guidance 8(5), 1985 (realisation from Markov pa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from asia.data import Array
-from asia.models._data.records import Record
+from asia.models._data.records import ScaledData
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class Observability:
         return stabilised(np.asarray(a, np.float64)), gamma[: self.ny]
 
 
-def starts(records: Sequence[Record], max_order: int) -> list[Observability]:
+def starts(records: ScaledData, max_order: int) -> list[Observability]:
     """Observability factors that serve every order up to `max_order`, from least to most prone
     to noise; fewer where the records are too short for a method."""
     found: list[Observability] = []
@@ -75,7 +74,7 @@ def _hankel(values: Array, first: int, blocks: int, columns: int) -> Array:
     return np.concatenate(rows)
 
 
-def _oblique_projection(records: Sequence[Record], horizon: int) -> Observability | None:
+def _oblique_projection(records: ScaledData, horizon: int) -> Observability | None:
     past: list[Array] = []
     future_u: list[Array] = []
     future_y: list[Array] = []
@@ -110,7 +109,7 @@ def _factor(matrix: Array, ny: int) -> Observability:
     return Observability(left[:, keep] * singular[keep] ** 0.25, ny)
 
 
-def _realisation(records: Sequence[Record], max_order: int) -> Observability | None:
+def _realisation(records: ScaledData, max_order: int) -> Observability | None:
     ny, nu = records[0].y.shape[1], records[0].u.shape[1]
     total = sum(len(r) for r in records)
     lags = min(2 * max_order + 10, total // (4 * (nu + ny)), min(len(r) for r in records) // 2)

@@ -14,7 +14,7 @@ import numpy as np
 
 from asia.data import Array
 from asia.models._data.encoder import Encoder, affine
-from asia.models._data.windows import Windows
+from asia.models._data.windows import HorizonWindows
 from asia.models._linear.system import LinearSystem
 
 # Beyond this size one-step least squares is kept: the refinement's cost grows with the square.
@@ -22,7 +22,7 @@ MOST_PARAMETERS = 400
 
 
 @dataclass(frozen=True)
-class Lags:
+class WindowLags:
     """Samples of the past kept in the state, of those the protocol shows.
 
     n_past_u, n_past_y: shown; u, y: kept, at most as many.
@@ -69,15 +69,15 @@ class Lags:
 
 
 @dataclass(frozen=True)
-class Predictor:
+class WindowPredictor:
     """theta (order + nu + 1, ny) of the rows above, for z-scored signals, and the ridge it was
     fitted with, against the mean squared error."""
 
-    lags: Lags
+    lags: WindowLags
     theta: Array
     ridge: float = 0.0
 
-    def simulate(self, windows: Windows) -> Array:
+    def simulate(self, windows: HorizonWindows) -> Array:
         """(W, H, ny)."""
         s, from_u, from_y = self.lags.shift()
         x, outputs = self.lags.state(windows.features), np.empty_like(windows.y)
@@ -87,7 +87,7 @@ class Predictor:
             x = x @ s + u @ from_u + outputs[:, k] @ from_y
         return outputs
 
-    def error(self, windows: Windows) -> float:
+    def error(self, windows: HorizonWindows) -> float:
         """Mean squared simulation error; infinite where it diverges."""
         with np.errstate(all="ignore"):
             error = float(((self.simulate(windows) - windows.y) ** 2).mean())
@@ -109,7 +109,7 @@ class Predictor:
         return LinearSystem(a.T, b.T, c.T, by_u.T, np.zeros(lags.ny)), encoder
 
 
-def one_step(windows: Windows, lags: Lags, ridge: float) -> Predictor:
+def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowPredictor:
     """Least squares on all one-step predictions inside the windows; `ridge`, against the mean
     square of the signals, holds the model to `held`."""
     s, from_u, from_y = lags.shift()
@@ -123,10 +123,10 @@ def one_step(windows: Windows, lags: Lags, ridge: float) -> Predictor:
     gram = phi.T @ phi + ridge * len(phi) * np.eye(phi.shape[1])
     rest = held(lags)
     theta = rest + np.linalg.solve(gram, phi.T @ (target - phi @ rest))
-    return Predictor(lags, np.asarray(theta, np.float64))
+    return WindowPredictor(lags, np.asarray(theta, np.float64))
 
 
-def held(lags: Lags) -> Array:
+def held(lags: WindowLags) -> Array:
     """theta of the model that holds the last output: what ridge pulls to."""
     theta = np.zeros((lags.order + lags.nu + 1, lags.ny))
     if lags.y:
@@ -135,13 +135,13 @@ def held(lags: Lags) -> Array:
 
 
 def refined(
-    start: Predictor, windows: Windows, ridge: float, iterations: int, tolerance: float
-) -> Predictor:
+    start: WindowPredictor, windows: HorizonWindows, ridge: float, iterations: int, tolerance: float
+) -> WindowPredictor:
     """Levenberg-Marquardt on the mean squared simulation error over the windows' horizon, plus
     `ridge` times the squared distance from `held`."""
     rest = held(start.lags)
 
-    def objective(model: Predictor) -> float:
+    def objective(model: WindowPredictor) -> float:
         return model.error(windows) + ridge * float(((model.theta - rest) ** 2).sum())
 
     current, cost, damping = start, objective(start), 1e-3
@@ -155,7 +155,7 @@ def refined(
         while damping < 1e8:
             step = np.linalg.solve(scaled + damping * np.eye(len(scaled)), right) / scale
             theta = current.theta + step.reshape(current.theta.shape)
-            moved = Predictor(start.lags, theta, ridge)
+            moved = WindowPredictor(start.lags, theta, ridge)
             cost = objective(moved)
             if cost < before:
                 current, damping = moved, max(damping * 0.2, 1e-9)
@@ -170,7 +170,7 @@ def _regressors(x: Array, u: Array) -> Array:
     return np.concatenate([x, u, np.ones((len(x), 1))], axis=1)
 
 
-def _normal_equations(model: Predictor, windows: Windows) -> tuple[Array, Array]:
+def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
     """J' J (P, P) and J' e (P,), summed step by step so that no Jacobian is held."""
     lags, ny = model.lags, model.lags.ny
     s, from_u, from_y = lags.shift()

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from asia.models._data.chunks import Data, Places, laid, places, random_chunks, tracks, whole
-from asia.models._data.records import Batch
+from asia.models._data.chunks import Places, Simulations, laid, places, random_chunks, tracks, whole
+from asia.models._data.records import PaddedBatch
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.network import Cell, Params, Structure
+from asia.models._networks.network import Cell, NetworkStructure, Params
 from asia.models._networks.objective import check_structure, forward, objective
 from asia.models.methods import Adam
 
 
-class State(NamedTuple):
+class AdamState(NamedTuple):
     """trained: the parameters that change, average: their moving average, or None; carried: state
     of the cell at the end of the last chunks, or None; loss, taken: sum over the steps since the
     last look, and how many these were."""
@@ -33,9 +33,9 @@ class State(NamedTuple):
 
 
 def run(
-    cell: Structure,
+    cell: NetworkStructure,
     params: Params,
-    batch: Batch,
+    batch: PaddedBatch,
     method: Adam,
     horizon: int | None,
     seed: int,
@@ -49,9 +49,9 @@ def run(
     data = _seen(batch, method, length)
     trained, fixed = split(params)
     carried = None
-    if isinstance(data, Data) and method.carry and isinstance(cell, Cell):
+    if isinstance(data, Simulations) and method.carry and isinstance(cell, Cell):
         carried = jax.tree.map(jnp.zeros_like, cell.initial(params, data.window))
-    state = State(
+    state = AdamState(
         trained,
         optimiser(method).init(trained),
         trained if method.average > 0 else None,
@@ -108,7 +108,7 @@ def scheduled(method: Adam, rate: jax.Array, step: jax.Array) -> jax.Array:
     return rate * 0.5 * (1.0 + jnp.cos(jnp.pi * step / method.steps))
 
 
-def _seen(batch: Batch, method: Adam, length: int | None) -> Data | Places:
+def _seen(batch: PaddedBatch, method: Adam, length: int | None) -> Simulations | Places:
     if length is None:
         return whole(batch)
     if method.carry:
@@ -118,23 +118,23 @@ def _seen(batch: Batch, method: Adam, length: int | None) -> Data | Places:
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
-    cell: Structure,
+    cell: NetworkStructure,
     method: Adam,
     length: int | None,
-    data: Data | Places,
+    data: Simulations | Places,
     fixed: Any,
-    state: State,
+    state: AdamState,
     span: tuple[jax.Array, jax.Array],
     rate: jax.Array,
     seed: jax.Array,
-) -> State:
+) -> AdamState:
     rule, root = optimiser(method), jax.random.key(seed)
 
     def loss_of(trained: Any, carried: Any, step: jax.Array) -> tuple[jax.Array, Any]:
         params = merged(trained, fixed)
         drawn, shaken = jax.random.split(jax.random.fold_in(root, step))
         teacher = method.teacher + (method.teacher_end - method.teacher) * step / method.steps
-        if carried is not None and isinstance(cell, Cell) and isinstance(data, Data):
+        if carried is not None and isinstance(cell, Cell) and isinstance(data, Simulations):
             part, fresh = _next_chunk(data, length or 1, step)
             start = _chosen(fresh, cell.initial(params, part.window), carried)
             y, last = forward(cell, method, params, part, teacher, shaken, start)
@@ -149,7 +149,7 @@ def _advance(
             method.loss, residual, part.weight, method.washout, method.horizons
         ), carried
 
-    def update(step: jax.Array, state: State) -> State:
+    def update(step: jax.Array, state: AdamState) -> AdamState:
         gradient_of = jax.value_and_grad(loss_of, has_aux=True)
         (loss, carried), gradient = gradient_of(state.trained, state.carried, step)
         change, memory = rule.update(gradient, state.optimiser, state.trained)
@@ -159,7 +159,7 @@ def _advance(
         if average is not None:
             slow = jnp.minimum(method.average, (1.0 + step) / (10.0 + step))
             average = jax.tree.map(lambda a, t: slow * a + (1.0 - slow) * t, average, trained)
-        moved = State(trained, memory, average, carried, state.loss + loss, state.taken + 1.0)
+        moved = AdamState(trained, memory, average, carried, state.loss + loss, state.taken + 1.0)
         return _chosen(finite(gradient), moved, state)
 
     blank = jnp.zeros((), jnp.float32)
@@ -175,11 +175,11 @@ def _chosen(first: jax.Array, one: Any, other: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)
 
 
-def _next_chunk(data: Data, length: int, step: jax.Array) -> tuple[Data, jax.Array]:
+def _next_chunk(data: Simulations, length: int, step: jax.Array) -> tuple[Simulations, jax.Array]:
     """The chunk that follows the one of the step before, and whether it is the first of all."""
     index = step % (data.u.shape[1] // length)
 
     def cut(values: jax.Array) -> jax.Array:
         return jax.lax.dynamic_slice_in_dim(values, index * length, length, axis=1)
 
-    return Data(data.window, cut(data.u), cut(data.y), cut(data.weight)), index == 0
+    return Simulations(data.window, cut(data.u), cut(data.y), cut(data.weight)), index == 0

@@ -14,19 +14,19 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import minimize
 
-from asia.models._data.chunks import Data, laid, whole
-from asia.models._data.records import Batch
+from asia.models._data.chunks import Simulations, laid, whole
+from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.network import Params, Structure, rollout
+from asia.models._networks.network import NetworkStructure, Params, rollout
 from asia.models._networks.objective import objective
 from asia.models.methods import LBFGS
 
 
 def run(
-    cell: Structure,
+    cell: NetworkStructure,
     params: Params,
-    batch: Batch,
+    batch: PaddedBatch,
     method: LBFGS,
     horizon: int | None,
     steps: int,
@@ -41,7 +41,7 @@ def run(
         data = jax.tree.map(_double, whole(batch) if length is None else laid(batch, length))
         fixed = jax.tree.map(_double, fixed)
         value_of = partial(_value, cell, method, data, fixed, unravel)
-        search = _Search(value_of, np.asarray(flat, np.float64))
+        search = _BestPoint(value_of, np.asarray(flat, np.float64))
 
         def current() -> Params:
             tree = jax.tree.map(
@@ -72,7 +72,7 @@ def run(
         return current()
 
 
-class _Search:
+class _BestPoint:
     """Loss and gradient for SciPy, remembering the best point."""
 
     def __init__(self, value_of: Any, start: np.ndarray[Any, Any]) -> None:
@@ -98,7 +98,12 @@ def _double(value: Any) -> Any:
 
 @partial(jax.jit, static_argnums=(0, 1, 4))
 def _value(
-    cell: Structure, method: LBFGS, data: Data, fixed: Any, unravel: Any, flat: jax.Array
+    cell: NetworkStructure,
+    method: LBFGS,
+    data: Simulations,
+    fixed: Any,
+    unravel: Any,
+    flat: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     def loss_of(flat: jax.Array) -> jax.Array:
         trained = unravel(flat)

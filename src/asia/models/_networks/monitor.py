@@ -15,7 +15,7 @@ _REPORTS = 25
 _FACTOR, _THRESHOLD, _LOWEST = 0.5, 1e-4, 1e-5
 
 Log = Callable[[float, float], None]
-Score = Callable[[Params], float]
+Scorer = Callable[[Params], float]
 """Lower is better; not finite counts as worst."""
 
 
@@ -63,7 +63,7 @@ class Monitor:
 
     method: NetworkMethod
     log: Log
-    score: Score | None = None
+    score: Scorer | None = None
     patience: int | None = None
     replay: Sequence[float] = ()
     best: Params | None = None

@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from asia.candidate import Context, Model
 from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._data.records import Record, batch, check, scaled, window
+from asia.models._data.records import ScaledData, batch, check, scaled, window
 from asia.models._data.scaling import Scaling
 from asia.models.methods import NetworkMethod
 
 Params = Mapping[str, Any]
 Float32 = NDArray[np.float32]
-Prepare = Callable[[Params, Sequence[Record], Scaling], Params]
+Prepare = Callable[[Params, ScaledData, Scaling], Params]
 """Parameters to start training from, given z-scored records: for example a linear fit."""
 
 
@@ -79,7 +79,7 @@ class SequenceMap(Protocol):
         ...
 
 
-Structure: TypeAlias = Cell | FeatureMap | SequenceMap
+NetworkStructure: TypeAlias = Cell | FeatureMap | SequenceMap
 
 
 @runtime_checkable
@@ -101,7 +101,7 @@ class Restartable(Protocol):
         ...
 
 
-def rollout(cell: Structure, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+def rollout(cell: NetworkStructure, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
     """window (B, d), u (B, T, nu) -> outputs (B, T, ny), all z-scored."""
     if isinstance(cell, SequenceMap):
         return cell.sequence(params, window, u)
@@ -132,7 +132,7 @@ class NetworkModel:
     """A network; `scaling` is None before training. `others` are the parameters of further
     members, whose simulations are averaged with that of `params`."""
 
-    cell: Structure
+    cell: NetworkStructure
     params: Params
     scaling: Scaling | None = None
     others: tuple[Params, ...] = ()
@@ -191,16 +191,16 @@ def train_network(
     return replace(model, params=members[0], scaling=scaling, others=tuple(members[1:]))
 
 
-def as_built(params: Params, records: Sequence[Record], scaling: Scaling) -> Params:
+def as_built(params: Params, records: ScaledData, scaling: Scaling) -> Params:
     """A `Prepare` that changes nothing: for families that start from random weights."""
     del records, scaling
     return params
 
 
 def train_cell(
-    cell: Structure,
+    cell: NetworkStructure,
     params: Params,
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
     method: NetworkMethod,
     model_of: Callable[[Params], Model] | None = None,
@@ -213,7 +213,7 @@ def train_cell(
 
 
 def with_output_layer(
-    cell: Structure, params: Params, records: Sequence[Record], context: Context
+    cell: NetworkStructure, params: Params, records: ScaledData, context: Context
 ) -> Params:
     """The parameters with an output layer solved by ridge regression on the untrained states, as
     they are where there is no such layer."""

@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 
 from asia.errors import UserError
-from asia.models._data.chunks import Data
+from asia.models._data.chunks import Simulations
 from asia.models._networks.network import (
     Cell,
     FeatureMap,
+    NetworkStructure,
     OutputFeedback,
     Params,
     SequenceMap,
-    Structure,
     rollout,
 )
 from asia.models.methods import Adam, Loss
@@ -55,12 +55,12 @@ def pointwise(loss: Loss, residual: jax.Array) -> jax.Array:
     return residual**2
 
 
-def error_of(cell: Structure, loss: Loss, params: Any, data: Data) -> jax.Array:
+def error_of(cell: NetworkStructure, loss: Loss, params: Any, data: Simulations) -> jax.Array:
     """Mean loss of the plain simulation."""
     return objective(loss, rollout(cell, params, data.window, data.u) - data.y, data.weight)
 
 
-def check_structure(cell: Structure, params: Params, method: Adam) -> None:
+def check_structure(cell: NetworkStructure, params: Params, method: Adam) -> None:
     """Raises UserError when the method asks for what the network cannot do."""
     if max(method.teacher, method.teacher_end) > 0 and not isinstance(cell, OutputFeedback):
         raise UserError(
@@ -79,10 +79,10 @@ def check_structure(cell: Structure, params: Params, method: Adam) -> None:
 
 
 def forward(
-    cell: Structure,
+    cell: NetworkStructure,
     method: Adam,
     params: Any,
-    data: Data,
+    data: Simulations,
     teacher: jax.Array,
     key: jax.Array,
     state: Any = None,
@@ -136,7 +136,7 @@ def _features(
     return scan(cell, params, start, u, fed)
 
 
-def _drops_weights(cell: Structure) -> bool:
+def _drops_weights(cell: NetworkStructure) -> bool:
     """Where the output is computed inside, dropping a feature means dropping its row of out_w."""
     return isinstance(cell, SequenceMap | OutputFeedback)
 

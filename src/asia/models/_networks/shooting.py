@@ -11,25 +11,25 @@ import numpy as np
 import optax
 
 from asia.errors import UserError
-from asia.models._data.chunks import Data, laid
-from asia.models._data.records import Batch
+from asia.models._data.chunks import Simulations, laid
+from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import finite, joined, merged, optimiser, scheduled, split
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.network import Cell, Params, SequenceMap, Structure
+from asia.models._networks.network import Cell, NetworkStructure, Params, SequenceMap
 from asia.models._networks.objective import objective, scan
 from asia.models.methods import MultipleShooting
 
 _MEMORY = 0.98
 
 
-class Segments(NamedTuple):
+class ShootingSegments(NamedTuple):
     """Pieces of the records in time order, and which of them (B,) open a record."""
 
-    data: Data
+    data: Simulations
     first: jax.Array
 
 
-class _State(NamedTuple):
+class _ShootingState(NamedTuple):
     """Parameters, and initial states of all segments; those that open a record are not used."""
 
     trained: Any
@@ -39,9 +39,9 @@ class _State(NamedTuple):
 
 
 def run(
-    cell: Structure,
+    cell: NetworkStructure,
     params: Params,
-    batch: Batch,
+    batch: PaddedBatch,
     method: MultipleShooting,
     steps: int,
     monitor: Monitor,
@@ -53,12 +53,14 @@ def run(
             "MultipleShooting: the network computes all samples at once and has no state to start "
             "a segment from; train it with Adam"
         )
-    segments = Segments(laid(batch, method.length, overlap=False), _openings(batch, method.length))
+    segments = ShootingSegments(
+        laid(batch, method.length, overlap=False), _openings(batch, method.length)
+    )
     trained, fixed = split(params)
     starts = jax.jit(cell.initial)(merged(trained, fixed), segments.data.window)
     rules = _rules(method)
     memory = (rules[0].init(trained), rules[1].init(starts))
-    state = _State(trained, starts, memory, jnp.zeros((), jnp.float32))
+    state = _ShootingState(trained, starts, memory, jnp.zeros((), jnp.float32))
 
     def current() -> Params:
         return joined(state.trained, fixed)
@@ -75,7 +77,7 @@ def run(
     return current()
 
 
-def _openings(batch: Batch, length: int) -> jax.Array:
+def _openings(batch: PaddedBatch, length: int) -> jax.Array:
     counts = -(-np.asarray(batch.lengths) // min(length, batch.u.shape[1]))
     first = np.zeros(counts.sum(), bool)
     first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
@@ -93,12 +95,12 @@ def _rules(
 def _advance(
     cell: Cell,
     method: MultipleShooting,
-    segments: Segments,
+    segments: ShootingSegments,
     fixed: Any,
-    state: _State,
+    state: _ShootingState,
     span: tuple[jax.Array, jax.Array],
     rate: jax.Array,
-) -> _State:
+) -> _ShootingState:
     data, (rule, start_rule) = segments.data, _rules(method)
 
     def loss_of(trained: Any, starts: Any, step: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -117,7 +119,7 @@ def _advance(
         )
         return error + method.penalty_start * growth * tied + learned, error
 
-    def update(step: jax.Array, state: _State) -> _State:
+    def update(step: jax.Array, state: _ShootingState) -> _ShootingState:
         gradient_of = jax.value_and_grad(loss_of, argnums=(0, 1), has_aux=True)
         (_, error), (slope, start_slope) = gradient_of(state.trained, state.starts, step)
         pace = scheduled(method.optimiser, rate, step)
@@ -127,7 +129,7 @@ def _advance(
         )
         trained = optax.apply_updates(state.trained, jax.tree.map(lambda c: pace * c, change))
         starts = optax.apply_updates(state.starts, jax.tree.map(lambda c: pace * c, start_change))
-        moved = _State(trained, starts, (memory, start_memory), error)
+        moved = _ShootingState(trained, starts, (memory, start_memory), error)
         good = finite((slope, start_slope))
         return jax.tree.map(lambda a, b: jnp.where(good, a, b), moved, state)
 

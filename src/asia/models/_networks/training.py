@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,16 +11,16 @@ import jax
 from asia.candidate import Context, Model
 from asia.models._data.chunks import laid, whole
 from asia.models._data.records import (
-    Batch,
-    Record,
+    PaddedBatch,
+    ScaledData,
     batch,
     holdout_masks,
     holdout_records,
     reweighted,
 )
 from asia.models._networks import adam, lbfgs, shooting
-from asia.models._networks.monitor import Log, Monitor, Score
-from asia.models._networks.network import Params, Structure
+from asia.models._networks.monitor import Log, Monitor, Scorer
+from asia.models._networks.network import NetworkStructure, Params
 from asia.models._networks.objective import error_of
 from asia.models.methods import LBFGS, Adam, NetworkMethod
 
@@ -28,32 +28,32 @@ _error = jax.jit(error_of, static_argnums=(0, 1))
 
 
 @dataclass(frozen=True)
-class Split:
+class HoldoutSplit:
     """Training samples: fitted and held_out for the search of the number of steps, full for the
     fit after it."""
 
-    fitted: Batch
-    held_out: Batch
-    full: Batch
+    fitted: PaddedBatch
+    held_out: PaddedBatch
+    full: PaddedBatch
 
 
 @dataclass(frozen=True)
-class Task:
+class FitTask:
     """What is fitted to what: horizon in samples, None for whole records; score: of the protocol's
     early stopping, None where it has none."""
 
-    structure: Structure
-    samples: Split | Batch
+    structure: NetworkStructure
+    samples: HoldoutSplit | PaddedBatch
     horizon: int | None
     seed: int
     log: Log
-    score: Score | None = None
+    score: Scorer | None = None
 
 
 def fit(
-    structure: Structure,
+    structure: NetworkStructure,
     params: Params,
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
     method: NetworkMethod,
     model_of: Callable[[Params], Model] | None = None,
@@ -63,12 +63,12 @@ def fit(
     score = None
     if method.stop == "validation" and context.validation_score and model_of:
         score = partial(_validation, context.validation_score, model_of)
-    samples: Split | Batch = batch(records, context)
+    samples: HoldoutSplit | PaddedBatch = batch(records, context)
     if score is None and method.holdout > 0:
         samples = _split(records, context, method.holdout)
     with jax.enable_x64(False):
         seed = context.seed % 2**31
-        task = Task(structure, samples, context.horizon, seed, context.log, score)
+        task = FitTask(structure, samples, context.horizon, seed, context.log, score)
         return train(task, params, method)
 
 
@@ -78,11 +78,11 @@ def _validation(
     return oracle(model_of(params))
 
 
-def train(task: Task, params: Params, method: NetworkMethod) -> Params:
+def train(task: FitTask, params: Params, method: NetworkMethod) -> Params:
     """The best parameters by the score, or those after the number of steps that did best on the
     held-out samples, or those after all steps."""
     patience = method.patience if method.stop is not None else None
-    if isinstance(task.samples, Batch):
+    if isinstance(task.samples, PaddedBatch):
         monitor = Monitor(method, task.log, task.score, patience if task.score else None)
         monitor.start(params)
         last = _run(task, task.samples, params, method, method.steps, monitor)
@@ -95,7 +95,12 @@ def train(task: Task, params: Params, method: NetworkMethod) -> Params:
 
 
 def _run(
-    task: Task, samples: Batch, params: Params, method: NetworkMethod, steps: int, monitor: Monitor
+    task: FitTask,
+    samples: PaddedBatch,
+    params: Params,
+    method: NetworkMethod,
+    steps: int,
+    monitor: Monitor,
 ) -> Params:
     cell, horizon = task.structure, task.horizon
     if isinstance(method, LBFGS):
@@ -105,21 +110,25 @@ def _run(
     return shooting.run(cell, params, samples, method, steps, monitor)
 
 
-def _split(records: Sequence[Record], context: Context, fraction: float) -> Split:
+def _split(records: ScaledData, context: Context, fraction: float) -> HoldoutSplit:
     full = batch(records, context)
     chosen = holdout_records(len(records), fraction)
     if chosen:
         kept = [r for i, r in enumerate(records) if i not in chosen]
-        return Split(batch(kept, context), batch([records[i] for i in chosen], context), full)
+        return HoldoutSplit(
+            batch(kept, context), batch([records[i] for i in chosen], context), full
+        )
     masks = holdout_masks(records, fraction, shortest=context.horizon or 0)
     fitted, held_out = (
         replace(full, weight=batch(reweighted(records, masks, keep), context).weight)
         for keep in (False, True)
     )
-    return Split(fitted, held_out, full)
+    return HoldoutSplit(fitted, held_out, full)
 
 
-def _held_out_error(task: Task, split: Split, method: NetworkMethod, params: Params) -> float:
+def _held_out_error(
+    task: FitTask, split: HoldoutSplit, method: NetworkMethod, params: Params
+) -> float:
     held_out = split.held_out
     data = whole(held_out) if task.horizon is None else laid(held_out, task.horizon)
     return float(_error(task.structure, method.loss, params, data))

@@ -12,8 +12,8 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.errors import UserError
-from asia.models._data.lags import FreeRun, Lags, Limits, fit_history
-from asia.models._data.records import Record, past_length, shortened
+from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history
+from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, shortened
 from asia.models._data.scaling import Scaling
 from asia.models._data.segments import left_out_error
 from asia.models._one_step.polynomial import Polynomial, PolynomialRun, all_terms, equations, solve
@@ -57,7 +57,7 @@ class LagChoice:
 
 
 def linear_run(
-    records: Sequence[Record], lags: Lags, context: Context, ridge: float, margin: float
+    records: ScaledData, lags: Lags, context: Context, ridge: float, margin: float
 ) -> PolynomialRun:
     """ARX by ridge regression, limited to the training range widened by `margin` times."""
     ny, nu = records[0].y.shape[1], records[0].u.shape[1]
@@ -65,10 +65,12 @@ def linear_run(
     x, y = equations(records, lags, terms)
     theta = solve(x.T @ x, x.T @ y, ridge)
     model = Polynomial(terms, theta, np.ones(theta.shape, bool))
-    return PolynomialRun(model, fit_history(records, lags, context), Limits.of(records, margin))
+    return PolynomialRun(
+        model, fit_history(records, lags, context), OutputRange.of(records, margin)
+    )
 
 
-def choose_lags(records: Sequence[Record], context: Context, choice: LagChoice) -> Lags:
+def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lags:
     """Lags of a linear model by its simulation error on what was left out of the fit."""
     part = selection(records, context, choice.max_order)
     highest = max(1, min(choice.max_order, min(len(r) for r in part) // 12))
@@ -89,7 +91,7 @@ def choose_lags(records: Sequence[Record], context: Context, choice: LagChoice) 
     return _best(lags, _errors(part, context, lags), choice.tolerance)
 
 
-def selection(records: Sequence[Record], context: Context, max_order: int) -> list[Record]:
+def selection(records: ScaledData, context: Context, max_order: int) -> list[ScaledTrajectory]:
     """What choices are made on: parts long enough to leave something to simulate."""
     shortest = 3 * (past_length(context) + (context.horizon or 0)) + 12 * max_order
     return shortened(
@@ -98,9 +100,9 @@ def selection(records: Sequence[Record], context: Context, max_order: int) -> li
 
 
 def choose_ridge(
-    records: Sequence[Record],
+    records: ScaledData,
     context: Context,
-    fit: Callable[[Sequence[Record], float], FreeRun],
+    fit: Callable[[ScaledData, float], FreeRun],
     shortest: int,
 ) -> float:
     """The ridge with the least simulation error on what was left out of the fit."""
@@ -110,7 +112,7 @@ def choose_ridge(
     return RIDGES[int(np.argmin(errors))]
 
 
-def usable(records: Sequence[Record], lags: Lags) -> None:
+def usable(records: ScaledData, lags: Lags) -> None:
     """Raises UserError where no record is long enough for the lags."""
     if all(len(r) <= lags.memory for r in records):
         raise UserError(
@@ -119,7 +121,7 @@ def usable(records: Sequence[Record], lags: Lags) -> None:
         )
 
 
-def _errors(records: Sequence[Record], context: Context, lags: Sequence[Lags]) -> Array:
+def _errors(records: ScaledData, context: Context, lags: Sequence[Lags]) -> Array:
     usable(records, max(lags, key=lambda item: item.memory))
     shortest = 2 * past_length(context) + 4 * max(item.memory for item in lags)
     return left_out_error(

@@ -6,7 +6,6 @@ and products of lower degree are padded with zeros.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
@@ -15,8 +14,8 @@ from numpy.typing import NDArray
 
 from asia.data import Array
 from asia.models._data.lags import FreeRun, Lags, lagged_inputs, regressors
-from asia.models._data.records import Record
-from asia.models._data.segments import Segments, simulation_error
+from asia.models._data.records import ScaledData
+from asia.models._data.segments import Stretches, simulation_error
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 
 Terms = NDArray[np.intp]
@@ -64,7 +63,7 @@ def products(z: Array, terms: Terms) -> Array:
 
 
 def equations(
-    records: Sequence[Record], lags: Lags, terms: Terms, most: int = 60_000_000
+    records: ScaledData, lags: Lags, terms: Terms, most: int = 60_000_000
 ) -> tuple[Array, Array]:
     """Regression matrix (N, M) and targets (N, ny) of all records; with more than `most` numbers
     evenly spread rows of it."""
@@ -82,7 +81,7 @@ def solve(gram: Array, cross: Array, ridge: float) -> Array:
 
 
 def refine(
-    start: PolynomialRun, data: Segments, method: LevenbergMarquardt, ridge: float
+    start: PolynomialRun, data: Stretches, method: LevenbergMarquardt, ridge: float
 ) -> tuple[PolynomialRun, list[float]]:
     """Levenberg-Marquardt on the simulation error; `ridge` weighs the squared distance of the
     coefficients from their start against it. Returns also the root of the cost by iteration.
@@ -134,7 +133,7 @@ def _step(normal: Array, gradient: Array, damping: float) -> Array:
     return np.linalg.solve(scaled, gradient / scale) / scale
 
 
-def _normal(start: PolynomialRun, model: Polynomial, data: Segments) -> tuple[Array, Array]:
+def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[Array, Array]:
     """Gauss-Newton matrix (P, P) and half the gradient (P,) of the mean squared error."""
     old_u, old_y = start.history(data.past_u, data.past_y, data.u)
     lags, limits = start.history.lags, start.limits

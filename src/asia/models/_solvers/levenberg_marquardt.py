@@ -13,7 +13,7 @@ from asia.errors import UserError
 
 Residual = Callable[[jax.Array], jax.Array]
 Linearised = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
-Cost = Callable[[jax.Array], jax.Array]
+CostFunction = Callable[[jax.Array], jax.Array]
 
 # Dampings tried side by side in one iteration: one Jacobian then nearly always yields a step.
 _TRIALS = (0.1, 1.0, 10.0, 100.0)
@@ -158,7 +158,7 @@ def initial_state(
 
 
 def advance(
-    cost: Cost,
+    cost: CostFunction,
     normal: Callable[[jax.Array], Normal],
     state: LMState,
     method: LevenbergMarquardt,

@@ -18,7 +18,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from asia.data import Array
-from asia.models._data.records import Record
+from asia.models._data.records import ScaledData
 from asia.models._solvers.levenberg_marquardt import (
     LevenbergMarquardt,
     LMState,
@@ -28,7 +28,7 @@ from asia.models._solvers.levenberg_marquardt import (
     initial_state,
     normal_from_sums,
 )
-from asia.models._state_space.structure import Structure
+from asia.models._state_space.structure import StateSpaceStructure
 
 Log = Callable[[float, float], None]
 
@@ -37,7 +37,7 @@ _CHUNK_VALUES = 4_000_000
 _ITERATIONS_BETWEEN_LOGS = 5
 
 
-class Samples(NamedTuple):
+class StateSamples(NamedTuple):
     """Side by side: x0 (R, n), u (R, T, nu), y (R, T, ny) and weight (R, T), 0 in the padding.
 
     x0 is where the search for the initial states starts, or, when `known`, what they are.
@@ -50,7 +50,7 @@ class Samples(NamedTuple):
     known: bool
 
 
-class Data(NamedTuple):
+class SampleChunks(NamedTuple):
     """Chunks in time order: u (K, c, R, nu), y (K, c, R, ny), weight (K, c, R), scaled so that the
     sum of squares is a mean; x0 (R, n); pull (P,): ridge of each parameter towards `origin`."""
 
@@ -71,7 +71,7 @@ class StateFit(NamedTuple):
     history: Array
 
 
-def padded(records: Sequence[Record]) -> tuple[Array, Array, Array]:
+def padded(records: ScaledData) -> tuple[Array, Array, Array]:
     """u, y, weight of all records, padded with zeros to the longest."""
     longest = max(len(r) for r in records)
 
@@ -84,15 +84,15 @@ def padded(records: Sequence[Record]) -> tuple[Array, Array, Array]:
     return u, y, weight
 
 
-def of_records(records: Sequence[Record], x0: Array) -> Samples:
+def of_records(records: ScaledData, x0: Array) -> StateSamples:
     """Whole records, their initial states to be found from x0 (R, n)."""
-    return Samples(x0, *padded(records), known=False)
+    return StateSamples(x0, *padded(records), known=False)
 
 
 def fit_states(
-    structure: Structure,
+    structure: StateSpaceStructure,
     starts: Sequence[dict[str, Any]],
-    samples: Samples,
+    samples: StateSamples,
     ridge: dict[str, float],
     method: LevenbergMarquardt,
     log: Log,
@@ -127,7 +127,9 @@ def _stops(iterations: int) -> list[int]:
     return [*range(_ITERATIONS_BETWEEN_LOGS, iterations, _ITERATIONS_BETWEEN_LOGS), iterations]
 
 
-def _chunked(samples: Samples, structure: Structure, pull: Array, origin: Array) -> Data:
+def _chunked(
+    samples: StateSamples, structure: StateSpaceStructure, pull: Array, origin: Array
+) -> SampleChunks:
     count, length = samples.weight.shape
     values = count * (structure.order + structure.ny) * len(origin)
     size = int(np.clip(_CHUNK_VALUES // values, 1, length))
@@ -140,7 +142,7 @@ def _chunked(samples: Samples, structure: Structure, pull: Array, origin: Array)
         return np.pad(timed, missing).reshape(chunks, size, *timed.shape[1:])
 
     u, y, weight = cut(samples.u), cut(samples.y), cut(samples.weight / np.sqrt(total))
-    return Data(u, y, weight, samples.x0, pull, origin)
+    return SampleChunks(u, y, weight, samples.x0, pull, origin)
 
 
 def _flat(tree: Any) -> tuple[Any, Any]:
@@ -169,11 +171,11 @@ def _shapes(tree: Any) -> _Shapes:
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
-    structure: Structure,
+    structure: StateSpaceStructure,
     method: LevenbergMarquardt,
     shapes: _Shapes,
     state: LMState,
-    data: Data,
+    data: SampleChunks,
     until: Any,
 ) -> LMState:
     def initial(theta: jax.Array) -> jax.Array:
@@ -220,7 +222,7 @@ def _run(step: Any, n: int, theta: jax.Array, x: jax.Array, part: Any) -> Any:
     return x, states, weight[..., None] * (outputs - y)
 
 
-def _sums(step: Any, n: int, theta: jax.Array, initial: Any, data: Data) -> Any:
+def _sums(step: Any, n: int, theta: jax.Array, initial: Any, data: SampleChunks) -> Any:
     """Sum of squared errors, J' J and J' e."""
     derivatives = jax.vmap(jax.vmap(jax.jacrev(step, argnums=(0, 1)), (None, 0, 0)), (None, 0, 0))
 

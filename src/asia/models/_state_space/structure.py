@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import Lags, Predictor
+from asia.models._linear.windows import WindowLags, WindowPredictor
 
 Nonlinearity = Literal["state", "input", "output", "both"]
 Basis = Literal["tanh", "polynomial"]
-Params = Mapping[str, Any]
+Coefficients = Mapping[str, Any]
 
 # Monomials are evaluated on signals of unit size limited to this, so that a simulation which
 # leaves the training range grows linearly at most.
@@ -29,7 +29,7 @@ _RANGE = 4.0
 
 
 @dataclass(frozen=True)
-class Structure:
+class StateSpaceStructure:
     """Sizes and kind of the functions; hashable. channels: None lets f and g read all of [x, v],
     a number only so many linear combinations of it. lags: None, or the state is the past window
     itself: its next value follows from the output, and f is left out."""
@@ -42,13 +42,13 @@ class Structure:
     hidden: int
     degree: int
     channels: int | None
-    lags: Lags | None = None
+    lags: WindowLags | None = None
 
-    def input(self, xp: ModuleType, p: Params, u: Any) -> Any:
+    def input(self, xp: ModuleType, p: Coefficients, u: Any) -> Any:
         """v from u (..., nu)."""
         return u + self._net(xp, p["s"], u) if "s" in p else u
 
-    def split(self, xp: ModuleType, p: Params, x: Any, v: Any) -> tuple[Any, Any]:
+    def split(self, xp: ModuleType, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
         """States x (..., n), inputs v (..., nu) -> next states and outputs before r."""
         output = x @ p["c"] + v @ p["d"] + p["offset"]
         if self.lags is not None:
@@ -61,17 +61,17 @@ class Structure:
         change = self._change(xp, p, x, v)
         return state + change[..., : self.order], output + change[..., self.order :]
 
-    def _change(self, xp: ModuleType, p: Params, x: Any, v: Any) -> Any:
+    def _change(self, xp: ModuleType, p: Coefficients, x: Any, v: Any) -> Any:
         both = xp.concatenate([x, v], axis=-1)
         if self.channels is None:
             return self._net(xp, p["f"], both)
         return self._net(xp, p["f"], both @ p["read"]) @ p["act"]
 
-    def output(self, xp: ModuleType, p: Params, w: Any) -> Any:
+    def output(self, xp: ModuleType, p: Coefficients, w: Any) -> Any:
         """y from w (..., ny)."""
         return w + self._net(xp, p["r"], w) if "r" in p else w
 
-    def _net(self, xp: ModuleType, p: Params, z: Any) -> Any:
+    def _net(self, xp: ModuleType, p: Coefficients, z: Any) -> Any:
         if self.basis == "tanh":
             return xp.tanh(z @ p["w1"] + p["b1"]) @ p["w2"]
         z = xp.clip(z, -_RANGE, _RANGE)
@@ -83,7 +83,9 @@ class Structure:
             for d in range(2, self.degree + 1)
         ]
 
-    def start_windowed(self, predictor: Predictor, rng: np.random.Generator) -> dict[str, Any]:
+    def start_windowed(
+        self, predictor: WindowPredictor, rng: np.random.Generator
+    ) -> dict[str, Any]:
         """Parameters that simulate as the linear model whose state is the past window."""
         n, theta = self.order, predictor.theta
         p: dict[str, Any] = {"c": theta[:n], "d": theta[n:-1], "offset": theta[-1]}
@@ -129,7 +131,7 @@ class Structure:
             "w2": np.zeros((self.hidden, outputs)),
         }
 
-    def simulate(self, p: Params, x0: NDArray[Any], u: NDArray[Any]) -> tuple[Any, Any]:
+    def simulate(self, p: Coefficients, x0: NDArray[Any], u: NDArray[Any]) -> tuple[Any, Any]:
         """x0 (B, n), u (B, T, nu) -> states (B, T, n) and outputs (B, T, ny), in NumPy."""
         v = self.input(np, p, u)
         states = np.empty((*u.shape[:2], self.order))

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from asia.data import Array
-from asia.models._data.records import Record
+from asia.models._data.records import ScaledData
 from asia.models._linear.subspace import spread_poles
 from asia.models._linear.system import LinearSystem
-from asia.models._state_space.structure import Params, Structure
+from asia.models._state_space.structure import Coefficients, StateSpaceStructure
 
 Roots = NDArray[np.complex128]
 
@@ -34,13 +34,13 @@ _SLOW, _ELSEWHERE = 0.98, 0.7
 
 
 @dataclass(frozen=True)
-class SeriesStructure(Structure):
+class WienerHammersteinStructure(StateSpaceStructure):
     """x1[k+1] = A1 x1 + B1 u, v = C1 x1 + D1 u, w = v + f(v), x2[k+1] = A2 x2 + B2 w,
     y = C2 x2 + D2 w + offset. first: states of x1, the rest are x2."""
 
     first: int = 1
 
-    def split(self, xp: ModuleType, p: Params, x: Any, v: Any) -> tuple[Any, Any]:
+    def split(self, xp: ModuleType, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
         """States x (..., n), inputs v (..., nu) -> next states and outputs."""
         one, two = x[..., : self.first], x[..., self.first :]
         middle = one @ p["c1"] + v @ p["d1"]
@@ -59,10 +59,10 @@ class SeriesStructure(Structure):
         return np.asarray(self._net(np, ones, signals), np.float64)
 
 
-class Start(NamedTuple):
+class WienerHammersteinStart(NamedTuple):
     """A starting point, with the mean squared error of the judged ones."""
 
-    structure: SeriesStructure
+    structure: WienerHammersteinStructure
     params: dict[str, Any]
     error: float
 
@@ -87,13 +87,13 @@ class _Filter(NamedTuple):
         return np.asarray(signal.lfilter(numerator, denominator, u, axis=0), np.float64)
 
 
-def series_starts(
-    records: Sequence[Record],
+def wiener_hammerstein_starts(
+    records: ScaledData,
     system: LinearSystem,
-    template: SeriesStructure,
+    template: WienerHammersteinStructure,
     rng: np.random.Generator,
     most: int,
-) -> list[Start]:
+) -> list[WienerHammersteinStart]:
     """The `most` best starts. With one input and output all shares of poles and zeros compete;
     with more, the linear model stands before or after the static function and new modes that do
     not yet act stand on the other side."""
@@ -154,12 +154,12 @@ def _parted(groups: Sequence[Roots], first: Sequence[bool]) -> tuple[Roots, Root
 
 
 def _shared_start(
-    records: Sequence[Record],
+    records: ScaledData,
     system: LinearSystem,
     pair: tuple[_Filter, _Filter],
-    template: SeriesStructure,
+    template: WienerHammersteinStructure,
     function: dict[str, Any],
-) -> Start | None:
+) -> WienerHammersteinStart | None:
     one, two = pair
     middles = [one(r.u[:_JUDGED_SAMPLES]) for r in records]
     size = float(np.concatenate(middles).std())
@@ -185,25 +185,27 @@ def _shared_start(
     slope = slope if abs(slope) > 1e-3 else float(np.copysign(1e-3, slope))
     bend = {**function, "w2": theta[1:-1] / slope}
     params = _params(one.system(), two._replace(gain=two.gain * slope).system(), theta[-1], bend)
-    return Start(_sized(template, len(one.poles), len(two.poles)), params, error)
+    return WienerHammersteinStart(_sized(template, len(one.poles), len(two.poles)), params, error)
 
 
 def _plain_starts(
-    system: LinearSystem, template: SeriesStructure, rng: np.random.Generator
-) -> list[Start]:
+    system: LinearSystem, template: WienerHammersteinStructure, rng: np.random.Generator
+) -> list[WienerHammersteinStart]:
     n, nu, ny = system.order, template.nu, template.ny
     linear = (system.a, system.b, system.c, system.d)
-    found: list[Start] = []
+    found: list[WienerHammersteinStart] = []
     for size, linear_first in ((ny, True), (nu, False)):
         a, _ = spread_poles(n, size)
         idle = (a, 0.1 * rng.standard_normal((n, size)), np.zeros((size, n)), np.eye(size))
         pair = (linear, idle) if linear_first else (idle, linear)
         params = _params(*pair, system.offset, template.function(rng, size))
-        found.append(Start(_sized(template, n, n), params, np.inf))
+        found.append(WienerHammersteinStart(_sized(template, n, n), params, np.inf))
     return found
 
 
-def _sized(template: SeriesStructure, first: int, second: int) -> SeriesStructure:
+def _sized(
+    template: WienerHammersteinStructure, first: int, second: int
+) -> WienerHammersteinStructure:
     return replace(template, order=first + second, first=first)
 
 
