@@ -68,11 +68,6 @@ class Searched:
     left: int
 
 
-def quick_linear(patch: pytest.MonkeyPatch) -> None:
-    """The rung without compiling anything."""
-    patch.setattr("asia.evaluation._rungs.LINEAR", arx(2))
-
-
 def agent(url: str, **changes: Any) -> LlmAgent:
     settings = LlmSettings(
         "made-up", url, temperature=0.5, max_tokens_total=CAP, api_key_env="MADE_UP_KEY"
@@ -96,7 +91,6 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Searched]:
     (problem / "ideas.txt").write_text("Try an ARX model.\n")
     secret = problem / "test.csv"
     with pytest.MonkeyPatch.context() as patch:
-        quick_linear(patch)
         patch.setenv("MADE_UP_KEY", KEY)
         with fake_llm(script(secret)) as server:
             run = go(problem, root / "runs", server.url)

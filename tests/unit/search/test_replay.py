@@ -18,8 +18,7 @@ AGENT = Scripted((arx(2), CRASH, arx(2)))
 
 
 @pytest.fixture
-def problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("asia.evaluation._rungs.LINEAR", arx(2))
+def problem(tmp_path: Path) -> Path:
     return write_problem(tmp_path / "toy")
 
 

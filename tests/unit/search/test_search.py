@@ -47,6 +47,7 @@ def outcomes(view: SearchView) -> list[tuple[object, ...]]:
     ]
 
 
+@pytest.mark.usefixtures("real_linear_rung")
 def test_a_search_end_to_end(problem: Path, tmp_path: Path) -> None:
     view = go(problem, tmp_path / "runs")
     statuses = [e.result.status for e in view.finished if e.result]

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.evaluation import _rungs
 from asia.ledger import TestRecord as Record
 from asia.ledger import open_run, verify
 from asia.problem.load import load_problem
@@ -77,9 +76,7 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (problem / "problem.toml").write_text(TOML)
     (problem / "baseline.py").write_text(HOLD)
     ready = prepare(load_problem(problem), "scripted", seed=0, runs=root / "runs")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_rungs, "LINEAR", HOLD)
-        search(ready, Scripted(()), lambda event, view: None, lambda view: None)
+    search(ready, Scripted(()), lambda event, view: None, lambda view: None)
     return ready.directory
 
 

@@ -109,7 +109,6 @@ def holding(folder: Path, secret: str) -> list[Path]:
 
 
 def test_a_search_with_a_language_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("asia.evaluation._rungs.LINEAR", arx(2))
     monkeypatch.setenv("PLANTED_KEY", KEY)
     monkeypatch.setenv(BYSTANDER, PLANTED)
     problem = write_problem(tmp_path / "toy")
