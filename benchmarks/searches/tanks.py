@@ -3,7 +3,7 @@
 The published figure used the validation fold for early stopping; ours does not see it. Nothing here
 opens the test.
 
-    python benchmarks/tanks.py --seeds 0 1 2 --experiments 15 --runs runs
+    python benchmarks/searches/tanks.py --seeds 0 1 2 --experiments 15 --runs runs
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ fresh noisy data over that of the noise-free truth, 1 at best, at most 1.2 wante
 is fitted to one shared nonlinear system; the figure is its error against the noise-free truth over
 that of the best linear model, at most 0.5 wanted. A row is an entry of ROWS.
 
-    python benchmarks/families.py [family ...]
+    python benchmarks/models/families.py [family ...]
 """
 
 from __future__ import annotations

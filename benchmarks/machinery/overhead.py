@@ -1,6 +1,6 @@
 """What an experiment costs beyond the candidate's own work, per fold.
 
-python benchmarks/overhead.py [--repeats 5]
+python benchmarks/machinery/overhead.py [--repeats 5]
 
 Overhead = wall time of one fold in the evaluator (start of the worker, fit, the model's bytes, the
 simulations, scoring, end of the worker) - seconds inside the candidate's `fit`, compilation

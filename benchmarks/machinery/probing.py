@@ -4,7 +4,7 @@ Each query is a baseline's simulation of the held-out parts plus a known pattern
 scored, doubted, kept or discarded and told as the search does it. No sandbox is needed: no
 candidate runs.
 
-    python benchmarks/probing.py [--queries 200] [--problem two_tanks_sim]
+    python benchmarks/machinery/probing.py [--queries 200] [--problem two_tanks_sim]
 
 Regression: the scores of all patterns give the error's component along each, and the sum of them is
 taken off (needs a score that moves). Climbing: a pattern that is told to be a new best stays (needs

@@ -1,6 +1,6 @@
 """What each isolation level costs over a bare child process.
 
-python benchmarks/isolation.py [--repeats 40]
+python benchmarks/machinery/isolation.py [--repeats 40]
 
 A start is the time from the order to the worker's word that it is ready, its imports included. Bare
 is the same worker with nothing around it and no layer put on. The levels take turns, so that a busy

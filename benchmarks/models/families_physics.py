@@ -1,6 +1,6 @@
 """Families that start from equations or from kinematics, on a generated pendulum.
 
-    python benchmarks/families_physics.py [--seeds 0 1 2]
+    python benchmarks/models/families_physics.py [--seeds 0 1 2]
 
 The grey-box gets the pendulum's own equations with unknown parameters; hybrid and physics_net get
 them without the drag that the pendulum has, which they must learn. All three are judged on fresh

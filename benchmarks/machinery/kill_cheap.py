@@ -1,6 +1,7 @@
 """A search whose experiments cost milliseconds, for `kill.py`.
 
-python benchmarks/kill_cheap.py PROBLEM --runs DIR --experiments N --seed S [--isolation LEVEL]
+python benchmarks/machinery/kill_cheap.py PROBLEM --runs DIR --experiments N --seed S
+    [--isolation LEVEL]
 """
 
 from __future__ import annotations

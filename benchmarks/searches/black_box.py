@@ -2,7 +2,7 @@
 
 This is what a person with nothing but records gets. Nothing here opens the test.
 
-    python benchmarks/black_box.py cascaded_tanks nanodrone --experiments 15 --runs runs
+    python benchmarks/searches/black_box.py cascaded_tanks nanodrone --experiments 15 --runs runs
 """
 
 from __future__ import annotations

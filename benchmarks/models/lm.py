@@ -8,7 +8,7 @@ starts from which not all reach it count for nothing.
 SciPy runs twice: with the compiled residuals of our model, and with residuals of a NumPy loop,
 which is what a script without JAX has.
 
-    python benchmarks/lm.py --starts 8
+    python benchmarks/models/lm.py --starts 8
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Kill searches at random moments and see whether their ledgers come out the same.
 
-python benchmarks/kill.py [--kills 200] [--experiments 15] [--seed 0] [--agent cheap]
+python benchmarks/machinery/kill.py [--kills 200] [--experiments 15] [--seed 0] [--agent cheap]
     [--isolation process] [--out DIR]
 
 One search runs undisturbed. The same search then runs again elsewhere, its whole process group

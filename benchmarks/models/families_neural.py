@@ -1,6 +1,6 @@
 """Neural families on one shared nonlinear system, and on the measured cascaded tanks.
 
-    python benchmarks/families_neural.py [--families lru,cnn] [--tanks]
+    python benchmarks/models/families_neural.py [--families lru,cnn] [--tanks]
 
 The first table is the simulation error against the noise-free truth of an unseen record, over that
 of the best linear model (order chosen inside the training data): below 0.5 a family earns its

@@ -1,8 +1,8 @@
 """Time per training epoch of LTC, GRU and LSTM: ours against PyTorch.
 
-Run `python benchmarks/recurrent.py`. An epoch is one update by Adam, gradient clipped, on a record
-of 510 samples with 64 units, float32, one thread. PyTorch runs the same network from the same
-parameters twice where it can: as an eager loop over the samples, and with `torch.nn.GRU` and
+Run `python benchmarks/models/recurrent.py`. An epoch is one update by Adam, gradient clipped, on a
+record of 510 samples with 64 units, float32, one thread. PyTorch runs the same network from the
+same parameters twice where it can: as an eager loop over the samples, and with `torch.nn.GRU` and
 `torch.nn.LSTM`, whose loops are compiled. Losses are compared first. Prints medians, ratios and the
 machine; exits with 1 when a ratio to the eager loop is below 20. Without PyTorch (extra `torch`)
 only ours is timed.

@@ -1,6 +1,6 @@
 """How long a very long search takes to check, to ask about and to resume.
 
-python benchmarks/ledger.py [--experiments 100000] [--folds 2] [--files] [--out DIR]
+python benchmarks/machinery/ledger.py [--experiments 100000] [--folds 2] [--files] [--out DIR]
 
 Writes a ledger of made-up experiments, through the package's own encoder, and measures `verify`,
 `asia status` (as a command, first with no index and then with one) and what resuming does before

@@ -1,6 +1,6 @@
 """Identification on synthetic systems whose noise-free output is known.
 
-python benchmarks/synthetic.py [--systems linear,duffing] [--agents expert,random]
+python benchmarks/searches/synthetic.py [--systems linear,duffing] [--agents expert,random]
     [--experiments 10] [--seed 0] [--out DIR]
 
 Every search runs through the library with folds in parallel, one search at a time. Finished parts

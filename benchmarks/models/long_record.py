@@ -4,7 +4,7 @@ Each fit runs in a process of its own, on one thread, on one simulated single-in
 record; the memory is that process's peak resident set, JAX included. Exits with 1 when a fit takes
 more than 4 GiB or reports no progress.
 
-    python benchmarks/long_record.py --samples 100000
+    python benchmarks/models/long_record.py --samples 100000
 """
 
 from __future__ import annotations
