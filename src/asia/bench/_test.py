@@ -14,7 +14,6 @@ from asia.bench._plan import Plan
 from asia.bench._tables import Table
 from asia.errors import UserError
 from asia.ledger import TestRecord, Unsealed, error_value, open_run
-from asia.problem.load import BenchmarkSource
 from asia.report import Entry, leaderboard
 from asia.scoring import Failure
 
@@ -137,7 +136,7 @@ def _notes(declared: str | None, test: TestResult | None) -> list[str]:
 
 def _entries(plan: Plan) -> tuple[Entry, ...]:
     """A person's own data may bear a benchmark's name; its error has no place in that list."""
-    measured = isinstance(plan.problem.data, BenchmarkSource)
+    measured = plan.problem.data.public
     return leaderboard(plan.problem.name) if measured else ()
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from asia.data._digest import data_digest
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.problem._digest import protocol_digest
-from asia.problem._places import kept_words
 from asia.problem._problem import Problem, Seal
 from asia.protocol._cuts import splits, windows
 from asia.protocol._rules import ProtocolRule
@@ -336,17 +335,15 @@ def _seal_lines(seal: Seal, rule: ProtocolRule) -> list[str]:
 
 
 def _kept_lines(problem: Problem) -> list[str]:
-    words = kept_words(problem)
-    return [f"test kept: {words}"] if words else []
+    source = problem.test.source
+    return [] if source is None else [f"test kept: {source.test_kept}"]
 
 
 def _guard_lines(problem: Problem) -> list[str]:
-    guard = problem.guard
-    if not guard:
+    names = ", ".join(problem.data.guard_names)
+    if not names:
         return []
-    names = ", ".join([path.stem for path in guard.paths] + list(guard.names))
-    who = names or f"{guard.count} simulated records"
-    return [f"guard: {who}; seen by no fold and no agent, looked at when the search ends"]
+    return [f"guard: {names}; seen by no fold and no agent, looked at when the search ends"]
 
 
 def _table_summary(rule: ProtocolRule) -> str:

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
 from asia._nearest import suggestion
 from asia.data._trajectory import Signal, Trajectory
-from asia.data.sources.kinds import CsvSource, DataSource, SealedSource
-from asia.data.sources.records import Channels, parse_source, read_records
+from asia.data.sources import Channels, data_source, test_source
 from asia.errors import UserError
-from asia.problem._guard import guard_source, without_guard
 from asia.problem._lock import check_digests
 from asia.problem._problem import Problem, TestSource
 from asia.problem._protocol import check_protocol, with_groups
-from asia.problem._schema import DataTable, LockFile, ProblemFile, ProblemTables
+from asia.problem._schema import LockFile, ProblemFile, ProblemTables
 from asia.problem._toml import read_table
 from asia.problem.physics.check import check_physics
 from asia.protocol._cuts import least_case
@@ -135,11 +133,9 @@ def _assemble(
         names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
         check_physics(physics, *names)
     check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
-    data, test = _data(file.data, root)
-    guard = guard_source(file.data.guard, data, root)
-    records = read_records(data, "train", channels)
-    if guard.names:
-        records = replace(records, trajectories=without_guard(records.trajectories, guard))
+    table = file.data.plain()
+    data = data_source(table, root)
+    records = data.records("train", channels)
     names = [t.name for t in records.trajectories]
     rule = with_groups(file.protocol.rule(), file.data.groups, names)
     require_length(records.trajectories, rule)
@@ -152,7 +148,7 @@ def _assemble(
         outputs=channels.outputs,
         train=records.trajectories,
         data=data,
-        test=TestSource(test, test_sha256),
+        test=TestSource(test_source(table, data, root), test_sha256),
         protocol=rule,
         budget=file.budget.budget(),
         physics=physics,
@@ -161,7 +157,7 @@ def _assemble(
         strategies=texts.strategies,
         truth=records.truth,
         warnings=records.warnings,
-        guard=replace(guard, sha256=guard_sha256),
+        guard_sha256=guard_sha256,
     )
 
 
@@ -170,37 +166,6 @@ def _check_names(channels: Channels) -> None:
     for name, count in counts.items():
         if count > 1:
             raise UserError(f"signal '{name}' is named {count} times among inputs and outputs")
-
-
-def _data(table: DataTable, root: Path) -> tuple[DataSource, DataSource | SealedSource | None]:
-    sealed = table.sealed
-    if table.source is not None:
-        if table.train or table.test or sealed:
-            raise UserError("[data] has both source and file names: keep one of them")
-        source = parse_source(table.source, table.seed)
-        return source, source
-    if table.seed is not None:
-        raise UserError("data.seed belongs to a simulated source: leave it out")
-    if not table.train:
-        raise UserError('[data] names no training data: expected train = ["file.csv"] or source')
-    train = tuple((root / name).resolve() for name in table.train)
-    test = tuple((root / name).resolve() for name in table.test)
-    guard = (
-        ()
-        if isinstance(table.guard, int)
-        else tuple((root / name).resolve() for name in table.guard)
-    )
-    lists = {"train": train, "test": test, "guard": guard}
-    for path, count in Counter((*train, *test, *guard)).items():
-        if count > 1:
-            named = [name for name, paths in lists.items() if path in paths]
-            what = f"both {' and '.join(named)}" if len(named) > 1 else "one list twice"
-            raise UserError(f"[data] names {path} in {what}: name every record once")
-    if sealed is not None:
-        if test:
-            raise UserError("[data] has both test and sealed: keep one of them")
-        return CsvSource(train), SealedSource((root / sealed.file).resolve(), sealed.sha256)
-    return CsvSource(train), CsvSource(test) if test else None
 
 
 def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:

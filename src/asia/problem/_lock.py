@@ -9,16 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from asia.data._digest import data_digest
-from asia.data.sources.kinds import (
-    BenchmarkSource,
-    CsvSource,
-    NanodroneSource,
-    SealedSource,
-    SimulatedSource,
-)
 from asia.errors import UserError
 from asia.problem._digest import physics_digest, protocol_digest, text_digest
-from asia.problem._guard import guard_table
 from asia.problem._problem import Problem, Seal
 from asia.problem._protocol import groups_table, protocol_table
 from asia.problem._schema import DigestTable
@@ -100,6 +92,9 @@ def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
 
 
 def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
+    test = problem.test.source
+    data = {**problem.data.to_toml(), **(test.to_toml() if test else {})}
+    guard = data.pop("guard", None)
     return {
         "name": problem.name,
         "description": problem.description,
@@ -110,31 +105,14 @@ def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
         "inputs": [asdict(s) for s in problem.inputs],
         "outputs": [asdict(s) for s in problem.outputs],
         "data": {
-            **_data(problem),
+            **data,
             "groups": groups_table(problem.protocol),
-            "guard": guard_table(problem.guard),
+            "guard": guard,
         },
         "protocol": protocol_table(problem.protocol),
         "budget": asdict(problem.budget),
         "physics": None if problem.physics is None else asdict(problem.physics),
         "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
-    }
-
-
-def _data(problem: Problem) -> dict[str, Any]:
-    if isinstance(problem.data, BenchmarkSource):
-        return {"source": f"nonlinear_benchmarks:{problem.data.benchmark}"}
-    if isinstance(problem.data, SimulatedSource):
-        return {"source": f"simulated:{problem.data.system}", "seed": problem.data.seed}
-    if isinstance(problem.data, NanodroneSource):
-        return {"source": "nanodrone"}
-    test = problem.test.source
-    return {
-        "train": [str(p) for p in problem.data.paths],
-        "test": [str(p) for p in test.paths] if isinstance(test, CsvSource) else [],
-        "sealed": {"file": str(test.path), "sha256": test.sha256}
-        if isinstance(test, SealedSource)
-        else None,
     }
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
 
 from asia.data._trajectory import Array, Signal, Trajectory
-from asia.data.sources.kinds import DataSource, GuardSource, SealedSource
+from asia.data.sources import Channels, Source
 from asia.problem._budget import Budget
 from asia.problem.physics.types import Physics
 from asia.protocol._rules import ProtocolRule
@@ -13,58 +14,86 @@ from asia.protocol._rules import ProtocolRule
 
 @dataclass(frozen=True)
 class TestSource:
-    """How to open the test records; never their values.
+    """How to open the test records; never their values."""
 
-    source: None when the problem has no test data. sha256: what the data must hash to, known
-    once they were sealed.
-    """
-
-    source: DataSource | SealedSource | None
+    source: Source | None
+    """Where they lie; None when the problem has no test data."""
     sha256: str | None = None
+    """What the data must hash to, known once they were sealed."""
 
 
 @dataclass(frozen=True)
 class Seal:
-    """What may be known of the test records before they are opened.
-
-    sha256: digest of all values, None when the problem has no test data. names, lengths: of the
-    records. shared_samples: test samples inside runs of consecutive samples, inputs and outputs,
-    that also occur in a training record. guard: digest of the guard records, None without any.
-    """
+    """What may be known of the test records before they are opened."""
 
     sha256: str | None
+    """Digest of all values; None when the problem has no test data."""
     names: tuple[str, ...] = ()
+    """Names of the records."""
     lengths: tuple[int, ...] = ()
+    """Their numbers of samples."""
     shared_samples: int = 0
+    """Test samples inside runs of consecutive samples, inputs and outputs, that also occur in a
+    training record."""
     guard: str | None = None
+    """Digest of the guard records; None without any."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a search is about.
-
-    sampling_time in seconds; train: the records the search may use; data: where they came from;
-    baseline: source of the problem's own first candidate; truth: noise-free outputs (T, ny) of the
-    training records, for simulated systems only; test: handle for the one opener of test data;
-    guard: handle for the records that no agent sees; warnings: doubts about the data, in plain
-    words; notes, strategies: what the literature says and what to try, in plain words, for agents
-    that read, "" for none.
-    """
+    """What a search is about."""
 
     name: str
+    """Part of the run's name."""
     description: str
+    """The system in plain English; "" for none."""
     sampling_time: float
+    """s."""
     inputs: tuple[Signal, ...]
+    """The inputs, in the order of `Trajectory.u`."""
     outputs: tuple[Signal, ...]
+    """The outputs, in the order of `Trajectory.y`."""
     train: tuple[Trajectory, ...]
-    data: DataSource
+    """The records the search may use."""
+    data: Source
+    """Where the records come from."""
     test: TestSource
+    """Handle for the one opener of test data."""
     protocol: ProtocolRule
+    """How V and the test metric are computed."""
     budget: Budget
+    """What the search may spend."""
     physics: Physics | None = None
+    """The person's equations."""
     baseline: str | None = None
+    """Source of the problem's own first candidate."""
     truth: tuple[Array, ...] | None = None
+    """Noise-free outputs (T, ny) of the training records; for simulated systems only."""
     warnings: tuple[str, ...] = ()
+    """Doubts about the data, in plain words."""
     notes: str = ""
+    """What the literature says of such systems, for agents that read."""
     strategies: str = ""
-    guard: GuardSource = field(default_factory=GuardSource)
+    """What to try, in plain words, for agents that read."""
+    guard_sha256: str | None = None
+    """What the records that stand guard must hash to, known once a run has begun."""
+
+    @property
+    def channels(self) -> Channels:
+        """Which channels of the data are read."""
+        return Channels(self.inputs, self.outputs, self.sampling_time)
+
+
+def kept_places(problem: Problem) -> tuple[Path, ...]:
+    """Files and folders that neither candidates nor agents may read: plain test records, or the
+    key of encrypted ones, and guard records. Raises UserError for data that are not on this
+    machine."""
+    source = problem.test.source
+    test = () if source is None else source.places("test")
+    return (*test, *problem.data.places("guard"))
+
+
+def record_places(problem: Problem) -> tuple[Path, ...]:
+    """Files and folders with the training records, which hold what a fold keeps from its
+    candidate. Raises as `kept_places`."""
+    return problem.data.places("train")

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from asia.data._trajectory import Signal
+from asia.data.sources import DataTable as PlainData
+from asia.data.sources import SealedEntry
 from asia.problem._problem import Budget
 from asia.problem.physics.types import Bounds, ParameterRange, Physics
 from asia.protocol._metrics import known_metric, known_test_metric
@@ -71,6 +73,17 @@ class DataTable(Table):
     seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     groups: dict[str, list[str]] = {}
     guard: list[FileName] | Annotated[int, Field(ge=1, le=100)] = []
+
+    def plain(self) -> PlainData:
+        return PlainData(
+            tuple(self.train),
+            tuple(self.test),
+            SealedEntry(self.sealed.file, self.sealed.sha256) if self.sealed else None,
+            self.source,
+            self.seed,
+            self.groups,
+            self.guard if isinstance(self.guard, int) else tuple(self.guard),
+        )
 
 
 class FoldsTable(Table):

@@ -3,18 +3,15 @@ ones, and what is doubtful about them."""
 
 from asia.data._digest import data_digest
 from asia.data._store import key_folder
-from asia.data.sources.kinds import BenchmarkSource
 from asia.problem._check import CheckReport, check_problem
 from asia.problem._digest import protocol_digest
 from asia.problem._load import builtin_problems, load_lock, load_problem
 from asia.problem._lock import Difference, lock_differences, lock_text
-from asia.problem._places import kept_places, record_places
-from asia.problem._problem import Problem, Seal
+from asia.problem._problem import Problem, Seal, kept_places, record_places
 from asia.problem._protocol import check_feedback
 from asia.problem.new.init import NewProblem, init_problem
 
 __all__ = [
-    "BenchmarkSource",
     "CheckReport",
     "Difference",
     "NewProblem",

@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from asia.ledger import Run, TestRecord, control, open_run
-from asia.problem.load import BenchmarkSource, Problem, load_lock
+from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._leaderboard import leaderboard
 from asia.report._pictures.data import draw_data
@@ -70,7 +70,7 @@ def standing(
 ) -> Iterator[Picture]:
     """The test error among the published ones, for a benchmark that has some."""
     # A person's own data may bear a benchmark's name; its error has no place in that list.
-    published = leaderboard(problem.name) if isinstance(problem.data, BenchmarkSource) else ()
+    published = leaderboard(problem.name) if problem.data.public else ()
     ours = [s.value for s in ensemble.scores if s.metric == "rmse"]
     if published and ours:
         name, output = run.view.started.run, problem.outputs[0]

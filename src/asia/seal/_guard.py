@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from asia.data import Trajectory
 from asia.data._digest import data_digest
-from asia.data.sources.records import Channels, guard_records
 from asia.errors import UserError
 from asia.problem._problem import Problem
 from asia.protocol._cuts import least_case
@@ -15,7 +14,7 @@ __all__ = ["guard_digest", "open_guard"]
 def guard_digest(problem: Problem) -> str | None:
     """Digest of the guard records, which are read, checked and dropped; None without any. Raises
     UserError when they cannot be read, do not fit the problem, or are too short for one case."""
-    if not problem.guard:
+    if not problem.data.guard_names:
         return None
     records = _read(problem)
     least = problem.protocol.past + least_case(problem.protocol)
@@ -37,7 +36,7 @@ def guard_digest(problem: Problem) -> str | None:
 def open_guard(problem: Problem) -> tuple[Trajectory, ...]:
     """The guard records. Raises UserError when they are not those the run began with."""
     records = _read(problem)
-    if problem.guard.sha256 is not None and data_digest(records) != problem.guard.sha256:
+    if problem.guard_sha256 is not None and data_digest(records) != problem.guard_sha256:
         raise UserError(
             f"the guard records of problem '{problem.name}' changed since the run began: put them "
             "back, or start a new run"
@@ -46,5 +45,4 @@ def open_guard(problem: Problem) -> tuple[Trajectory, ...]:
 
 
 def _read(problem: Problem) -> tuple[Trajectory, ...]:
-    channels = Channels(problem.inputs, problem.outputs, problem.sampling_time)
-    return guard_records(problem.guard, problem.data, channels).trajectories
+    return problem.data.records("guard", problem.channels).trajectories

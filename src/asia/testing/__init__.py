@@ -6,6 +6,7 @@ from asia.testing._executor import check_executor
 from asia.testing._ledger import Journal, check_ledger
 from asia.testing._metric import check_metric
 from asia.testing._sandbox import OpenWorker, check_sandbox
+from asia.testing._source import check_source
 
 __all__ = [
     "Journal",
@@ -16,4 +17,5 @@ __all__ = [
     "check_ledger",
     "check_metric",
     "check_sandbox",
+    "check_source",
 ]

@@ -118,6 +118,14 @@ def test_nanodrone_loads_from_a_clone_of_its_repository(flights: Path) -> None:
         load_problem("nanodrone")
 
 
+def test_a_clone_without_git_lfs_says_what_to_do(flights: Path) -> None:
+    flight = flights / "data" / "train" / "random_20251017_run2.csv"
+    flight.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1109476\n")
+    expected = r"random_20251017_run2\.csv is a pointer of git-lfs .* git lfs pull .*/releases"
+    with pytest.raises(UserError, match=expected):
+        load_problem("nanodrone")
+
+
 def test_missing_nanodrone_says_how_to_get_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

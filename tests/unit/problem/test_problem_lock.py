@@ -69,7 +69,7 @@ def test_built_in_problem_round_trip(tmp_path: Path) -> None:
 
 def test_changed_training_record_is_named(locked: tuple[Problem, Path]) -> None:
     problem, path = locked
-    csv = problem.data.paths[0]  # type: ignore[union-attr]
+    csv = problem.data.train[0]  # type: ignore[attr-defined]
     csv.write_text(csv.read_text().replace("0.0,", "0.0,1", 1))
     with pytest.raises(UserError, match="training record 'train' changed"):
         load_lock(path)
@@ -77,7 +77,7 @@ def test_changed_training_record_is_named(locked: tuple[Problem, Path]) -> None:
 
 def test_missing_training_record_is_named(locked: tuple[Problem, Path]) -> None:
     problem, path = locked
-    problem.data.paths[0].unlink()  # type: ignore[union-attr]
+    problem.data.train[0].unlink()  # type: ignore[attr-defined]
     with pytest.raises(UserError, match=r"no such file.*train\.csv"):
         load_lock(path)
 
@@ -105,7 +105,7 @@ def test_edited_lock_is_refused(
 
 def test_moved_problem_finds_its_texts_in_the_lock(locked: tuple[Problem, Path]) -> None:
     problem, path = locked
-    directory = problem.data.paths[0].parent  # type: ignore[union-attr]
+    directory = problem.data.train[0].parent  # type: ignore[attr-defined]
     (directory / "problem.toml").unlink()
     (directory / "description.md").unlink()
     assert load_lock(path).description == problem.description

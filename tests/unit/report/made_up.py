@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from asia.data import Array, Signal, Trajectory
-from asia.data.sources.kinds import BenchmarkSource, DataSource, SimulatedSource
+from asia.data.sources import Source
+from asia.data.sources.benchmarks import NonlinearBenchmark
+from asia.data.sources.two_tanks import TwoTanks
 from asia.errors import Reason
 from asia.ledger import (
     Chain,
@@ -34,7 +36,7 @@ from asia.scoring import Diagnostics, Failure, combine, score_fold, score_test
 Outcomes = Sequence[tuple[str, float | None]]
 
 
-SIMULATED = SimulatedSource("two_tanks", 0)
+SIMULATED = TwoTanks(0)
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,12 @@ class Shape:
     sampling_time: float = 4.0
     skip: int = 20
     name: str = "made_up"
-    data: DataSource = SIMULATED
+    data: Source = SIMULATED
 
 
-BENCHMARK = Shape(name="cascaded_tanks", data=BenchmarkSource("Cascaded_Tanks"))
+BENCHMARK = Shape(
+    name="cascaded_tanks", data=NonlinearBenchmark("nonlinear_benchmarks:Cascaded_Tanks")
+)
 
 
 def make_record(shape: Shape, samples: int, seed: int) -> Trajectory:

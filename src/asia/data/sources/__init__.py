@@ -1,1 +1,36 @@
-"""Where records come from: one file a source."""
+"""Where records come from: one class a source, all derived from `Source`.
+
+A source knows all records of a problem, in three subsets: `train`, `test` and `guard`. It reads
+them, says where they lie (what workers must not read), and writes itself as `[data]` of a problem
+file. `SOURCES` has ASIA's own by name; an installed package adds one as an entry point of the group
+`asia.sources`, and `data.source = "name:argument"` then names it. `asia.testing.check_source` is
+what every source must pass. Where training records are chosen by name, derive from `DataSet`.
+"""
+
+from asia.data.sources.source import (
+    Channels,
+    DataSet,
+    DataTable,
+    Outline,
+    SealedEntry,
+    Source,
+    SourceData,
+    Subset,
+)
+from asia.data.sources.table import SOURCES, checked_class, data_source, source_class, test_source
+
+__all__ = [
+    "SOURCES",
+    "Channels",
+    "DataSet",
+    "DataTable",
+    "Outline",
+    "SealedEntry",
+    "Source",
+    "SourceData",
+    "Subset",
+    "checked_class",
+    "data_source",
+    "source_class",
+    "test_source",
+]

@@ -4,9 +4,12 @@ where its CSV files lie on this machine."""
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
+from asia.data.sources.csv_files import read_files
+from asia.data.sources.source import Channels, DataSet, SourceData, Subset
 from asia.errors import UserError
 
 _REPOSITORY = "nanodrone-sysid-benchmark"
@@ -17,21 +20,49 @@ _FLIGHTS = {
     ),
     "test": tuple(f"melon_20251017_run{k}" for k in (1, 2, 3)),
 }
+# How a file begins that git-lfs has not fetched: https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md
+_POINTER = b"version https://git-lfs"
 
 
-def flight_paths(part: Literal["train", "test"]) -> tuple[Path, ...]:
-    """The files of one part, `data/<part>/<flight>.csv` in a clone of the repository: in
+@dataclass(frozen=True)
+class Nanodrone(DataSet):
+    """The flights, `data/<subset>/<flight>.csv` in a clone of the repository: in
     $ASIA_DATA_DIR/nanodrone, $ASIA_DATA_DIR/nanodrone-sysid-benchmark or
-    ~/.asia/nanodrone-sysid-benchmark, the first that has them all.
+    ~/.asia/nanodrone-sysid-benchmark, the first that has them all."""
 
-    Raises UserError that says how to get them.
-    """
+    source: str = "nanodrone"
+
+    usage: ClassVar[str] = "nanodrone"
+    public: ClassVar[bool] = True
+    test_kept: ClassVar[str] = (
+        "a public download: the plain files stay on this machine, isolation alone keeps "
+        "candidates off them, and whoever knows the data set knows them"
+    )
+
+    def __post_init__(self) -> None:
+        if self.source != "nanodrone":
+            raise UserError(f"data.source is '{self.source}': write 'nanodrone' alone")
+
+    def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
+        """As `DataSet.load`."""
+        return read_files(_flights(subset), channels)
+
+    def places(self, subset: Subset) -> tuple[Path, ...]:
+        """As `Source.places`."""
+        if subset == "guard":
+            return tuple(path for path in _flights("train") if path.stem in self.guard)
+        return _flights(subset)
+
+
+def _flights(subset: Literal["train", "test"]) -> tuple[Path, ...]:
+    """The files. Raises UserError that says how to get them."""
     missing = ""
     for clone in _clones():
-        folder = clone / "data" / part
-        paths = tuple(folder / f"{name}.csv" for name in _FLIGHTS[part])
+        folder = clone / "data" / subset
+        paths = tuple(folder / f"{name}.csv" for name in _FLIGHTS[subset])
         absent = [path for path in paths if not path.is_file()]
         if not absent:
+            _check_fetched(paths, clone)
             return paths
         if len(absent) < len(paths) and not missing:
             missing = f" ({absent[0]} is missing)"
@@ -39,8 +70,19 @@ def flight_paths(part: Literal["train", "test"]) -> tuple[Path, ...]:
         f"the flights of the nanodrone benchmark are not on this machine{missing}: run "
         f"git clone {_ADDRESS} {_home()}, or clone it into a folder of yours and set "
         f"ASIA_DATA_DIR to that folder, so that "
-        f"$ASIA_DATA_DIR/{_REPOSITORY}/data/{part}/{_FLIGHTS[part][0]}.csv exists"
+        f"$ASIA_DATA_DIR/{_REPOSITORY}/data/{subset}/{_FLIGHTS[subset][0]}.csv exists"
     )
+
+
+def _check_fetched(paths: tuple[Path, ...], clone: Path) -> None:
+    for path in paths:
+        with path.open("rb") as stream:
+            if stream.read(len(_POINTER)) == _POINTER:
+                raise UserError(
+                    f"{path} is a pointer of git-lfs and not the flight itself, for {clone} was "
+                    f"cloned without git-lfs: install git-lfs and run git lfs pull in {clone}, or "
+                    f"unpack the archive of a release from {_ADDRESS}/releases there"
+                )
 
 
 def _home() -> Path:

@@ -5,10 +5,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from pathlib import Path
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from asia.data._trajectory import Array
+from asia._nearest import nearest
+from asia.data._trajectory import Array, Trajectory
+from asia.data.sources.source import Channels, DataTable, Source, SourceData, Subset
+from asia.errors import UserError
 
 SAMPLING_TIME = 4.0
 SAMPLES = 1024
@@ -21,16 +26,83 @@ _SUBSTEPS = 8
 _DECIMALS = 4
 
 
+_SYSTEM = "two_tanks"
+_GUARD = 2
+
+
 @dataclass(frozen=True)
-class SimulatedRecord:
-    """u, y, truth: (T, 1) pump voltage, measured and noise-free level of the lower tank, V."""
+class TwoTanks(Source):
+    """The tanks, simulated when their records are asked for; the seed fixes every number."""
+
+    seed: int = 0
+    """The seed of inputs, initial states and noise."""
+    guard: int = 0
+    """How many records stand guard."""
+
+    usage: ClassVar[str] = "simulated:<system>"
+    test_kept: ClassVar[str] = (
+        "simulated from a seed that the problem names: whoever has ASIA can repeat it"
+    )
+
+    @classmethod
+    def from_table(cls, table: DataTable, root: Path) -> Self:
+        """As `Source.from_table`."""
+        del root
+        name = (table.source or "").partition(":")[2]
+        if name != _SYSTEM:
+            raise UserError(f"data.source: no simulated system '{name}'{nearest(name, [_SYSTEM])}")
+        if not isinstance(table.guard, int) and table.guard:
+            raise UserError(
+                "data.guard names records, but a simulated source makes them: say how many, such "
+                "as guard = 2"
+            )
+        return cls(table.seed or 0, table.guard if isinstance(table.guard, int) else 0)
+
+    def read(self, subset: Subset, channels: Channels) -> SourceData:
+        """As `Source.read`."""
+        del channels
+        if subset == "guard":
+            numbers, names = range(_GUARD, _GUARD + self.guard), self.guard_names
+        else:
+            numbers, names = (("train", "test").index(subset),), (f"{_SYSTEM}_{subset}",)
+        made = [simulate_two_tanks(self.seed, number) for number in numbers]
+        return SourceData(
+            tuple(Trajectory(m.u, m.y, SAMPLING_TIME, n) for m, n in zip(made, names, strict=True)),
+            tuple(m.truth for m in made),
+        )
+
+    def places(self, subset: Subset) -> tuple[Path, ...]:
+        """As `Source.places`: nothing is stored."""
+        del subset
+        return ()
+
+    def to_toml(self) -> dict[str, Any]:
+        """As `Source.to_toml`."""
+        return {
+            "source": f"simulated:{_SYSTEM}",
+            "seed": self.seed,
+            "guard": self.guard or None,
+        }
+
+    @property
+    def guard_names(self) -> tuple[str, ...]:
+        """As `Source.guard_names`."""
+        return tuple(f"{_SYSTEM}_guard{k}" for k in range(1, self.guard + 1))
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulated record, (T, 1) each."""
 
     u: Array
+    """Pump voltage, V."""
     y: Array
+    """Measured level of the lower tank, V."""
     truth: Array
+    """The same without noise, V."""
 
 
-def simulate_two_tanks(seed: int, realisation: int) -> SimulatedRecord:
+def simulate_two_tanks(seed: int, realisation: int) -> Simulation:
     """One record of 1024 samples at 4 s; another `realisation` has another input, initial state
     and noise. Outputs are rounded to 0.1 mV, far below the noise of 50 mV, so that a digest of
     the record does not depend on the last bit of the machine's arithmetic."""
@@ -39,7 +111,7 @@ def simulate_two_tanks(seed: int, realisation: int) -> SimulatedRecord:
     start = random.uniform(2.0, 7.0, size=2)
     truth = _levels(u, float(start[0]), float(start[1]))
     y = np.round(truth + NOISE_STD * random.standard_normal(SAMPLES), _DECIMALS)
-    return SimulatedRecord(u[:, None], y[:, None], truth[:, None])
+    return Simulation(u[:, None], y[:, None], truth[:, None])
 
 
 def _multisine(random: np.random.Generator) -> Array:

@@ -10,7 +10,7 @@ import pytest
 
 import asia
 from asia.data._digest import data_digest
-from asia.data.sources.kinds import CsvSource
+from asia.data.sources.csv_files import CsvFiles
 from asia.errors import UserError
 from asia.problem._problem import Problem
 from asia.problem.load import load_lock, load_problem, lock_text
@@ -79,7 +79,7 @@ def test_too_short_test_record_is_refused(tanks: Problem) -> None:
 
 
 def test_unreadable_test_record_is_refused(tmp_path: Path, tanks: Problem) -> None:
-    source = CsvSource((tmp_path / "nowhere.csv",))
+    source = CsvFiles((), (tmp_path / "nowhere.csv",))
     with pytest.raises(UserError, match="no such file"):
         seal(replace(tanks, test=replace(tanks.test, source=source)))
 
@@ -106,9 +106,10 @@ def test_nothing_else_reads_the_test_part() -> None:
     readers = {
         path.relative_to(root).as_posix()
         for path in root.rglob("*.py")
-        if re.search(r"test\.source\b", path.read_text()) and "read_records(" in path.read_text()
+        if re.search(r"\.(records|read)\(\s*(\"test\"|subset)", path.read_text())
     }
-    assert readers == {"protocol/_sealed.py"}
+    readers -= {p for p in readers if p.startswith("data/sources/")}
+    assert readers == {"seal/_test.py", "testing/_source.py"}
 
 
 @pytest.mark.data

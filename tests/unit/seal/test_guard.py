@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.data import Trajectory
-from asia.data.sources.kinds import CsvSource, GuardSource, NanodroneSource, SimulatedSource
+from asia.data import Signal, Trajectory
+from asia.data.sources import Channels, DataSet, DataTable, Source, SourceData, Subset
+from asia.data.sources.csv_files import CsvFiles
+from asia.data.sources.nanodrone import Nanodrone
+from asia.data.sources.two_tanks import TwoTanks
 from asia.errors import UserError
-from asia.problem._guard import guard_source, without_guard
 from asia.problem.load import check_problem, load_lock, load_problem, lock_text
 from asia.seal._guard import guard_digest, open_guard
 from asia.seal._test import seal
@@ -17,6 +19,7 @@ from tests.unit.search.toy import write_problem
 
 RECORDS = [Trajectory(np.arange(5.0), np.arange(5.0), 1.0, name) for name in ("a", "b")]
 ROOT = Path("/somewhere")
+CHANNELS = Channels((Signal("u"),), (Signal("y"),), 1.0)
 
 
 def guarded(tmp_path: Path, line: str) -> Path:
@@ -28,40 +31,50 @@ def guarded(tmp_path: Path, line: str) -> Path:
 
 def test_simulated_guards_are_records_of_their_own() -> None:
     problem = load_problem("two_tanks_sim")
-    assert not problem.guard
     assert guard_digest(problem) is None
-    problem = replace(problem, guard=guard_source(2, problem.data, ROOT))
+    problem = replace(problem, data=TwoTanks(3, guard=2))
     first, second = open_guard(problem)
     outputs = [first.y, second.y, problem.train[0].y]
     assert len({y.tobytes() for y in outputs}) == 3
     assert first.name == "two_tanks_guard1"
 
 
-def test_a_benchmarks_guard_trains_nothing() -> None:
-    guard = guard_source(["b"], NanodroneSource(), ROOT)
-    assert [r.name for r in without_guard(RECORDS, guard)] == ["a"]
+class Two(DataSet):
+    """Two records to train on."""
+
+    def load(self, subset: Subset, channels: Channels) -> SourceData:
+        return SourceData(tuple(RECORDS))
+
+    def places(self, subset: Subset) -> tuple[Path, ...]:
+        return ()
+
+
+def test_a_data_sets_guard_trains_nothing() -> None:
+    source = Two("two", ("b",))
+    assert [t.name for t in source.records("train", CHANNELS).trajectories] == ["a"]
+    assert [t.name for t in source.records("guard", CHANNELS).trajectories] == ["b"]
 
 
 @pytest.mark.parametrize(
-    ("named", "source", "words"),
+    ("table", "source", "words"),
     [
-        (["a"], SimulatedSource("two_tanks", 0), "say how many"),
-        (2, NanodroneSource(), "name the training records"),
-        (2, CsvSource(()), "name the files"),
+        (DataTable(guard=("a",), source="simulated:two_tanks"), TwoTanks, "say how many"),
+        (DataTable(guard=2, source="nanodrone"), Nanodrone, "name the training records"),
+        (DataTable(guard=2, train=("a.csv",)), CsvFiles, "name the files"),
     ],
 )
 def test_what_does_not_go_with_the_source(
-    named: list[str] | int, source: CsvSource, words: str
+    table: DataTable, source: type[Source], words: str
 ) -> None:
     with pytest.raises(UserError, match=words):
-        guard_source(named, source, ROOT)
+        source.from_table(table, ROOT)
 
 
 def test_names_that_are_not_there_and_too_many() -> None:
     with pytest.raises(UserError, match=r"called 'bb'.*'b'"):
-        without_guard(RECORDS, GuardSource(names=("bb",)))
+        Two("two", ("bb",)).records("train", CHANNELS)
     with pytest.raises(UserError, match="leave some"):
-        without_guard(RECORDS, GuardSource(names=("a", "b")))
+        Two("two", ("a", "b")).records("train", CHANNELS)
 
 
 def test_a_guard_that_trains_or_tests_too_is_refused(tmp_path: Path) -> None:
@@ -96,7 +109,7 @@ def test_the_lock_restores_it_and_notices_a_change(tmp_path: Path) -> None:
         lock_text(problem, replace(seal(problem), guard=guard_digest(problem)))
     )
     locked = load_lock(tmp_path / "problem.lock.toml")
-    assert locked.guard.paths == problem.guard.paths
+    assert locked.data == problem.data
     assert open_guard(locked)[0].name == "kept"
     lines = check_problem(problem, seal(problem)).lines()
     assert "guard: kept; seen by no fold and no agent, looked at when the search ends" in lines

@@ -209,7 +209,7 @@ def test_a_store_forged_with_the_key_is_not_the_one_that_was_sealed(
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"inputs": (Signal("extra"),)}, "sealed with inputs u, and problem 'mine' has extra"),
+        ({"inputs": (Signal("extra"),)}, "sealed with inputs u, and the problem has extra"),
         ({"outputs": (Signal("extra"),)}, "sealed with outputs y"),
         ({"sampling_time": 0.25}, r"sealed with sampling_time 0\.5 s"),
     ],

@@ -1,0 +1,97 @@
+"""Test records in an encrypted store."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from asia.data._store import SealHead, find_key, key_folder, open_store, read_seal
+from asia.data.sources.csv import read_csv
+from asia.data.sources.source import (
+    Channels,
+    DataTable,
+    Outline,
+    Source,
+    SourceData,
+    Subset,
+    unique_names,
+)
+from asia.errors import UserError
+
+
+@dataclass(frozen=True)
+class SealedStore(Source):
+    """The file that `asia init --seal` wrote. It holds a test and nothing else."""
+
+    path: Path
+    """The store, absolute."""
+    sha256: str | None = None
+    """Digest of the records that were sealed."""
+    keys: Path | None = field(default=None, compare=False)
+    """The folder of keys; None is the person's own."""
+
+    test_kept: ClassVar[str] = "encrypted; the search does not need its key"
+
+    @classmethod
+    def from_table(cls, table: DataTable, root: Path) -> Self:
+        """As `Source.from_table`."""
+        assert table.sealed is not None
+        return cls((root / table.sealed.file).resolve(), table.sealed.sha256)
+
+    def read(self, subset: Subset, channels: Channels) -> SourceData:
+        """As `Source.read`. Raises UserError also without the key."""
+        if subset != "test":
+            return SourceData(())
+        found = [
+            read_csv(Path(c.name), *channels.names, channels.sampling_time, c.data).trajectory
+            for c in open_store(self.path, key_folder(self.keys))
+        ]
+        names = unique_names([record.name for record in found])
+        return SourceData(tuple(replace(r, name=n) for r, n in zip(found, names, strict=True)))
+
+    def places(self, subset: Subset) -> tuple[Path, ...]:
+        """The keys; the store itself tells nothing without them."""
+        return (key_folder(self.keys),) if subset == "test" else ()
+
+    def to_toml(self) -> dict[str, Any]:
+        """As `Source.to_toml`."""
+        return {"sealed": {"file": str(self.path), "sha256": self.sha256}}
+
+    def outline(self, channels: Channels) -> Outline:
+        """As `Source.outline`, without the key."""
+        head = self._head()
+        inputs, outputs = channels.names
+        for what, there, now in (
+            ("inputs", ", ".join(head.inputs), ", ".join(inputs)),
+            ("outputs", ", ".join(head.outputs), ", ".join(outputs)),
+            ("sampling_time", f"{head.sampling_time!r} s", f"{channels.sampling_time!r} s"),
+        ):
+            if there != now:
+                raise UserError(
+                    f"{self.path} was sealed with {what} {there}, and the problem has {now}: put "
+                    f"{what} back in problem.toml"
+                )
+        return Outline(
+            sha256=head.sha256,
+            names=unique_names([Path(file.name).stem for file in head.files]),
+            lengths=tuple(file.samples for file in head.files),
+            shared_samples=head.shared_samples,
+        )
+
+    def check_openable(self) -> None:
+        """As `Source.check_openable`."""
+        find_key(self.path, self._head(), key_folder(self.keys))
+
+    def with_keys(self, folder: Path | None) -> SealedStore:
+        """As `Source.with_keys`."""
+        return replace(self, keys=folder)
+
+    def _head(self) -> SealHead:
+        head = read_seal(self.path)
+        if head.sha256 != self.sha256:
+            raise UserError(
+                f"{self.path} holds other test data than the problem names: bring the store that "
+                "was written with this problem.toml"
+            )
+        return head

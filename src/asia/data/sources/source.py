@@ -1,0 +1,267 @@
+"""What every source of records does."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+from asia._nearest import suggestion
+from asia.data._trajectory import Array, Signal, Trajectory
+from asia.errors import UserError
+
+Subset = Literal["train", "test", "guard"]
+"""Records to train on, the sealed test, and records that no fold and no agent sees."""
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Which channels to read."""
+
+    inputs: tuple[Signal, ...]
+    """The inputs, in the order of `Trajectory.u`."""
+    outputs: tuple[Signal, ...]
+    """The outputs, in the order of `Trajectory.y`."""
+    sampling_time: float
+    """The sampling time of every record, s."""
+
+    @property
+    def names(self) -> tuple[list[str], list[str]]:
+        """Names of the inputs, and of the outputs."""
+        return [s.name for s in self.inputs], [s.name for s in self.outputs]
+
+
+@dataclass(frozen=True)
+class SourceData:
+    """The records of one subset."""
+
+    trajectories: tuple[Trajectory, ...]
+    """The records, in a fixed order, each with a name of its own."""
+    truth: tuple[Array, ...] | None = None
+    """Noise-free outputs (T, ny) of each record; for simulated systems only."""
+    warnings: tuple[str, ...] = ()
+    """Doubts about the records, in plain words."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What is known of test records before they are opened."""
+
+    sha256: str
+    """Digest of the records, as `data_digest` gives it."""
+    names: tuple[str, ...]
+    """Their names."""
+    lengths: tuple[int, ...]
+    """Their numbers of samples."""
+    shared_samples: int
+    """How many of their samples also occur, in runs of ten or more, in the training records."""
+
+
+@dataclass(frozen=True)
+class SealedEntry:
+    """`data.sealed` of a problem file."""
+
+    file: str
+    """The encrypted store, relative to the problem file."""
+    sha256: str
+    """Digest of the records in it."""
+
+
+@dataclass(frozen=True)
+class DataTable:
+    """`[data]` of a problem file, its keys and types checked."""
+
+    train: tuple[str, ...] = ()
+    """CSV files to train on, relative to the problem file."""
+    test: tuple[str, ...] = ()
+    """CSV files of the test."""
+    sealed: SealedEntry | None = None
+    """The encrypted test, instead of `test`."""
+    source: str | None = None
+    """`name` or `name:argument` of a source, instead of files."""
+    seed: int | None = None
+    """The seed of a simulated source."""
+    groups: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
+    """Names of the training records that folds hold out together."""
+    guard: tuple[str, ...] | int = ()
+    """Files, or names of training records, or a number of simulated records that stand guard."""
+
+
+class Source(ABC):
+    """Where the records of a problem lie, and how they are read. A subclass is a frozen dataclass;
+    two of them that are equal read the same records."""
+
+    usage: ClassVar[str] = ""
+    """How `data.source` names it, such as `nanodrone`; "" where it is the bare name."""
+    public: ClassVar[bool] = False
+    """Whether it is a public benchmark, whose published results compare with a run's."""
+    test_kept: ClassVar[str] = (
+        "where its source keeps it; isolation alone keeps candidates off the records"
+    )
+    """How the test records are kept, in plain words."""
+    sha256: str | None = None
+    """The digest that the test records must have; None where the problem file names none."""
+
+    @classmethod
+    @abstractmethod
+    def from_table(cls, table: DataTable, root: Path) -> Self:
+        """The source that `[data]` names. root: the folder of the problem file, absolute.
+
+        Raises UserError for what it does not understand. Opens no test and no guard record.
+        """
+
+    @abstractmethod
+    def read(self, subset: Subset, channels: Channels) -> SourceData:
+        """The records of a subset, the same at every call; none where it has none. Records that
+        stand guard are never among the training records. Raises UserError when the data cannot be
+        read. Callers use `records`, which checks the answer."""
+
+    @abstractmethod
+    def places(self, subset: Subset) -> tuple[Path, ...]:
+        """Every file or folder that the records of a subset lie in, absolute: what workers must
+        not read. () where nothing is stored. Raises UserError when the data are not there."""
+
+    @abstractmethod
+    def to_toml(self) -> dict[str, Any]:
+        """`[data]` with absolute paths, from which `from_table` makes an equal source; None is
+        left out."""
+
+    @property
+    def has_test(self) -> bool:
+        """Whether there are test records."""
+        return True
+
+    @property
+    def guard_names(self) -> tuple[str, ...]:
+        """Names of the records that stand guard, known without reading them."""
+        return ()
+
+    def records(self, subset: Subset, channels: Channels) -> SourceData:
+        """The records of a subset. Raises UserError as `read`, and when they do not fit the
+        channels or two of them have one name."""
+        found = self.read(subset, channels)
+        _check_channels(found.trajectories, channels)
+        for name, count in Counter(t.name for t in found.trajectories).items():
+            if count > 1:
+                raise UserError(
+                    f"{count} {subset} records are called '{name}': give each a name of its own"
+                )
+        return found
+
+    def outline(self, channels: Channels) -> Outline | None:
+        """What the test's container says without being opened; None where its records must be read
+        to know. Raises UserError when it does not fit the channels or is damaged."""
+        del channels
+        return None
+
+    def check_openable(self) -> None:
+        """Raises UserError when the test is certain not to open."""
+        return
+
+    def with_keys(self, folder: Path | None) -> Source:
+        """The same source with its keys in `folder`; None is the person's own."""
+        del folder
+        return self
+
+
+@dataclass(frozen=True)
+class DataSet(Source):
+    """A data set with a fixed division into training and test records. A problem may set training
+    records apart, by name, to stand guard. A subclass says how to `load` and where the files
+    lie."""
+
+    source: str
+    """`data.source` as the problem file has it."""
+    guard: tuple[str, ...] = ()
+    """Names of training records that stand guard."""
+
+    @property
+    def argument(self) -> str:
+        """What stands behind the colon of `data.source`."""
+        return self.source.partition(":")[2]
+
+    @abstractmethod
+    def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
+        """All records of the data set that are to train on, or of its test. Raises UserError."""
+
+    @classmethod
+    def from_table(cls, table: DataTable, root: Path) -> Self:
+        """As `Source.from_table`."""
+        del root
+        refuse_seed(table)
+        if isinstance(table.guard, int):
+            raise not_counted(table.guard, "training records")
+        return cls(table.source or "", table.guard)
+
+    def read(self, subset: Subset, channels: Channels) -> SourceData:
+        """As `Source.read`."""
+        if subset == "test":
+            return self.load("test", channels)
+        if subset == "guard" and not self.guard:
+            return SourceData(())
+        found = self.load("train", channels)
+        known = [t.name for t in found.trajectories]
+        for name in self.guard:
+            if name not in known:
+                raise UserError(
+                    f"data.guard: no training record is called '{name}'{suggestion(name, known)}"
+                )
+        if known and set(known) <= set(self.guard):
+            raise UserError("data.guard takes every training record: leave some to train on")
+        kept = [i for i, name in enumerate(known) if (name in self.guard) == (subset == "guard")]
+        return SourceData(
+            tuple(found.trajectories[i] for i in kept),
+            None if found.truth is None else tuple(found.truth[i] for i in kept),
+            found.warnings,
+        )
+
+    def to_toml(self) -> dict[str, Any]:
+        """As `Source.to_toml`."""
+        return {"source": self.source, "guard": list(self.guard) or None}
+
+    @property
+    def guard_names(self) -> tuple[str, ...]:
+        """As `Source.guard_names`."""
+        return self.guard
+
+
+def refuse_seed(table: DataTable) -> None:
+    """Raises UserError where a seed is named for records that are not simulated."""
+    if table.seed is not None:
+        raise UserError("data.seed belongs to a simulated source: leave it out")
+
+
+def not_counted(guard: int, what: str) -> UserError:
+    """The error for a number of guard records where they have to be named."""
+    return UserError(
+        f"data.guard is {guard}, which only a simulated source understands: name the {what}"
+    )
+
+
+def unique_names(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, a later one that was there before with `_2`, `_3` and so on behind it."""
+    found: dict[str, None] = {}
+    for name in names:
+        number, own = 2, name
+        while own in found:
+            own, number = f"{name}_{number}", number + 1
+        found[own] = None
+    return tuple(found)
+
+
+def _check_channels(trajectories: Sequence[Trajectory], channels: Channels) -> None:
+    for t in trajectories:
+        for what, have, named in (
+            ("inputs", t.u.shape[1], len(channels.inputs)),
+            ("outputs", t.y.shape[1], len(channels.outputs)),
+        ):
+            if have != named:
+                raise UserError(f"record '{t.name}' has {have} {what}, but {named} are named")
+        if abs(t.sampling_time - channels.sampling_time) > 1e-3 * t.sampling_time:
+            raise UserError(
+                f"sampling_time is {channels.sampling_time:g} s, but record '{t.name}' was "
+                f"sampled every {t.sampling_time:g} s"
+            )

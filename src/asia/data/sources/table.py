@@ -1,0 +1,72 @@
+"""Which sources there are, and the sources that `[data]` of a problem file names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from asia._nearest import suggestion
+from asia._plugins import parts_of
+from asia.data.sources.benchmarks import NonlinearBenchmark
+from asia.data.sources.csv_files import CsvFiles
+from asia.data.sources.nanodrone import Nanodrone
+from asia.data.sources.sealed import SealedStore
+from asia.data.sources.source import DataTable, Source
+from asia.data.sources.two_tanks import TwoTanks
+from asia.errors import UserError
+
+GROUP = "asia.sources"
+
+SOURCES: Mapping[str, type[Source]] = {
+    "nonlinear_benchmarks": NonlinearBenchmark,
+    "nanodrone": Nanodrone,
+    "simulated": TwoTanks,
+}
+"""ASIA's own sources, by what stands before the colon of `data.source`."""
+
+
+def data_source(table: DataTable, root: Path) -> Source:
+    """The source of the training and the guard records, and of the test unless that is encrypted.
+    root: the folder of the problem file, absolute. Raises UserError."""
+    if table.source is None:
+        if table.test and table.sealed:
+            raise UserError("[data] has both test and sealed: keep one of them")
+        return CsvFiles.from_table(table, root)
+    if table.train or table.test or table.sealed:
+        raise UserError("[data] has both source and file names: keep one of them")
+    return source_class(table.source).from_table(table, root)
+
+
+def test_source(table: DataTable, data: Source, root: Path) -> Source | None:
+    """The source of the test records, None without a test; the others are in `data`."""
+    if table.sealed is not None:
+        return SealedStore.from_table(table, root)
+    return data if data.has_test else None
+
+
+def source_class(text: str) -> type[Source]:
+    """The class that `data.source` names, `name` or `name:argument`; ASIA's own or that of an
+    installed package. Raises UserError."""
+    name = text.partition(":")[0]
+    if name in SOURCES:
+        return SOURCES[name]
+    plugged = {part.name: part for part in parts_of(GROUP)}
+    if name not in plugged:
+        forms = [source.usage for source in SOURCES.values()] + list(plugged)
+        raise UserError(
+            f"data.source is '{text}', expected {', '.join(map(repr, forms))}; CSV files are named "
+            f"in data.train and data.test{suggestion(name, [*SOURCES, *plugged])}"
+        )
+    part = plugged[name]
+    return checked_class(part.load(), f"source '{name}' of package {part.package}")
+
+
+def checked_class(found: object, what: str) -> type[Source]:
+    """`found` when it is a class that can be a source. what: its name in messages. Raises UserError
+    that says what it lacks."""
+    if not (isinstance(found, type) and issubclass(found, Source)):
+        raise UserError(f"{what} is no class derived from asia.data.sources.Source")
+    lacks = sorted(getattr(found, "__abstractmethods__", ()))
+    if lacks:
+        raise UserError(f"{what} lacks {', '.join(f'{name}()' for name in lacks)}: define it there")
+    return found
