@@ -167,7 +167,7 @@ def test_a_source_without_places_is_refused_at_once(plugged: Callable[[str], Non
         UserError, match=r"source 'loggers' of package made-up lacks places\(\): define it"
     ):
         source_class("loggers:x")
-    with pytest.raises(TypeError, match="abstract method '?places"):
+    with pytest.raises(TypeError, match=r"abstract method '?places"):
         NoPlaces("loggers:x")  # type: ignore[abstract]
 
 
