@@ -25,7 +25,7 @@ from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source, source_digest
 from asia.data._store import read_seal
 from asia.data.sources.csv import column_names, read_csv, split_csv
-from asia.drive import Order, RunDesk, Workspace
+from asia.drive import RunDesk, SearchRequest, Workspace
 from asia.drive._desk import tidy
 from asia.drive._queue import Queue
 from asia.drive._socket import _answer as answer_request
@@ -251,7 +251,7 @@ def _run_targets(place: Place) -> tuple[Target, ...]:
 
     def order(data: bytes) -> None:
         path = place.put("other/control/order.json", data)
-        Order.find(path.parents[1])
+        SearchRequest.find(path.parents[1])
 
     def workspace(data: bytes) -> None:
         Workspace.find(place.put("workspace/.asia/workspace.json", data).parents[1])
@@ -263,9 +263,9 @@ def _run_targets(place: Place) -> tuple[Target, ...]:
             request,
             (
                 json.dumps({"op": "submit", **_WORDS, "parent": 1}).encode(),
-                b'{"op": "job", "ticket": "00000000000000000001-00000000"}',
+                b'{"op": "submission", "ticket": "00000000000000000001-00000000"}',
                 b'{"op": "source", "experiment": 1}',
-                b'{"op": "standing"}',
+                b'{"op": "progress"}',
             ),
         ),
         Target("submission", submission, (json.dumps({**_WORDS, "parent": None}).encode(),)),

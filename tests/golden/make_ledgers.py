@@ -20,7 +20,7 @@ from asia.evaluation import _rungs
 from asia.ledger import Run, open_run
 from asia.problem.load import load_problem
 from asia.sandbox import Isolation
-from asia.search import Controls, prepare, search, unseal
+from asia.search import Steering, prepare, search, unseal
 from tests.unit.agents.fake_llm import fake_llm, said
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
 
@@ -71,7 +71,7 @@ def _cut(directory: Path) -> None:
 def _steered(problem: Path, runs: Path) -> None:
     os.environ["MADE_UP_KEY"] = "made-up"
     with fake_llm([said(arx(2), family="arx"), said("no code")]) as server:
-        Controls(runs / "steered").steer(NOTE)
+        Steering(runs / "steered").steer(NOTE)
         agent = LlmAgent(LlmSettings("made-up", server.url, api_key_env="MADE_UP_KEY"))
         asia.run(problem, agent=agent, runs=runs, name="steered", experiments=2)
 

@@ -18,32 +18,37 @@ def _no_log(step: float, loss: float) -> None:
 
 @dataclass(frozen=True)
 class Context:
-    """All a candidate may know beside its training trajectories.
-
-    sampling_time in seconds; n_past_u, n_past_y: samples in the past window; horizon: samples to
-    simulate, None for the whole record; deadline: `time.monotonic()` value after which the worker
-    is killed; log(step, loss): two numbers for the training curve. One seed per search, fold and
-    repeat, the same for every candidate.
-
-    validation_score(model): the fold's normalised metric of `model` on the held-out part, inf for
-    a simulation that is not finite. There are VALIDATION_SCORES calls a fit, then it raises
-    RuntimeError; its time counts as fit time. None unless the protocol's early_stopping is
-    "validation", and None then too where nothing is held out: in the refit on all data.
-    """
+    """All a candidate may know beside its training trajectories."""
 
     inputs: tuple[Signal, ...]
+    """Names and units of the inputs."""
     outputs: tuple[Signal, ...]
+    """Names and units of the outputs."""
     sampling_time: float
+    """Seconds."""
     n_past_u: int
+    """Samples of the inputs in the past window."""
     n_past_y: int
+    """Samples of the outputs in the past window."""
     horizon: int | None = None
+    """Samples to simulate; None for the whole trajectory."""
     metric: str = "rmse"
+    """Name of the metric that V is computed with."""
     physics: Physics | None = None
+    """The person's equations."""
     seed: int = 0
+    """One per search, fold and repeat, the same for every candidate."""
     deadline: float = float("inf")
+    """Value of `time.monotonic()` after which the worker is killed."""
     threads: int = 1
+    """Threads that a fit may use."""
     log: Callable[[float, float], None] = field(default=_no_log, compare=False)
+    """log(step, loss): two numbers for the training curve."""
     validation_score: Callable[[Model], float] | None = field(default=None, compare=False)
+    """validation_score(model): the fold's normalised metric of `model` on the held-out part, inf
+    for a simulation that is not finite. There are VALIDATION_SCORES calls a fit, then it raises
+    RuntimeError; its time counts as fit time. None unless the protocol's early_stopping is
+    "validation", and None then too where nothing is held out: in the refit on all data."""
 
     @property
     def nu(self) -> int:

@@ -27,17 +27,18 @@ _SIGNS = (ast.operator, ast.unaryop, ast.cmpop, ast.boolop)
 class Content:
     """Information in a source, as bytes of DEFLATE: of the numbers, strings and bytes that it
     writes out, of the names it uses, of those of its statements that are most alike, and of all of
-    it. Comments and docstrings do not count, since a candidate runs without them.
-
-    alike: names, operators and order in the statements that are built of the same parts, the most
-    that any kind of them has; a table, in names or in operators, of one statement or of many, is
-    one kind.
-    """
+    it. Comments and docstrings do not count, since a candidate runs without them."""
 
     literals: int
+    """Of numbers, strings and bytes."""
     names: int
+    """Of names."""
     alike: int
+    """Of names, operators and order in the statements that are built of the same parts, the most
+    that any kind of them has; a table, in names or in operators, of one statement or of many, is
+    one kind."""
     code: int
+    """Of the whole source."""
 
 
 def content(source: str, tree: ast.Module) -> Content:

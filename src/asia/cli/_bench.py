@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, Json, Runs, YesProcess
+from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, Runs, YesProcess
 
 if TYPE_CHECKING:
     from asia.bench import Arm, Paper, Plan, PlannedRun, Result

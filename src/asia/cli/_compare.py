@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from asia.cli._bench import Lines, chosen_seeds, load_compared, print_result
-from asia.cli._options import DEFAULT_RUNS, MORE, Json, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, Runs
 
 LISTS = ("--seeds",)
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, MORE, Runs
 from asia.cli._show import split_arguments
 
 

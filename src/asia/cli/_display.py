@@ -27,7 +27,7 @@ from asia.cli._format import (
     told,
     usage_words,
 )
-from asia.cli._options import DEFAULT_RUNS
+from asia.cli._options.shared import DEFAULT_RUNS
 from asia.evaluation import TRUTH
 from asia.ledger import (
     Evaluated,

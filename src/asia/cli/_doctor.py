@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from asia.cli._options import MORE, Json
+from asia.cli._options.shared import MORE, Json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

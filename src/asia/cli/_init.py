@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._options import Keys
+from asia.cli._options.shared import Keys
 from asia.errors import UserError
 
 if TYPE_CHECKING:
@@ -53,9 +53,9 @@ def init(
             "No --test given. Seal the last 20 % of each record as the test?", default=True
         )
     if seal:
-        from asia.search import check_outside
+        from asia.search import check_hidden_from_workers
 
-        check_outside(key_folder(keys))
+        check_hidden_from_workers(key_folder(keys))
     made = init_problem(
         name,
         train=train,

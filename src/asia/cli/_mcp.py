@@ -11,18 +11,9 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options import (
-    DEFAULT_RUNS,
-    MORE,
-    EarlyStopping,
-    Experiments,
-    Hours,
-    IsolationLevel,
-    Name,
-    ProblemName,
-    Runs,
-    Seed,
-)
+from asia.cli._options.groups import with_groups
+from asia.cli._options.search import SearchOptions
+from asia.cli._options.shared import DEFAULT_RUNS, MORE, ProblemName, Runs
 
 # Clients start a server with little of their own environment.
 _HANDED_ON = ("ASIA_DATA_DIR",)
@@ -30,18 +21,14 @@ _HANDED_ON = ("ASIA_DATA_DIR",)
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
-    app.command("mcp", rich_help_panel=MORE)(mcp)
-    app.command("mcp-config", rich_help_panel=MORE)(mcp_config)
+    app.command("mcp", rich_help_panel=MORE)(with_groups(mcp))
+    app.command("mcp-config", rich_help_panel=MORE)(with_groups(mcp_config))
 
 
 def mcp(
+    *,
     problem: ProblemName,
-    experiments: Experiments = None,
-    seed: Seed = 0,
-    hours: Hours = None,
-    name: Name = None,
-    early_stopping: EarlyStopping = None,
-    isolation: IsolationLevel = None,
+    options: SearchOptions,
     http: Annotated[
         str | None,
         typer.Option(metavar="HOST:PORT", help="Streamable HTTP on this machine, not stdio."),
@@ -57,26 +44,14 @@ def mcp(
     Coding agents start this themselves: asia mcp-config prints what to tell them. The search is a
     process of its own, and outlives this one; asia status, steer and stop work on it.
     """
-    from asia.cli._run import check_level, check_name
-    from asia.drive import Order
     from asia.errors import UserError
     from asia.mcp import AGENT, open_search, require_sdk, serve_http, serve_stdio
 
     require_sdk()
-    check_name(name)
-    level = check_level(isolation)
+    request = options.request(problem, AGENT)
     if token_env is not None and http is None:
         raise UserError("--token-env belongs to --http: over stdio there is no token")
-    order = Order(
-        problem=problem,
-        agent=AGENT,
-        seed=seed,
-        experiments=experiments,
-        hours=hours,
-        early_stopping=early_stopping,
-        isolation=level.value if level else None,
-    )
-    opened = open_search(order, runs, name)
+    opened = open_search(request, runs, options.name)
     if http is not None:
         serve_http(opened, http, token_env)
     else:
@@ -86,43 +61,32 @@ def mcp(
 
 
 def mcp_config(
+    *,
     client: Annotated[str, typer.Argument(metavar="CLIENT", help="claude, codex or gemini.")],
     problem: ProblemName,
-    experiments: Experiments = None,
-    seed: Seed = 0,
-    hours: Hours = None,
-    name: Name = None,
-    early_stopping: EarlyStopping = None,
-    isolation: IsolationLevel = None,
+    options: SearchOptions,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Print what a coding agent's configuration needs to start asia mcp.
 
     The configuration goes to stdout; where it belongs, and what else matters, to stderr.
     """
-    from asia.cli._run import check_level, check_name
     from asia.errors import UserError
     from asia.mcp import CLIENTS, client_configuration
     from asia.problem.load import load_problem
 
     if client not in CLIENTS:
         raise UserError(f"no client '{client}'; there is: {', '.join(CLIENTS)}")
-    check_name(name)
-    check_level(isolation)
+    options.check()
     load_problem(problem)
     path = Path(problem)
     own = path.is_file() or (path / "problem.toml").is_file()
-    words = [str(path.resolve()) if own else problem]
-    for option, value in (
-        ("--experiments", experiments),
-        ("--seed", seed or None),
-        ("--hours", hours),
-        ("--name", name),
-        ("--early-stopping", early_stopping),
-        ("--isolation", isolation),
-        ("--runs", runs.resolve()),
-    ):
-        words += [] if value is None else [option, str(value)]
+    words = [
+        str(path.resolve()) if own else problem,
+        *options.words(),
+        "--runs",
+        str(runs.resolve()),
+    ]
     environment = {k: str(Path(os.environ[k]).resolve()) for k in _HANDED_ON if k in os.environ}
     found = client_configuration(client, words, environment)
     print(found.text, end="")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._options import MORE, Json
+from asia.cli._options.shared import MORE, Json
 from asia.errors import UserError
 
 if TYPE_CHECKING:

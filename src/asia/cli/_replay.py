@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, Json, RunName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, RunName, Runs
 
 if TYPE_CHECKING:
     from asia.search import Replayed, ReplayReport

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, RunName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
 
 def register(app: typer.Typer) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Runs
 
 
 def register(app: typer.Typer) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, Json, RunName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 if TYPE_CHECKING:
     from asia.ledger import Brief

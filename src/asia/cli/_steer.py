@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, RunName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, MORE, RunName, Runs
 
 
 def register(app: typer.Typer) -> None:
@@ -23,10 +23,10 @@ def steer(
 ) -> None:
     """Leave a note that the agent sees at its next step; the ledger keeps it."""
     from asia.ledger import find_run, open_run
-    from asia.search import Controls
+    from asia.search import Steering
 
     opened = open_run(find_run(runs, run))
-    Controls(opened.directory).steer(text)
+    Steering(opened.directory).steer(text)
     agent = opened.view.started.agent
     when = "at its next step" if opened.state == "running" else "when the search goes on"
     print(f"noted for {opened.name}: recorded {when}")
@@ -42,20 +42,20 @@ def pause(
     """Begin no further experiment until asia pause --end; the one that runs is finished."""
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
-    from asia.search import Controls
+    from asia.search import Steering
 
     opened = open_run(find_run(runs, run))
-    controls, name = Controls(opened.directory), opened.name
+    steering, name = Steering(opened.directory), opened.name
     if go_on:
-        words = f"{name} goes on" if controls.paused else f"{name} was not paused"
-        controls.go_on()
+        words = f"{name} goes on" if steering.paused else f"{name} was not paused"
+        steering.go_on()
         print(words)
     elif opened.state != "running":
         raise UserError(f"run '{name}' is {opened.state}: there is nothing to pause")
-    elif controls.paused:
+    elif steering.paused:
         print(f"{name} is paused already; asia pause {name} --end goes on")
     else:
-        controls.pause()
+        steering.pause()
         print(f"{name} pauses after its present experiment; asia pause {name} --end goes on")
 
 
@@ -63,10 +63,10 @@ def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
     """End the search after the experiment that runs; the command that began it goes on later."""
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
-    from asia.search import Controls
+    from asia.search import Steering
 
     opened = open_run(find_run(runs, run))
     if opened.state != "running":
         raise UserError(f"run '{opened.name}' is {opened.state}: there is nothing to stop")
-    Controls(opened.directory).stop()
+    Steering(opened.directory).stop()
     print(f"{opened.name} stops after its present experiment")

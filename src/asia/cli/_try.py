@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asia.cli._options import MORE, Json
+from asia.cli._options.shared import MORE, Json
 from asia.errors import Reason
 
 if TYPE_CHECKING:
-    from asia.drive import Desk, Job, Result, Standing
+    from asia.drive import Desk, ExperimentSummary, SearchProgress, Submission
 
 NO_SCORE = 3
 # What ASIA says of a candidate, not the candidate of itself.
@@ -57,60 +57,60 @@ def try_(
         source = path.read_text("utf-8")
     except UnicodeDecodeError:
         raise UserError(f"{path} is not UTF-8 text: write Python source") from None
-    job = desk.submit(Proposal(source, family, message, message, expect, parent))
-    result = _waited(desk, job)
-    standing = desk.standing()
+    submission = desk.submit(Proposal(source, family, message, message, expect, parent))
+    result = _waited(desk, submission)
+    progress = desk.progress()
     place.renew_views()
     if json:
-        print(jsonlib.dumps(_object(result, standing), allow_nan=False))
+        print(jsonlib.dumps(_object(result, progress), allow_nan=False))
     else:
-        for line in result_lines(result, standing):
+        for line in result_lines(result, progress):
             print(line)
     if result.value is None:
         raise typer.Exit(NO_SCORE)
 
 
-def _waited(desk: Desk, job: Job) -> Result:
+def _waited(desk: Desk, submission: Submission) -> ExperimentSummary:
     from asia.drive import wait
     from asia.errors import UserError
 
     said = ""
 
-    def tick(now: Job) -> None:
+    def tick(now: Submission) -> None:
         nonlocal said
         words = _words(now, desk)
         if words != said:
             said = words
             print(words, file=sys.stderr, flush=True)
 
-    while job.state not in ("done", "unknown"):
-        job = wait(desk, job.ticket, 3600.0, tick)
-    found = [r for r in desk.results() if r.experiment == job.experiment]
+    while submission.state not in ("done", "unknown"):
+        submission = wait(desk, submission.ticket, 3600.0, tick)
+    found = [r for r in desk.results() if r.experiment == submission.experiment]
     if not found:
         raise UserError("the submission was taken back before it was judged")
     return found[0]
 
 
-def _words(job: Job, desk: Desk) -> str:
-    if job.state == "running":
-        return f"#{job.experiment:02d} is being judged"
-    if job.state == "queued" and desk.standing().experiments == 0:
+def _words(submission: Submission, desk: Desk) -> str:
+    if submission.state == "running":
+        return f"#{submission.experiment:02d} is being judged"
+    if submission.state == "queued" and desk.progress().experiments == 0:
         return "the rungs and the baseline are judged first"
-    return f"queued, {job.ahead} before it" if job.state == "queued" else ""
+    return f"queued, {submission.ahead} before it" if submission.state == "queued" else ""
 
 
-def result_lines(result: Result, standing: Standing) -> list[str]:
+def result_lines(result: ExperimentSummary, progress: SearchProgress) -> list[str]:
     """What a person or an agent reads: a few lines."""
     from asia.ledger import error_value
 
     best = "none yet"
-    if standing.best is not None and standing.best_value is not None:
-        best = f"#{standing.best:02d} {error_value(standing.best_value)}"
+    if progress.best is not None and progress.best_value is not None:
+        best = f"#{progress.best:02d} {error_value(progress.best_value)}"
     head = f"#{result.experiment:02d} {result.status:<8}"
-    tail = f"    best {best}, {standing.remaining} of {standing.budget} experiments left"
+    tail = f"    best {best}, {progress.remaining} of {progress.budget} experiments left"
     if result.value is not None:
         folds = ", ".join(error_value(v) for v in result.folds)
-        name = standing.v_name
+        name = progress.v_name
         parts = f" (folds {folds})" if folds else ""
         lines = [f"{head}{name} = {error_value(result.value)}{parts}"]
     else:
@@ -125,18 +125,18 @@ def result_lines(result: Result, standing: Standing) -> list[str]:
     if result.duplicate_of is not None:
         lines.append(f"    the same source as #{result.duplicate_of:02d}; its outcome stands")
     lines.append(tail)
-    lines += [f"note from the person: {note}" for note in standing.notes[-3:]]
+    lines += [f"note from the person: {note}" for note in progress.notes[-3:]]
     return lines
 
 
-def _object(result: Result, standing: Standing) -> dict[str, Any]:
+def _object(result: ExperimentSummary, progress: SearchProgress) -> dict[str, Any]:
     words = asdict(result)
-    best = standing.best_value
+    best = progress.best_value
     return {
         "experiment": words.pop("experiment"),
         "V": words.pop("value"),
         **words,
-        "best": None if best is None else {"experiment": standing.best, "V": best},
-        "remaining": standing.remaining,
-        "notes": list(standing.notes),
+        "best": None if best is None else {"experiment": progress.best, "V": best},
+        "remaining": progress.remaining,
+        "notes": list(progress.notes),
     }

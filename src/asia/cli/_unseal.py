@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
+from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
 
 if TYPE_CHECKING:
     from asia.ledger import Run, TestRecord, Unsealed

@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import typer
 
-from asia.cli._options import DEFAULT_RUNS, MORE, Json, RunName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, RunName, Runs
 
 
 def register(app: typer.Typer) -> None:

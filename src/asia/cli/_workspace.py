@@ -7,34 +7,21 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options import (
-    DEFAULT_RUNS,
-    MORE,
-    EarlyStopping,
-    Experiments,
-    Hours,
-    IsolationLevel,
-    Name,
-    ProblemName,
-    Runs,
-    Seed,
-)
+from asia.cli._options.groups import with_groups
+from asia.cli._options.search import SearchOptions
+from asia.cli._options.shared import DEFAULT_RUNS, MORE, ProblemName, Runs
 
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("workspace", rich_help_panel=MORE)(workspace)
+    app.command("workspace", rich_help_panel=MORE)(with_groups(workspace))
 
 
 def workspace(
+    *,
     problem: ProblemName,
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make.")],
-    experiments: Experiments = None,
-    seed: Seed = 0,
-    hours: Hours = None,
-    name: Name = None,
-    early_stopping: EarlyStopping = None,
-    isolation: IsolationLevel = None,
+    options: SearchOptions,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Make a folder with the training data, the task and the baseline; asia try judges what you
@@ -42,22 +29,13 @@ def workspace(
 
     The same command again renews the texts, keeps your candidate, and raises the budget.
     """
-    from asia.cli._run import check_level, check_name
-    from asia.drive import Order, make_workspace, prepare_order
+    from asia.drive import make_workspace, prepare_request
 
-    check_name(name)
-    level = check_level(isolation)
-    order = Order(
-        problem=str(Path(problem).resolve()) if Path(problem).is_dir() else problem,
-        agent="workspace",
-        seed=seed,
-        experiments=experiments,
-        hours=hours,
-        early_stopping=early_stopping,
-        isolation=level.value if level else None,
+    request = options.request(
+        str(Path(problem).resolve()) if Path(problem).is_dir() else problem, "workspace"
     )
-    prepared = prepare_order(order, runs, name)
-    made = make_workspace(folder, prepared, order)
+    prepared = prepare_request(request, runs, options.name)
+    made = make_workspace(folder, prepared, request)
     sealed = prepared.started.test_digest
     print(f"wrote    {made.folder}: PROGRAM.md, models.md, description.md, data/, candidate.py")
     print(f"run      {prepared.directory}, {prepared.started.experiments} experiments")

@@ -1,21 +1,21 @@
 """Drivers from outside: a desk where candidates are handed in, and who hands them in."""
 
-from asia.drive._desk import Desk, Job, Result, RunDesk, Standing, wait
-from asia.drive._detached import Order, start_search
-from asia.drive._serve import prepare_order
+from asia.drive._desk import Desk, ExperimentSummary, RunDesk, SearchProgress, Submission, wait
+from asia.drive._detached import SearchRequest, start_search
+from asia.drive._serve import prepare_request
 from asia.drive._workspace import CANDIDATE, Workspace, make_workspace
 
 __all__ = [
     "CANDIDATE",
     "Desk",
-    "Job",
-    "Order",
-    "Result",
+    "ExperimentSummary",
     "RunDesk",
-    "Standing",
+    "SearchProgress",
+    "SearchRequest",
+    "Submission",
     "Workspace",
     "make_workspace",
-    "prepare_order",
+    "prepare_request",
     "start_search",
     "wait",
 ]

@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 from asia.agents import Proposal
 from asia.candidate import check_source
-from asia.drive._detached import Order, has_begun, runs
+from asia.drive._detached import SearchRequest, has_begun, runs
 from asia.drive._queue import TEXT, TITLE, Queue
 from asia.errors import CandidateError, UserError
 from asia.ledger import (
@@ -29,56 +29,80 @@ from asia.ledger import (
 )
 from asia.search._agent_view import digest
 
-State = Literal["queued", "running", "done", "unknown"]
+SubmissionState = Literal["queued", "running", "done", "unknown"]
 
 _POLL = 0.1
 
 
 @dataclass(frozen=True)
-class Job:
-    """Where a submission stands: `ahead` others before it in the queue; `experiment` once it is
-    one."""
+class Submission:
+    """Where a candidate stands that was handed in."""
 
     ticket: str
-    state: State
+    """What it is called until it is an experiment, and afterwards."""
+    state: SubmissionState
+    """`unknown` for a ticket that was never given, or was taken back."""
     ahead: int = 0
+    """How many others wait before it."""
     experiment: int | None = None
+    """Its number, once it is an experiment."""
 
 
 @dataclass(frozen=True)
-class Result:
+class ExperimentSummary:
     """An experiment in few words, safe to show to anyone: no output of the candidate but one
-    bounded line of its own error. training: residual analysis of the training side, in each figure
-    the worst of the folds."""
+    bounded line of its own error."""
 
     experiment: int
+    """Its number, from 1."""
     status: str
+    """Keep, discard, or how it failed."""
     value: float | None
+    """V; None without a score."""
     folds: tuple[float, ...]
+    """V of each fold."""
     reason: str | None
+    """Why there is no score, one word."""
     advice: str | None
+    """What to do about that."""
     detail: str | None
+    """The last line of the candidate's own error."""
     title: str
+    """The candidate's title, one line."""
     parent: int | None
+    """The experiment it was made from."""
     seconds: float
+    """How long its evaluation took."""
     duplicate_of: int | None
+    """The experiment with the same source, whose outcome stands."""
     training: Diagnostics | None
+    """Residual analysis of the training side, in each figure the worst of the folds."""
 
 
 @dataclass(frozen=True)
-class Standing:
+class SearchProgress:
     """Where the search stands."""
 
     run: str
+    """Name of the run."""
     problem: str
+    """Name of the problem."""
     state: str
+    """As `asia status` names it: running, interrupted, finished or unsealed."""
     experiments: int
+    """Experiments finished."""
     budget: int
+    """Experiments in all."""
     v_name: str
+    """What V is called in this search."""
     best: int | None
+    """Number of the incumbent."""
     best_value: float | None
+    """V of the incumbent."""
     rungs: dict[str, float | None]
+    """V of each trivial reference; None where it has none."""
     notes: tuple[str, ...]
+    """What a person has told the agent."""
 
     @property
     def remaining(self) -> int:
@@ -89,19 +113,19 @@ class Standing:
 class Desk(Protocol):
     """What a driver from outside may do. Every method raises UserError with what to do next."""
 
-    def submit(self, proposal: Proposal) -> Job:
+    def submit(self, proposal: Proposal) -> Submission:
         """Hand in a candidate; its static errors are told at once and cost no experiment."""
         ...
 
-    def job(self, ticket: str) -> Job:
+    def submission(self, ticket: str) -> Submission:
         """Where a submission stands."""
         ...
 
-    def withdraw(self, ticket: str) -> Job:
+    def withdraw(self, ticket: str) -> Submission:
         """Take a submission back that is still queued."""
         ...
 
-    def results(self) -> tuple[Result, ...]:
+    def results(self) -> tuple[ExperimentSummary, ...]:
         """All finished experiments."""
         ...
 
@@ -109,15 +133,16 @@ class Desk(Protocol):
         """An experiment's candidate.py."""
         ...
 
-    def standing(self) -> Standing:
+    def progress(self) -> SearchProgress:
         """Where the search stands."""
         ...
 
 
 class RunDesk:
-    """The desk of a run directory. keep_alive: called where the search is needed and not there."""
+    """The desk of a run directory."""
 
     def __init__(self, directory: Path, keep_alive: Callable[[Path], None] | None = None) -> None:
+        """keep_alive: called with the run directory where the search is needed and does not run."""
         self._directory = directory.resolve()
         self._queue = Queue(self._directory)
         self._keep_alive = keep_alive
@@ -140,7 +165,7 @@ class RunDesk:
             self._seen = seen
         return seen[1]
 
-    def submit(self, proposal: Proposal) -> Job:
+    def submit(self, proposal: Proposal) -> Submission:
         """See `Desk.submit`; the same source, comments apart, is one submission, unless its result
         depended on how fast the machine was."""
         proposal = tidy(proposal)
@@ -164,19 +189,19 @@ class RunDesk:
             self.wake()
         except UserError as error:
             raise UserError(f"submission {ticket} is kept, but {error}") from None
-        return self.job(ticket)
+        return self.submission(ticket)
 
-    def _known(self, wanted: str) -> Job | None:
+    def _known(self, wanted: str) -> Submission | None:
         """Where a candidate with this digest stands, if it was handed in before. The queue is
         looked at first: what leaves it is in the ledger by then."""
         for ticket in self._queue.tickets():
             waiting = self._queue.get(ticket)
             if waiting is not None and digest(waiting.source) == wanted:
-                return Job(ticket, "queued")
+                return Submission(ticket, "queued")
         for experiment in self.run().view.experiments:
             settled = experiment.result is None or not experiment.result.deadline
             if settled and experiment.proposed.digest == wanted:
-                return _job_of(experiment)
+                return _submission_of(experiment)
         return None
 
     def _put(self, proposal: Proposal) -> str:
@@ -219,39 +244,39 @@ class RunDesk:
                 "asia workspace or asia mcp and a larger --experiments or --hours"
             )
 
-    def job(self, ticket: str) -> Job:
-        """See `Desk.job`."""
+    def submission(self, ticket: str) -> Submission:
+        """See `Desk.submission`."""
         waiting = self._queue.tickets()
         for experiment in self.run().view.experiments:
             if ticket == _ticket_of(experiment):
-                return _job_of(experiment)
+                return _submission_of(experiment)
         if ticket in waiting:
-            return Job(ticket, "queued", waiting.index(ticket))
-        return Job(ticket, "unknown")
+            return Submission(ticket, "queued", waiting.index(ticket))
+        return Submission(ticket, "unknown")
 
-    def withdraw(self, ticket: str) -> Job:
+    def withdraw(self, ticket: str) -> Submission:
         """See `Desk.withdraw`."""
         if self._queue.withdraw(ticket):
-            return Job(ticket, "unknown")
-        state = self.job(ticket).state
+            return Submission(ticket, "unknown")
+        state = self.submission(ticket).state
         words = "about to be judged" if state == "queued" else state
         raise UserError(
             f"submission {one_line(ticket, 60)} is {words}: only a queued one can be taken back"
         )
 
-    def results(self) -> tuple[Result, ...]:
+    def results(self) -> tuple[ExperimentSummary, ...]:
         """See `Desk.results`."""
-        return tuple(result_of(e) for e in self.run().view.finished)
+        return tuple(summary_of(e) for e in self.run().view.finished)
 
     def source(self, experiment: int) -> str:
         """See `Desk.source`."""
         run = self.run()
         return run.store.text(run.view.experiment(experiment).proposed.source)
 
-    def standing(self) -> Standing:
-        """See `Desk.standing`."""
+    def progress(self) -> SearchProgress:
+        """See `Desk.progress`."""
         run = self.run()
-        return standing_of(replace(run, busy=runs(self._directory)))
+        return progress_of(replace(run, busy=runs(self._directory)))
 
 
 def _ticket_of(experiment: Experiment) -> str:
@@ -259,19 +284,19 @@ def _ticket_of(experiment: Experiment) -> str:
     return experiment.proposed.ticket or f"experiment-{experiment.number}"
 
 
-def _job_of(experiment: Experiment) -> Job:
-    state: State = "done" if experiment.result else "running"
-    return Job(_ticket_of(experiment), state, experiment=experiment.number)
+def _submission_of(experiment: Experiment) -> Submission:
+    state: SubmissionState = "done" if experiment.result else "running"
+    return Submission(_ticket_of(experiment), state, experiment=experiment.number)
 
 
-def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Job], None]) -> Job:
+def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], None]) -> Submission:
     """Until the submission is done or the time is over; `tick` is called at every look."""
     end = time.monotonic() + seconds
     while True:
-        job = desk.job(ticket)
-        tick(job)
-        if job.state in ("done", "unknown") or time.monotonic() >= end:
-            return job
+        submission = desk.submission(ticket)
+        tick(submission)
+        if submission.state in ("done", "unknown") or time.monotonic() >= end:
+            return submission
         time.sleep(_POLL)
 
 
@@ -290,13 +315,13 @@ def tidy(proposal: Proposal) -> Proposal:
     )
 
 
-def result_of(experiment: Experiment) -> Result:
+def summary_of(experiment: Experiment) -> ExperimentSummary:
     """An evaluated experiment in few words."""
     p, r, score, failure = (
         experiment.proposed, experiment.result, experiment.score, experiment.failure,
     )  # fmt: skip
     assert r is not None
-    return Result(
+    return ExperimentSummary(
         experiment=experiment.number,
         status=r.status,
         value=score.value if score else None,
@@ -318,11 +343,11 @@ def _worst(folds: Sequence[Diagnostics]) -> Diagnostics | None:
     return Diagnostics(*(max(values) for values in zip(*map(astuple, folds), strict=True)))
 
 
-def standing_of(run: Run) -> Standing:
+def progress_of(run: Run) -> SearchProgress:
     """Where a run stands."""
     view = run.view
     best = view.best
-    return Standing(
+    return SearchProgress(
         run=view.started.run,
         problem=view.started.problem,
         state=run.state,
@@ -344,15 +369,15 @@ def _over(directory: Path, run: Run) -> str | None:
     if view.stopped is None:
         return None
     stop = max(line.seq for line in run.lines if isinstance(line.event, Stopped))
-    order = Order.find(directory)
-    again = order is not None and order.records > stop
+    request = SearchRequest.find(directory)
+    again = request is not None and request.records > stop
     if view.stopped.reason == "user" and not again:
         return "a person stopped this search; the command that began it takes it up again"
     return None
 
 
 def _budget(directory: Path, run: Run) -> int:
-    """Experiments in all; a larger order counts before the search has seen it."""
-    order = Order.find(directory)
-    ordered = order.experiments if order is not None else None
-    return max(run.view.budget, ordered or 0)
+    """Experiments in all; a larger request counts before the search has seen it."""
+    request = SearchRequest.find(directory)
+    requested = request.experiments if request is not None else None
+    return max(run.view.budget, requested or 0)

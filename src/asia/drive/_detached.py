@@ -27,40 +27,47 @@ _VARIABLES = (
 
 
 @dataclass(frozen=True)
-class Order:
-    """What a search that empties a queue was asked for; kept in its run directory. records:
-    what the ledger had when it was given."""
+class SearchRequest:
+    """What a search that empties a queue was asked for; kept in its run directory."""
 
     problem: str
+    """Built-in name or path of the problem."""
     agent: str
+    """Who hands candidates in: `workspace` or `mcp`."""
     seed: int
+    """Seed of the search."""
     experiments: int | None
+    """Candidates to evaluate; None for the problem's number."""
     hours: float | None
+    """Hours of evaluation; None for the problem's number."""
     early_stopping: str | None
+    """Setting in place of the problem's own."""
     isolation: str | None
+    """Level asked for; None for the strongest that works."""
     records: int = 0
+    """Lines that the ledger had when this was asked for."""
 
     def save(self, directory: Path) -> None:
-        """Write it, with the number of records the ledger has now: an order given after a stop
+        """Write it, with the number of lines the ledger has now: a request made after a stop
         takes the search up again. The path of a problem is made absolute, for the search runs
         elsewhere."""
         path = Path(self.problem)
         found = path.is_file() or (path / "problem.toml").is_file()
         ledger = directory / "ledger.jsonl"
-        order = replace(
+        request = replace(
             self,
             problem=str(path.resolve()) if found else self.problem,
             records=ledger.read_bytes().count(b"\n") if ledger.is_file() else 0,
         )
-        write_whole(_order_path(directory), json.dumps(asdict(order)).encode())
+        write_whole(_request_path(directory), json.dumps(asdict(request)).encode())
 
     @classmethod
-    def find(cls, directory: Path) -> Order | None:
-        """The last one given; None for a run that no workspace or server began. Raises UserError
+    def find(cls, directory: Path) -> SearchRequest | None:
+        """The last one made; None for a run that no workspace or server began. Raises UserError
         where it cannot be read."""
-        path = _order_path(directory)
+        path = _request_path(directory)
         try:
-            return _orders.validate_json(path.read_bytes(), strict=True)
+            return _requests.validate_json(path.read_bytes(), strict=True)
         except FileNotFoundError:
             return None
         except ValueError:
@@ -69,21 +76,21 @@ class Order:
             ) from None
 
     @classmethod
-    def load(cls, directory: Path) -> Order:
+    def load(cls, directory: Path) -> SearchRequest:
         """As `find`. Raises UserError where there is none."""
-        order = cls.find(directory)
-        if order is None:
+        request = cls.find(directory)
+        if request is None:
             raise UserError(
                 f"{directory.name} takes no submissions: it was not started by asia workspace or "
                 "asia mcp"
             )
-        return order
+        return request
 
 
-_orders = TypeAdapter(Order)
+_requests = TypeAdapter(SearchRequest)
 
 
-def _order_path(directory: Path) -> Path:
+def _request_path(directory: Path) -> Path:
     return directory / "control" / "order.json"
 
 
@@ -148,7 +155,7 @@ def runs(directory: Path) -> bool:
 
 
 def has_begun(directory: Path) -> bool:
-    """Whether the ledger has its first record."""
+    """Whether the ledger has its first line."""
     try:
         with (directory / "ledger.jsonl").open("rb") as stream:
             return stream.readline().endswith(b"\n")

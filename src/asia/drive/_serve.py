@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from asia.agents import SubmittedAgent
-from asia.drive._detached import Order
+from asia.drive._detached import SearchRequest
 from asia.drive._queue import Queue
 from asia.ledger import Event, Proposed, SearchView, open_run
 from asia.problem.load import Problem, load_problem
@@ -25,41 +25,43 @@ class IdleError(Exception):
     """Nothing was handed in for so long that the process ends; the run can be taken up again."""
 
 
-class NewOrderError(Exception):
-    """More was ordered while the search waited."""
+class NewRequestError(Exception):
+    """More was requested while the search waited."""
 
 
-def order_problem(order: Order) -> Problem:
-    """The problem with what was ordered in place of its own."""
-    problem = load_problem(order.problem)
+def requested_problem(request: SearchRequest) -> Problem:
+    """The problem with what was requested in place of its own."""
+    problem = load_problem(request.problem)
     budget = problem.budget
     budget = replace(
         budget,
-        experiments=order.experiments or budget.experiments,
-        hours=order.hours if order.hours is not None else budget.hours,
+        experiments=request.experiments or budget.experiments,
+        hours=request.hours if request.hours is not None else budget.hours,
         patience=_PATIENCE,
     )
     problem = replace(problem, budget=budget)
-    if order.early_stopping is not None:
-        problem = with_early_stopping(problem, order.early_stopping)
+    if request.early_stopping is not None:
+        problem = with_early_stopping(problem, request.early_stopping)
     return problem
 
 
-def prepare_order(order: Order, runs: Path, name: str | None) -> Prepared:
-    """As `prepare`, for a search that empties a queue. Where the order leaves the number of
+def prepare_request(request: SearchRequest, runs: Path, name: str | None) -> Prepared:
+    """As `prepare`, for a search that empties a queue. Where the request leaves the number of
     experiments open, a run that has more of them than its problem keeps them. Raises UserError too
-    when the run is another search or has a larger budget than ordered."""
-    level = Isolation(order.isolation) if order.isolation else None
+    when the run is another search or has a larger budget than requested."""
+    level = Isolation(request.isolation) if request.isolation else None
 
     def prepared(problem: Problem) -> Prepared:
-        return prepare(problem, order.agent, seed=order.seed, runs=runs, name=name, isolation=level)
+        return prepare(
+            problem, request.agent, seed=request.seed, runs=runs, name=name, isolation=level
+        )
 
-    problem = order_problem(order)
+    problem = requested_problem(request)
     ready = prepared(problem)
     if not ready.resumes:
         return ready
     view = open_run(ready.directory).view
-    if order.experiments is None and view.budget > problem.budget.experiments:
+    if request.experiments is None and view.budget > problem.budget.experiments:
         budget = replace(problem.budget, experiments=view.budget)
         ready = prepared(replace(problem, budget=budget))
     check_same_search(view, ready.started)
@@ -72,9 +74,9 @@ def serve(directory: Path, idle_seconds: float = IDLE_SECONDS) -> None:
     directory = directory.resolve()
     queue = Queue(directory)
     while True:
-        order = Order.load(directory)
-        prepared = prepare_order(order, directory.parent, directory.name)
-        patience = _patience(directory, order, idle_seconds)
+        request = SearchRequest.load(directory)
+        prepared = prepare_request(request, directory.parent, directory.name)
+        patience = _patience(directory, request, idle_seconds)
         agent = SubmittedAgent(prepared.started.agent, queue.take, patience)
         try:
             search(
@@ -87,21 +89,23 @@ def serve(directory: Path, idle_seconds: float = IDLE_SECONDS) -> None:
             # Handed in after the last look, by somebody who still saw this search.
             if not queue.tickets():
                 return
-        except NewOrderError:
+        except NewRequestError:
             pass
         else:
-            if Order.load(directory) == order:
+            if SearchRequest.load(directory) == request:
                 return
 
 
-def _patience(directory: Path, order: Order, idle_seconds: float) -> Callable[[float], None]:
+def _patience(
+    directory: Path, request: SearchRequest, idle_seconds: float
+) -> Callable[[float], None]:
     """What is done while nothing is handed in."""
 
     def waiting(seconds: float) -> None:
-        now = Order.load(directory)
-        # The same order given again asks for nothing more.
-        if replace(now, records=order.records) != order:
-            raise NewOrderError
+        now = SearchRequest.load(directory)
+        # The same request given again asks for nothing more.
+        if replace(now, records=request.records) != request:
+            raise NewRequestError
         if seconds > idle_seconds:
             raise IdleError
 

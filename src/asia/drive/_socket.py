@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from asia.agents import Proposal
-from asia.drive._desk import Desk, Job, Result, Standing
+from asia.drive._desk import Desk, ExperimentSummary, SearchProgress, Submission
 from asia.errors import UserError
 
 MOST_BYTES = 1_000_000
@@ -27,11 +27,11 @@ _CONNECTIONS = 32
 _SLOT_SECONDS = 1.0
 
 
-class _Request(BaseModel):
+class _Call(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class _Submit(_Request):
+class _SubmitCall(_Call):
     op: Literal["submit"] = "submit"
     source: str
     hypothesis: str
@@ -41,25 +41,25 @@ class _Submit(_Request):
     parent: int | None = None
 
 
-class _Job(_Request):
-    op: Literal["job", "withdraw"]
+class _TicketCall(_Call):
+    op: Literal["submission", "withdraw"]
     ticket: str
 
 
-class _Source(_Request):
+class _SourceCall(_Call):
     op: Literal["source"] = "source"
     experiment: int
 
 
-class _Plain(_Request):
-    op: Literal["results", "standing"]
+class _PlainCall(_Call):
+    op: Literal["results", "progress"]
 
 
-_requests: TypeAdapter[_Submit | _Job | _Source | _Plain] = TypeAdapter(
-    Annotated[_Submit | _Job | _Source | _Plain, Field(discriminator="op")]
+_calls: TypeAdapter[_SubmitCall | _TicketCall | _SourceCall | _PlainCall] = TypeAdapter(
+    Annotated[_SubmitCall | _TicketCall | _SourceCall | _PlainCall, Field(discriminator="op")]
 )
-_results = TypeAdapter(tuple[Result, ...])
-_standing = TypeAdapter(Standing)
+_results = TypeAdapter(tuple[ExperimentSummary, ...])
+_progress = TypeAdapter(SearchProgress)
 
 
 class DeskServer:
@@ -127,7 +127,7 @@ def _answer(desk: Desk, raw: bytes) -> bytes:
     try:
         if len(raw) > MOST_BYTES or not raw.endswith(b"\n"):
             raise UserError(f"a request is one line of at most {MOST_BYTES} bytes")
-        answer = {"ok": _call(desk, _requests.validate_json(raw))}
+        answer = {"ok": _call(desk, _calls.validate_json(raw))}
         return json.dumps(answer, allow_nan=False).encode()
     except UserError as error:
         answer = {"error": str(error)}
@@ -139,21 +139,21 @@ def _answer(desk: Desk, raw: bytes) -> bytes:
     return json.dumps(answer).encode()
 
 
-def _call(desk: Desk, request: _Submit | _Job | _Source | _Plain) -> Any:
-    match request:
-        case _Submit():
-            words = request.model_dump(exclude={"op"})
+def _call(desk: Desk, call: _SubmitCall | _TicketCall | _SourceCall | _PlainCall) -> Any:
+    match call:
+        case _SubmitCall():
+            words = call.model_dump(exclude={"op"})
             return asdict(desk.submit(Proposal(**words)))
-        case _Job(op="job"):
-            return asdict(desk.job(request.ticket))
-        case _Job():
-            return asdict(desk.withdraw(request.ticket))
-        case _Source():
-            return desk.source(request.experiment)
-        case _Plain(op="results"):
+        case _TicketCall(op="submission"):
+            return asdict(desk.submission(call.ticket))
+        case _TicketCall():
+            return asdict(desk.withdraw(call.ticket))
+        case _SourceCall():
+            return desk.source(call.experiment)
+        case _PlainCall(op="results"):
             return [asdict(result) for result in desk.results()]
-        case _Plain():
-            return asdict(desk.standing())
+        case _PlainCall():
+            return asdict(desk.progress())
 
 
 class SocketDesk:
@@ -162,21 +162,21 @@ class SocketDesk:
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def submit(self, proposal: Proposal) -> Job:
+    def submit(self, proposal: Proposal) -> Submission:
         """See `Desk.submit`."""
         words = asdict(proposal)
         del words["ticket"]
-        return Job(**self._ask({"op": "submit", **words}))
+        return Submission(**self._ask({"op": "submit", **words}))
 
-    def job(self, ticket: str) -> Job:
-        """See `Desk.job`."""
-        return Job(**self._ask({"op": "job", "ticket": ticket}))
+    def submission(self, ticket: str) -> Submission:
+        """See `Desk.submission`."""
+        return Submission(**self._ask({"op": "submission", "ticket": ticket}))
 
-    def withdraw(self, ticket: str) -> Job:
+    def withdraw(self, ticket: str) -> Submission:
         """See `Desk.withdraw`."""
-        return Job(**self._ask({"op": "withdraw", "ticket": ticket}))
+        return Submission(**self._ask({"op": "withdraw", "ticket": ticket}))
 
-    def results(self) -> tuple[Result, ...]:
+    def results(self) -> tuple[ExperimentSummary, ...]:
         """See `Desk.results`."""
         return _results.validate_python(self._ask({"op": "results"}))
 
@@ -184,9 +184,9 @@ class SocketDesk:
         """See `Desk.source`."""
         return self._ask({"op": "source", "experiment": experiment})
 
-    def standing(self) -> Standing:
-        """See `Desk.standing`."""
-        return _standing.validate_python(self._ask({"op": "standing"}))
+    def progress(self) -> SearchProgress:
+        """See `Desk.progress`."""
+        return _progress.validate_python(self._ask({"op": "progress"}))
 
     def _ask(self, request: dict[str, Any]) -> Any:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as channel:

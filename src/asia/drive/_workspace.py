@@ -14,10 +14,10 @@ from pydantic import TypeAdapter
 
 from asia.data import Trajectory
 from asia.drive._desk import Desk, RunDesk
-from asia.drive._detached import Order, start_search
-from asia.drive._folder import write_file
+from asia.drive._detached import SearchRequest, start_search
 from asia.drive._program import models_page, program
 from asia.drive._socket import SocketDesk
+from asia.drive._write_file import write_file
 from asia.errors import UserError
 from asia.evaluation import LINEAR
 from asia.ledger import SearchView, Store, journal, open_run, published, results_table
@@ -60,11 +60,13 @@ for path in paths[:8]:
 
 @dataclass(frozen=True)
 class Workspace:
-    """A folder and the run directory it belongs to; `run` is None where the folder is that of a
-    command agent, which only reaches its search through the socket."""
+    """A folder to work in, and the run that it belongs to."""
 
     folder: Path
+    """Where data, texts and candidate.py lie."""
     run: Path | None
+    """The run directory; None where the folder is that of a command agent, which reaches its
+    search through the socket alone."""
 
     @classmethod
     def find(cls, folder: Path) -> Workspace:
@@ -111,7 +113,7 @@ def _run_of(link: Path) -> Path | None:
     return Path(run) if run else None
 
 
-def make_workspace(folder: Path, prepared: Prepared, order: Order) -> Workspace:
+def make_workspace(folder: Path, prepared: Prepared, request: SearchRequest) -> Workspace:
     """Write the folder; what its user has written stays. Raises UserError for a folder with other
     things in it, or of another run."""
     folder = folder.resolve()
@@ -131,7 +133,7 @@ def make_workspace(folder: Path, prepared: Prepared, order: Order) -> Workspace:
             "show the ledger; choose a folder elsewhere"
         )
     write_folder(folder, prepared.problem, prepared.started.experiments, run)
-    order.save(run)
+    request.save(run)
     return Workspace(folder, run)
 
 
@@ -142,9 +144,9 @@ def write_folder(folder: Path, problem: Problem, experiments: int, run: Path | N
     write_file(folder, "description.md", problem.description)
     write_file(folder, "models.md", models_page(problem))
     write_file(folder, "plot.py", _PLOT)
-    names = record_names(problem.train)
-    for name, record in zip(names, problem.train, strict=True):
-        write_file(folder, f"data/{name}.csv", _table(record, problem))
+    names = trajectory_names(problem.train)
+    for name, trajectory in zip(names, problem.train, strict=True):
+        write_file(folder, f"data/{name}.csv", _csv(trajectory, problem))
     if not os.path.lexists(folder / CANDIDATE):
         write_file(folder, CANDIDATE, problem.baseline or LINEAR)
     write_file(folder, _LINK, json.dumps({"run": str(run) if run else None}) + "\n")
@@ -161,22 +163,22 @@ def write_views(folder: Path, view: SearchView, store: Store) -> None:
         write_file(folder, name, text, mode=0o444)
 
 
-def record_names(records: tuple[Trajectory, ...]) -> list[str]:
-    """File names, one a record, all different."""
+def trajectory_names(trajectories: tuple[Trajectory, ...]) -> list[str]:
+    """File names, one a trajectory, all different."""
     stems = [
         "".join(c if c.isalnum() or c in "-_." else "_" for c in r.name).strip(".") or f"record{i}"
-        for i, r in enumerate(records, 1)
+        for i, r in enumerate(trajectories, 1)
     ]
     return [f"{s}-{i}" if stems.count(s) > 1 else s for i, s in enumerate(stems, 1)]
 
 
-def _table(record: Trajectory, problem: Problem) -> str:
-    """A record as CSV."""
+def _csv(trajectory: Trajectory, problem: Problem) -> str:
+    """A trajectory as CSV, time first."""
     names = [s.name for s in (*problem.inputs, *problem.outputs)]
     stream = io.StringIO()
     table = csv.writer(stream, lineterminator="\n")
     table.writerow(["time", *names])
-    for k in range(len(record)):
-        values = [*record.u[k].tolist(), *record.y[k].tolist()]
-        table.writerow([repr(k * record.sampling_time), *map(repr, values)])
+    for k in range(len(trajectory)):
+        values = [*trajectory.u[k].tolist(), *trajectory.y[k].tolist()]
+        table.writerow([repr(k * trajectory.sampling_time), *map(repr, values)])
     return stream.getvalue()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from asia.drive import Order, RunDesk, prepare_order, start_search
+from asia.drive import RunDesk, SearchRequest, prepare_request, start_search
 from asia.problem.load import Problem
 
 AGENT = "mcp"
@@ -23,9 +23,9 @@ class Opened:
     """The directory of the run."""
 
 
-def open_search(order: Order, runs: Path, name: str | None) -> Opened:
-    """Check the order and write it down; no search is started. Raises UserError."""
-    prepared = prepare_order(order, runs, name)
-    order.save(prepared.directory)
+def open_search(request: SearchRequest, runs: Path, name: str | None) -> Opened:
+    """Check the request and write it down; no search is started. Raises UserError."""
+    prepared = prepare_request(request, runs, name)
+    request.save(prepared.directory)
     desk = RunDesk(prepared.directory, start_search)
     return Opened(desk, prepared.problem, prepared.directory)

@@ -14,19 +14,19 @@ from mcp.server.mcpserver.exceptions import ToolError
 from pydantic import Field
 
 from asia.agents import Proposal
-from asia.drive import Job, RunDesk
+from asia.drive import RunDesk, Submission
 from asia.errors import AsiaError
 from asia.ledger import one_line
 from asia.mcp._answers import (
-    Results,
-    Shown,
-    Status,
-    Ticket,
-    Waited,
-    best,
-    shown,
-    ticket,
-    verdict,
+    ProgressAnswer,
+    ResultsAnswer,
+    SourceAnswer,
+    SubmissionAnswer,
+    WaitAnswer,
+    best_of,
+    experiment_answer,
+    source_answer,
+    submission_answer,
 )
 
 LONGEST_WAIT = 45.0
@@ -61,47 +61,47 @@ class Tools:
         parent: Annotated[
             int | None, Field(description="Experiment that it was made from.")
         ] = None,
-    ) -> Ticket:
+    ) -> SubmissionAnswer:
         """Hand in a candidate; costs one experiment. Returns a ticket at once: call asia_wait with
         it. The same source again returns the ticket it has; a source that does not parse, or has no
         fit, is refused and costs nothing."""
         proposal = Proposal(code, family, "", hypothesis, expected, parent)
-        job = await ask(self._desk.submit, proposal)
-        return ticket(job, "asia_wait with this ticket")
+        submission = await ask(self._desk.submit, proposal)
+        return submission_answer(submission, "asia_wait with this ticket")
 
     async def wait(
         self,
         ctx: Context[Any, Any],
         ticket: TicketName,
         timeout_s: Annotated[float, Field(ge=0, le=LONGEST_WAIT)] = LONGEST_WAIT,
-    ) -> Waited:
+    ) -> WaitAnswer:
         """Wait for a submission, at most 45 s, with progress. state: queued, running or done; call
         it again until it is done. V is null for a candidate that failed: see reason and advice."""
         start = time.monotonic()
-        job = await self._known(ticket)
-        if job.state != "done":
+        submission = await self._known(ticket)
+        if submission.state != "done":
             await ask(self._desk.wake)
         told = -_PROGRESS_SECONDS
-        while job.state in ("queued", "running"):
+        while submission.state in ("queued", "running"):
             waited = time.monotonic() - start
             if waited >= timeout_s:
                 break
             if waited - told >= _PROGRESS_SECONDS:
                 told = waited
-                now = await ask(self._desk.standing)
-                words = _words(job, begun=now.experiments > 0)
+                now = await ask(self._desk.progress)
+                words = _words(submission, begun=now.experiments > 0)
                 await ctx.report_progress(round(waited, 1), timeout_s, words)
             await anyio.sleep(min(_POLL, timeout_s - waited))
-            job = await ask(self._desk.job, ticket)
-        if job.state == "unknown":
+            submission = await ask(self._desk.submission, ticket)
+        if submission.state == "unknown":
             raise ToolError(f"submission {ticket} was taken back meanwhile: asia_submit another")
-        return await self._waited(job)
+        return await self._waited(submission)
 
-    async def status(self) -> Status:
+    async def status(self) -> ProgressAnswer:
         """Where the search stands: experiments spent and left, best V, V of trivial references,
         notes of the person."""
-        now = await ask(self._desk.standing)
-        return Status(
+        now = await ask(self._desk.progress)
+        return ProgressAnswer(
             run=now.run,
             problem=now.problem,
             state=now.state,
@@ -109,7 +109,7 @@ class Tools:
             experiments=now.experiments,
             budget=now.budget,
             remaining=now.remaining,
-            best=best(now),
+            best=best_of(now),
             rungs=now.rungs,
             notes=_notes(now.notes),
             next=_next_step(now.state, now.remaining),
@@ -117,65 +117,68 @@ class Tools:
 
     async def results(
         self, last: Annotated[int, Field(ge=1, le=200, description="How many.")] = 20
-    ) -> Results:
+    ) -> ResultsAnswer:
         """The last experiments with V, folds, status and reason, oldest first."""
         found = await ask(self._desk.results)
-        now = await ask(self._desk.standing)
-        return Results(
-            total=len(found), best=best(now), results=[verdict(r) for r in found[-last:]]
+        now = await ask(self._desk.progress)
+        return ResultsAnswer(
+            total=len(found),
+            best=best_of(now),
+            results=tuple(experiment_answer(r) for r in found[-last:]),
         )
 
     async def show(
         self, experiment: Annotated[int, Field(description="Its number, from 1.")]
-    ) -> Shown:
+    ) -> SourceAnswer:
         """One experiment: hypothesis, expectation, result, residuals on the training side (per
         fold: training error, bias, whiteness, correlation with the input, error where the output is
         high, low, at the start, and its curvature), source."""
-        return await ask(lambda: shown(self._desk.run(), experiment))
+        return await ask(lambda: source_answer(self._desk.run(), experiment))
 
-    async def best(self) -> Shown:
+    async def best(self) -> SourceAnswer:
         """The best experiment so far, as asia_show gives it."""
-        now = await ask(self._desk.standing)
+        now = await ask(self._desk.progress)
         if now.best is None:
             raise ToolError(
                 "no experiment has a score yet: asia_wait for a submission, or see asia_results"
             )
         return await self.show(now.best)
 
-    async def cancel(self, ticket: TicketName) -> Ticket:
+    async def cancel(self, ticket: TicketName) -> SubmissionAnswer:
         """Take back a submission that is still queued; it costs no experiment then. One that is
         being evaluated is not interrupted: it ends by itself, within the time limit of a fit."""
-        job = await self._known(ticket)
-        if job.state == "running":
+        submission = await self._known(ticket)
+        if submission.state == "running":
             raise ToolError(
-                f"submission {ticket} is being evaluated as experiment {job.experiment} and is not "
-                f"interrupted: it ends by itself, a fit within {self._fit_seconds:g} s a fold"
+                f"submission {ticket} is being evaluated as experiment "
+                f"{submission.experiment} and is not interrupted: it ends by itself, a fit within "
+                f"{self._fit_seconds:g} s a fold"
             )
         await ask(self._desk.withdraw, ticket)
-        return Ticket(
+        return SubmissionAnswer(
             ticket=ticket, state="withdrawn", ahead=0, experiment=None, next="asia_submit"
         )
 
-    async def _known(self, name: str) -> Job:
-        job = await ask(self._desk.job, name)
-        if job.state == "unknown":
+    async def _known(self, name: str) -> Submission:
+        submission = await ask(self._desk.submission, name)
+        if submission.state == "unknown":
             raise ToolError(
                 f"no submission has the ticket '{one_line(name, 60)}': it was taken back, or "
                 "belongs to another run; asia_results lists what was evaluated"
             )
-        return job
+        return submission
 
-    async def _waited(self, job: Job) -> Waited:
-        now = await ask(self._desk.standing)
-        done = await ask(self._desk.results) if job.state == "done" else ()
-        found = [verdict(r) for r in done if r.experiment == job.experiment]
-        return Waited(
-            ticket=job.ticket,
-            state=job.state,
-            ahead=job.ahead,
-            experiment=job.experiment,
+    async def _waited(self, submission: Submission) -> WaitAnswer:
+        now = await ask(self._desk.progress)
+        done = await ask(self._desk.results) if submission.state == "done" else ()
+        found = [experiment_answer(r) for r in done if r.experiment == submission.experiment]
+        return WaitAnswer(
+            ticket=submission.ticket,
+            state=submission.state,
+            ahead=submission.ahead,
+            experiment=submission.experiment,
             result=found[0] if found else None,
-            best=best(now),
+            best=best_of(now),
             remaining=now.remaining,
             notes=_notes(now.notes),
             next=_next_step(now.state, now.remaining) if found else "asia_wait with this ticket",
@@ -193,16 +196,16 @@ async def ask(function: Callable[..., T], *arguments: object) -> T:
         raise ToolError(f"{error.strerror or error}: {error.filename or 'a file'}") from None
 
 
-def _words(job: Job, *, begun: bool) -> str:
-    if job.state == "running":
-        return f"experiment {job.experiment} is being evaluated"
+def _words(submission: Submission, *, begun: bool) -> str:
+    if submission.state == "running":
+        return f"experiment {submission.experiment} is being evaluated"
     if not begun:
         return "the trivial references and the baseline are evaluated first"
-    return f"queued, {job.ahead} before it"
+    return f"queued, {submission.ahead} before it"
 
 
-def _notes(notes: tuple[str, ...]) -> list[str]:
-    return [one_line(note, _NOTE) for note in notes[-_NOTES:]]
+def _notes(notes: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(one_line(note, _NOTE) for note in notes[-_NOTES:])
 
 
 def _next_step(state: str, remaining: int) -> str:

@@ -1,26 +1,26 @@
 """The loop: problem + agent + budget + ledger. Alone holds both an agent and an evaluator."""
 
 from asia.search._agent_view import agent_view, problem_facts
-from asia.search._controls import Controls
-from asia.search._hidden import check_outside
 from asia.search._loop import OnEvent
 from asia.search._replay import Replayed, ReplayReport, replay_run
 from asia.search._run import LOCK, Prepared, check_baseline, prepare, search, with_early_stopping
+from asia.search._secrecy import check_hidden_from_workers
 from asia.search._simulate import simulate
+from asia.search._steering import Steering
 from asia.search._unseal import CONSENT, UnsealResult, needs_consent, unseal
 
 __all__ = [
     "CONSENT",
     "LOCK",
-    "Controls",
     "OnEvent",
     "Prepared",
     "ReplayReport",
     "Replayed",
+    "Steering",
     "UnsealResult",
     "agent_view",
     "check_baseline",
-    "check_outside",
+    "check_hidden_from_workers",
     "needs_consent",
     "prepare",
     "problem_facts",

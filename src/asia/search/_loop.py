@@ -44,9 +44,9 @@ from asia.ledger import (
 from asia.problem.load import Problem
 from asia.scoring import Failure
 from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
-from asia.search._controls import Controls
 from asia.search._guard import look_at_guard
 from asia.search._rules import decide, stop_reason
+from asia.search._steering import Steering
 
 OnEvent = Callable[[Event, SearchView], None]
 
@@ -58,19 +58,27 @@ class Loop:
     """One search: what is judged, by whom, and where it is written."""
 
     problem: Problem
+    """What a model is searched for."""
     baseline: str
+    """Source of the first experiment."""
     agent: Agent
+    """Who proposes the others."""
     evaluator: Evaluator
+    """Who fits and scores them."""
     chain: Chain
+    """The ledger, open for writing."""
     store: Store
+    """Where sources, models and predictions are kept."""
     directory: Path
+    """The directory of the run."""
     on_event: OnEvent
+    """Called with every event once it is written."""
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
     @property
-    def controls(self) -> Controls:
+    def steering(self) -> Steering:
         """What a person says meanwhile."""
-        return Controls(self.directory)
+        return Steering(self.directory)
 
     @property
     def view(self) -> SearchView:
@@ -94,7 +102,7 @@ class Loop:
     def _search(self) -> None:
         self._score_rungs()
         while self.view.stopped is None:
-            stopped = self._controlled()
+            stopped = self._advance()
             if stopped is not None:
                 self.record(stopped)
                 if isinstance(self.agent, Closing):
@@ -114,14 +122,14 @@ class Loop:
                 refresh(self.directory)
             self.on_event(event, view)
 
-    def _controlled(self) -> Stopped | None:
+    def _advance(self) -> Stopped | None:
         """One experiment, unless a person says something else or the agent ends the search."""
-        for path, text in self.controls.notes():
+        for path, text in self.steering.notes():
             self.record(Steered(text))
             path.unlink()
-        if self.controls.take_stop():
+        if self.steering.take_stop():
             return Stopped("user")
-        if self.controls.paused:
+        if self.steering.paused:
             time.sleep(_PAUSE_POLL)
             return None
         try:
@@ -182,7 +190,7 @@ class Loop:
         for twin in view.finished:
             settled = twin.result is not None and not twin.result.deadline
             if settled and twin.proposed.digest == experiment.proposed.digest:
-                return _answer_again(experiment, twin)
+                return _outcome_of_twin(experiment, twin)
         start, before = time.monotonic(), len(self.evaluator.left_behind)
         evaluation = judge(self.evaluator, self.store.text(experiment.proposed.source), view)
         return Evaluated(
@@ -218,7 +226,7 @@ class Loop:
         except CandidateError as error:
             self.record(Refitted(best.number, None, str(error)))
             return
-        again = _compared(best, refit)
+        again = _second_fit(best, refit)
         if isinstance(refit.model, CandidateError):
             self.record(Refitted(best.number, None, str(refit.model), again))
         else:
@@ -255,7 +263,7 @@ class LoopJournal:
 
     def interrupted(self) -> bool:
         """Whether a person has something for the search."""
-        return self.loop.controls.waiting
+        return self.loop.steering.waiting
 
 
 def judge(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
@@ -281,7 +289,7 @@ def _baseline(source: str) -> Proposal:
     )
 
 
-def _compared(best: Experiment, refit: Refit) -> Again:
+def _second_fit(best: Experiment, refit: Refit) -> Again:
     """The fold that was fitted a second time, beside the first time."""
     assert best.score is not None
     first, second = best.score.folds[refit.fold - 1], refit.again
@@ -297,7 +305,7 @@ def _touched_deadline(evaluation: Evaluation) -> bool:
     return isinstance(outcome, Failure) and outcome.reason.status == "timeout"
 
 
-def _answer_again(experiment: Experiment, twin: Experiment) -> Evaluated:
+def _outcome_of_twin(experiment: Experiment, twin: Experiment) -> Evaluated:
     """The same normalised source was judged before: its outcome stands."""
     r = twin.result
     assert r is not None

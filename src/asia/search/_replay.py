@@ -45,46 +45,52 @@ from asia.search._loop import judge
 from asia.search._rules import decide
 from asia.search._run import LOCK, environment, make_evaluator
 
-OutcomeVerdict = Literal["same", "close", "differs", "exempt", "unfinished"]
-ProposalVerdict = Literal["same", "differs", "taken", "none"]
+OutcomeAgreement = Literal["same", "close", "differs", "exempt", "unfinished"]
+ProposalAgreement = Literal["same", "differs", "taken", "none"]
 
 
 @dataclass(frozen=True)
 class Replayed:
-    """One thing done again. name: `#07`, `rung linear model` or `stop`.
-
-    outcome: `same` is bitwise the same, `close` within the tolerance, `exempt` one that the
-    deadline decided. proposal: `taken` from the ledger where there is no agent to ask, `none` for
-    a rung. V, again:
-    the recorded value and this one; apart: their relative difference, None without two scores;
-    detail: what is not the same.
-    """
+    """An experiment, a rung or the end of a search, done again."""
 
     name: str
-    outcome: OutcomeVerdict
-    proposal: ProposalVerdict = "none"
+    """`#07`, `rung linear model` or `stop`."""
+    outcome: OutcomeAgreement
+    """`same` is bitwise the same, `close` within the tolerance, `exempt` where the deadline
+    decided."""
+    proposal: ProposalAgreement = "none"
+    """`taken` from the ledger where there is no agent to ask, `none` for a rung."""
     status: Status | None = None
+    """What the ledger says of an experiment."""
     V: float | None = None
+    """The value in the ledger."""
     again: float | None = None
+    """The value now."""
     apart: float | None = None
+    """Relative difference of the two; None without two scores."""
     detail: str = ""
+    """What is not the same."""
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing speaks against the record."""
+        """Whether nothing speaks against the ledger."""
         return self.outcome != "differs" and self.proposal != "differs"
 
 
 @dataclass(frozen=True)
 class ReplayReport:
-    """What a replay came to. tolerance: relative, 0 for bitwise; notes: what is not as it was on
-    this machine; exchanges: answers of a language model on record."""
+    """What a replay came to."""
 
     run: str
+    """Name of the run."""
     tolerance: float
+    """Relative difference of V up to which outcomes agree; 0 for bitwise."""
     exchanges: int = 0
+    """Answers of a language model that the ledger holds."""
     items: tuple[Replayed, ...] = ()
+    """All that was done again, in order."""
     notes: tuple[str, ...] = ()
+    """What on this machine is not as it was."""
 
     @property
     def agrees(self) -> bool:
@@ -114,7 +120,7 @@ def replay_run(
     level, notes = _level(started)
     again = replace(run.view, started=replace(started, isolation=level.value))
     replaying = _Replaying(run, problem, make_evaluator(problem, again), agent, tolerance, on_item)
-    replaying.all()
+    replaying.run_all()
     answered = sum(200 <= e.status < 300 for e in run.view.exchanges)
     return ReplayReport(run.name, tolerance, answered, tuple(replaying.items), notes)
 
@@ -131,10 +137,10 @@ class _Replaying:
     on_item: Callable[[Replayed], None]
     items: list[Replayed] = field(default_factory=list[Replayed])
 
-    def all(self) -> None:
-        """Every record in turn, each with the view that there was before it."""
+    def run_all(self) -> None:
+        """Every event in turn, each with the view that there was before it."""
         events = [line.event for line in self.run.lines]
-        journal = _Journal(self.run.store, self.run.view.exchanges)
+        journal = _ReplayJournal(self.run.store, self.run.view.exchanges)
         if isinstance(self.agent, Attached):
             self.agent.attach(journal)
         self._rungs([event for event in events if isinstance(event, RungScored)])
@@ -252,8 +258,8 @@ class _Replaying:
 
 
 @dataclass
-class _Journal:
-    """The record as an agent reads it in a replay; nothing can be added."""
+class _ReplayJournal:
+    """The ledger as an agent reads it in a replay; nothing can be added."""
 
     store: Store
     exchanges: tuple[Exchanged, ...]

@@ -42,8 +42,8 @@ from asia.protocol import EarlyStopping, make_folds
 from asia.sandbox import Isolation, Probe, probe
 from asia.seal._guard import guard_digest
 from asia.seal._test import seal
-from asia.search._hidden import check_hidden
 from asia.search._loop import Loop, OnEvent
+from asia.search._secrecy import check_run_is_hidden
 
 LOCK = "problem.lock.toml"
 PACKAGES = ("numpy", "scipy", "jax", "equinox", "optax", "cloudpickle", "asia-sysid")
@@ -55,10 +55,15 @@ class Prepared:
     """A run directory ready to be searched: nothing was written yet."""
 
     problem: Problem
+    """What a model is searched for."""
     directory: Path
+    """Where the run is, or will be."""
     lock: str
+    """Text of the lock file: the problem resolved, with digests of its data."""
     started: Started
+    """The first line of the ledger, as it would be written now."""
     resumes: bool
+    """Whether the run is there already."""
 
 
 def prepare(
@@ -84,7 +89,7 @@ def prepare(
     run_name = name or f"{problem.name}-{agent_name}-s{seed}{setting}"
     directory = runs / run_name
     found = _probe(isolation)
-    check_hidden(problem, directory, found.level)
+    check_run_is_hidden(problem, directory, found.level)
     lock = lock_text(problem, sealed)
     started = Started(
         run=run_name,

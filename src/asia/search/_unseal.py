@@ -41,12 +41,14 @@ CONSENT = (
 
 @dataclass(frozen=True)
 class UnsealResult:
-    """The test result; `first_time` is False when it had been opened before. `opened_before` names
-    the runs beside this one that had opened the same test."""
+    """The test result of a run."""
 
     record: Unsealed
+    """The scores, as the ledger keeps them."""
     first_time: bool
+    """False when this run had been unsealed before."""
     opened_before: tuple[str, ...]
+    """Names of the runs beside this one that had opened the same test."""
 
 
 def unseal(
@@ -56,10 +58,11 @@ def unseal(
 
     A second call returns the first result. A model that fails on the test is recorded as a
     Failure. process_consent: open it though the candidates ran at level process; recorded. keys:
-    folder of the key of an encrypted test, None for the person's own. Raises UserError when the
-    search is not finished, has no winner or no test, when a record or an artifact does not verify,
-    when problem or test data are not those of its first record, when the key is missing, and at
-    level process without consent.
+    folder of the key of an encrypted test, None for the person's own.
+
+    Raises UserError when the search is not finished, has no winner or no test, when a line of the
+    ledger or an artifact does not verify, when problem or test data are not those of its first
+    line, when the key is missing, and at level process without consent.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = replay(line.event for line in chain.lines)
@@ -132,7 +135,7 @@ def _score(
         raise UserError(f"the test data are not those that run '{view.started.run}' had sealed")
     store = Store(directory / "artifacts")
     blocks = whole(records, problem.protocol)
-    judge = _Judge(make_evaluator(problem, view), store, best, blocks, problem)
+    scorer = _TestScorer(make_evaluator(problem, view), store, best, blocks, problem)
     measured = _by_record([b.y for b in blocks], blocks)
     assert best.result is not None
     refitted = view.refitted.model if view.refitted else None
@@ -144,8 +147,8 @@ def _score(
         lengths=tuple(len(y) for y in measured),
         skip=problem.protocol.test.skip,
         measured=store.put_arrays(measured),
-        ensemble=judge.score(tuple(fold.model for fold in best.result.folds)),
-        refit=judge.score((refitted,)) if refitted else None,
+        ensemble=scorer.score(tuple(fold.model for fold in best.result.folds)),
+        refit=scorer.score((refitted,)) if refitted else None,
         horizon=problem.protocol.horizon,
     )
 
@@ -158,7 +161,7 @@ def _by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, 
 
 
 @dataclass(frozen=True)
-class _Judge:
+class _TestScorer:
     evaluator: Evaluator
     store: Store
     best: Experiment

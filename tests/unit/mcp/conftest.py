@@ -10,7 +10,7 @@ import pytest
 from mcp import Client
 
 from asia.mcp import Opened, open_search
-from tests.unit.search.desks import end_searches, order
+from tests.unit.drive.desks import end_searches, order
 from tests.unit.search.toy import arx, write_problem
 
 SLOW = arx(3).replace("n = 3\n    rows", "__import__('time').sleep(1.5)\n    n = 3\n    rows")

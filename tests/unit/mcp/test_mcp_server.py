@@ -6,7 +6,7 @@ from mcp import Client, MCPError
 
 from asia.ledger import open_run, verify
 from asia.mcp._server import make_server
-from asia.search import Controls
+from asia.search import Steering
 from tests.unit.search.toy import CRASH, arx
 
 from .conftest import SLOW, Agent, Setting
@@ -185,12 +185,12 @@ def test_a_person_steers_and_stops_it(setting: Setting) -> None:
     async def main() -> None:
         async with Client(make_server(setting.opened())) as client:
             agent = Agent(client)
-            Controls(setting.directory).steer("keep it linear")
+            Steering(setting.directory).steer("keep it linear")
             first = await agent.call("wait", ticket=await agent.submit(arx(2)))
             while not first["notes"]:
                 first = await agent.call("wait", ticket=first["ticket"])
             assert first["notes"] == ["keep it linear"]
-            Controls(setting.directory).stop()
+            Steering(setting.directory).stop()
             while (await agent.call("status"))["state"] == "running":
                 await anyio.sleep(0.05)
             words = {"hypothesis": "h", "expected": "e"}

@@ -16,7 +16,7 @@ from mcp.client.streamable_http import streamable_http_client
 from asia.errors import UserError
 from asia.ledger import open_run, verify
 from asia.mcp import client_configuration, serve_http
-from tests.unit.search.desks import searches
+from tests.unit.drive.desks import searches
 from tests.unit.search.toy import arx
 
 from .conftest import SLOW, Agent, Setting

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from asia.errors import Reason, UserError
 from asia.evaluation import Evaluation, Evaluator, Suspicion, SuspicionKind
 from asia.evaluation import _evaluator as evaluator_module
 from asia.ledger import SearchView, open_run
-from asia.mcp._answers import shown
+from asia.mcp._answers import source_answer
 from asia.problem.load import load_lock, load_problem, protocol_digest
 from asia.redteam import _prober
 from asia.redteam.attacks import probing
@@ -80,15 +80,15 @@ def test_what_agents_see_is_what_is_told(
     assert last.trials[1].value == last.trials[2].value
     desk = RunDesk(directory)
     results = desk.results()
-    assert results[1].value == results[2].value == results[3].value == desk.standing().best_value
+    assert results[1].value == results[2].value == results[3].value == desk.progress().best_value
     assert {r.folds for r in results} == {()}
     (tmp_path / "folder").mkdir()
     opened = open_run(directory)
     write_views(tmp_path / "folder", opened.view, opened.store)
     told = [p.read_text() for p in (tmp_path / "folder").iterdir() if p.name != "best.py"]
-    told += [repr(results), repr(desk.standing()), search_text(last, task_of(last, 3))]
-    told += [shown(desk.run(), n).model_dump_json() for n in (1, 2, 3, 4)]
-    told += [line for r in results for line in result_lines(r, desk.standing())]
+    told += [repr(results), repr(desk.progress()), search_text(last, task_of(last, 3))]
+    told += [json.dumps(asdict(source_answer(desk.run(), n))) for n in (1, 2, 3, 4)]
+    told += [line for r in results for line in result_lines(r, desk.progress())]
     hidden = digits(view)
     assert len(hidden) == 12
     assert not [d for d in hidden for text in told if d in text]
@@ -101,7 +101,7 @@ def test_what_agents_see_is_what_is_told(
 def told(directory: Path, number: int) -> str:
     """All that an agent can read of an experiment but its number, words and time."""
     run = RunDesk(directory).run()
-    answer = shown(run, number).model_dump()
+    answer = asdict(source_answer(run, number))
     answer["training"] = len(answer["training"])
     result = answer["result"]
     keep = ("status", "V", "folds", "reason", "advice", "detail")

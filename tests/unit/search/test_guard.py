@@ -9,7 +9,7 @@ import pytest
 
 from asia.agents import AgentView
 from asia.drive import make_workspace
-from asia.drive._detached import Order
+from asia.drive._detached import SearchRequest
 from asia.errors import UserError
 from asia.ledger import SearchView, open_run, verify
 from asia.problem.load import Problem, load_problem
@@ -120,7 +120,7 @@ def test_nobody_gets_to_see_it(
     assert len(held_back) == 4
     after = agent_view(problem_facts(problem), view, open_run(ready.directory).store)
     assert "7654" not in repr(after)
-    order = Order(str(guarded), "workspace", 0, 3, None, None, None)
+    order = SearchRequest(str(guarded), "workspace", 0, 3, None, None, None)
     make_workspace(tmp_path / "work", ready, order)
     texts = [p.read_bytes() for p in (tmp_path / "work").rglob("*") if p.is_file()]
     assert texts

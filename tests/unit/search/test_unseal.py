@@ -14,7 +14,7 @@ from asia.ledger import Started, Unsealed, Unsealing, open_run, read_lines, veri
 from asia.problem.load import init_problem, load_problem
 from asia.sandbox import Isolation, probe
 from asia.search import needs_consent, prepare, search, unseal
-from asia.search._hidden import check_hidden, check_shown
+from asia.search._secrecy import check_hidden_from_agent, check_run_is_hidden
 
 from .toy import Scripted, arx, write_problem
 
@@ -160,16 +160,16 @@ def test_nothing_hidden_lies_where_candidates_read(
         "train": tmp_path / "data",
         "keys": tmp_path / "keys",
     }
-    check_hidden(loaded, places["runs"], Isolation.LANDLOCK)
+    check_run_is_hidden(loaded, places["runs"], Isolation.LANDLOCK)
     monkeypatch.setattr("sys.prefix", str(places[what]))
     with pytest.raises(UserError, match="which every candidate can read"):
-        check_hidden(loaded, places["runs"], Isolation.LANDLOCK)
-    check_hidden(loaded, places["runs"], Isolation.PROCESS)
+        check_run_is_hidden(loaded, places["runs"], Isolation.LANDLOCK)
+    check_run_is_hidden(loaded, places["runs"], Isolation.PROCESS)
 
 
 def test_no_mount_shows_an_agent_the_test_or_its_key(tmp_path: Path, problem: Path) -> None:
     encrypted, plain = load_problem(problem), load_problem(write_problem(tmp_path / "plain"))
-    check_shown([tmp_path / "data"], encrypted)
+    check_hidden_from_agent([tmp_path / "data"], encrypted)
     for shown, loaded in (
         (tmp_path, encrypted),
         (tmp_path / "keys", encrypted),
@@ -177,12 +177,12 @@ def test_no_mount_shows_an_agent_the_test_or_its_key(tmp_path: Path, problem: Pa
         (tmp_path / "plain" / "test.csv", plain),
     ):
         with pytest.raises(UserError, match="would show the agent"):
-            check_shown([shown], loaded)
+            check_hidden_from_agent([shown], loaded)
 
 
 def test_rules_of_a_command_agent_are_checked_for_it(tmp_path: Path) -> None:
     from asia.drive.command import run_command
-    from tests.unit.search.commands import fake
+    from tests.unit.drive.commands import fake
 
     toy = write_problem(tmp_path / "toy")
     ready = prepare(load_problem(toy), "claude", seed=0, runs=tmp_path / "elsewhere" / "runs")

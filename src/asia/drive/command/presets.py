@@ -15,21 +15,27 @@ PLACEHOLDERS = ("prompt", "prompt_file", "workspace", "session", "dollars")
 
 @dataclass(frozen=True)
 class Preset:
-    """start, resume: argument templates, resume where a session can be taken up again; dollars:
-    arguments that tell the agent its cap on money; model: that choose a model; keys: environment
-    variables that hold its credentials; config: its own folder below the home directory;
-    tells_cost: whether its stream does; tells_late: whether it tells tokens only at the end of
-    a turn or session, so that a cap may be passed by far."""
+    """How a coding agent is started, and what its stream tells."""
 
     start: tuple[str, ...]
+    """Template of its arguments."""
     resume: tuple[str, ...] = ()
+    """The same, to take a session up again; empty where it cannot."""
     dollars: tuple[str, ...] = ()
+    """Arguments that tell it its cap on money."""
     model: tuple[str, ...] = ()
+    """Arguments before the name of a model."""
     format: StreamFormat = "none"
+    """Format of its stream."""
     keys: tuple[str, ...] = ()
+    """Environment variables that hold its credentials."""
     config: str = ""
+    """Its own folder below the home directory."""
     tells_cost: bool = False
+    """Whether its stream tells the cost."""
     tells_late: bool = False
+    """Whether it tells tokens only at the end of a turn or session, so that a cap may be passed by
+    far."""
 
 
 _CLAUDE = (

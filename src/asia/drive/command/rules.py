@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from asia.agents import Proposal
 from asia.drive.command.presets import Preset
@@ -16,43 +17,57 @@ from asia.errors import UserError
 from asia.ledger import SearchView, StopReason, Usage
 from asia.sandbox import Jail
 
-Stop = tuple[StopReason, str]
-
 _SHORTEST_SECRET = 6
 _HIDDEN = "[hidden]"
 
 
+class StopCause(NamedTuple):
+    """Why an agent was stopped."""
+
+    reason: StopReason
+    """As the ledger names it."""
+    detail: str
+    """The same for people, with figures."""
+
+
 @dataclass(frozen=True)
 class CommandRules:
-    """What a command agent may use.
-
-    minutes: wall-clock time of one sitting; tokens, cost: in all, None for no cap; stuck_minutes:
-    without a new experiment while the search waits for one; failures: experiments of one sitting
-    without a score in a row; network, mounts: see `Jail`; configs: copied for it; variables: names
-    of environment variables passed on; jail: False to run without one.
-    """
+    """What a command agent may use."""
 
     minutes: float | None = None
+    """Most minutes of wall-clock time in one sitting; None for no cap."""
     tokens: int | None = None
+    """Most tokens in all; None for no cap."""
     cost: float | None = None
+    """Most USD in all; None for no cap."""
     stuck_minutes: float = 30.0
+    """Minutes without a new experiment, while the search waits for one, that end it."""
     failures: int = 10
+    """Experiments of one sitting in a row without a score that end it."""
     network: bool = False
+    """Whether it reaches the network."""
     mounts: tuple[Path, ...] = ()
+    """Folders that it sees, read-only."""
     configs: tuple[Path, ...] = ()
+    """Its own files and folders, of which it gets a copy."""
     variables: tuple[str, ...] = ()
+    """Names of environment variables passed on."""
     jail: bool = True
+    """False to run it without a jail."""
     model: str | None = None
+    """The model that it is asked to use; None for its own choice."""
 
 
 @dataclass(frozen=True)
 class Spent:
-    """In all sessions, that in flight included. tokens; cost: what is known of it, USD; unknown:
-    upper bound of the cost of sessions that ended without telling it, USD."""
+    """What all sessions have spent, that in flight included."""
 
     tokens: int
+    """Input and output tokens."""
     cost: float
+    """What is known of the cost, USD."""
     unknown: float
+    """Upper bound of the cost of sessions that ended without telling it, USD."""
 
     @classmethod
     def of(cls, view: SearchView, stream: Stream | None) -> Spent:
@@ -68,17 +83,17 @@ class Spent:
                 unknown += grants.get(session.session) or 0.0
         return cls(tokens, cost, unknown)
 
-    def over(self, rules: CommandRules) -> Stop | None:
+    def over(self, rules: CommandRules) -> StopCause | None:
         """The cap that is reached."""
         if rules.tokens is not None and self.tokens >= rules.tokens:
-            return "tokens", f"{self.tokens} of {rules.tokens} tokens"
+            return StopCause("tokens", f"{self.tokens} of {rules.tokens} tokens")
         if rules.cost is not None and self.cost + self.unknown >= rules.cost:
             more = (
                 f", and up to {self.unknown:.2f} USD in sessions that did not tell theirs"
                 if self.unknown
                 else ""
             )
-            return "cost", f"{self.cost:.2f} of {rules.cost:.2f} USD{more}"
+            return StopCause("cost", f"{self.cost:.2f} of {rules.cost:.2f} USD{more}")
         return None
 
 

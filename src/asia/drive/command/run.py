@@ -14,13 +14,20 @@ from pathlib import Path
 
 from asia.agents import AgentStoppedError, Journal, Proposal, SubmittedAgent
 from asia.drive._desk import RunDesk
-from asia.drive._folder import write_file
 from asia.drive._queue import Queue
 from asia.drive._serve import clear_known, clearing
 from asia.drive._socket import DeskServer
 from asia.drive._workspace import DESK_VARIABLE, write_folder, write_views
+from asia.drive._write_file import write_file
 from asia.drive.command.presets import Preset, filled
-from asia.drive.command.rules import CommandRules, Secrets, Spent, Stop, check_places, check_rules
+from asia.drive.command.rules import (
+    CommandRules,
+    Secrets,
+    Spent,
+    StopCause,
+    check_places,
+    check_rules,
+)
 from asia.drive.command.session import Session
 from asia.drive.command.stream import Stream
 from asia.errors import UserError
@@ -38,10 +45,10 @@ from asia.ledger import (
     read_lines,
 )
 from asia.sandbox import INSIDE, SOCKET_FOLDER, Jail, jail_environment
-from asia.search._controls import Controls
-from asia.search._hidden import check_shown
 from asia.search._loop import OnEvent
 from asia.search._run import Prepared, search
+from asia.search._secrecy import check_hidden_from_agent
+from asia.search._steering import Steering
 
 SOCKET = "desk.sock"
 WORKSPACES = ".workspaces"
@@ -67,7 +74,7 @@ class CommandAgent(SubmittedAgent):
         self._preset, self._folder = preset, folder
         self._directory = prepared.directory
         self._queue = Queue(prepared.directory)
-        self._controls = Controls(prepared.directory)
+        self._steering = Steering(prepared.directory)
         self._secrets = Secrets.of(rules.variables)
         self._session: Session | None = None
         self._view: SearchView | None = None
@@ -162,7 +169,7 @@ class CommandAgent(SubmittedAgent):
         assert view is not None
         stop = session.stopped or Spent.of(view, None).over(self._rules)
         if stop is not None:
-            raise AgentStoppedError(stop[0], f"{stop[1]}; last session: {outcome}")
+            raise AgentStoppedError(stop.reason, f"{stop.detail}; last session: {outcome}")
         brought = len(view.experiments) > session.experiments
         self._idle = 0 if brought else self._idle + 1
         if self._idle >= _IDLE_SESSIONS:
@@ -170,25 +177,25 @@ class CommandAgent(SubmittedAgent):
                 "agent", f"it ended {self._idle} times without a new experiment, last: {outcome}"
             )
 
-    def _judge(self, stream: Stream | None) -> Stop | None:
+    def _judge(self, stream: Stream | None) -> StopCause | None:
         """Why the agent must stop, from any thread, while something is evaluated too."""
         now, rules, view = time.monotonic(), self._rules, self._view
         assert view is not None
         if view.pending is not None or self._queue.tickets():
             self._quiet_since = now
-        elif self._controls.paused:
+        elif self._steering.paused:
             self._quiet_since += now - self._looked
         self._looked = now
         over = Spent.of(view, stream).over(rules)
         if over is not None:
             return over
         if self._until is not None and now > self._until:
-            return "time", f"{rules.minutes:g} minutes are over"
+            return StopCause("time", f"{rules.minutes:g} minutes are over")
         if stream is not None and now - self._quiet_since > 60 * rules.stuck_minutes:
-            return "stuck", f"no new experiment in {rules.stuck_minutes:g} minutes"
+            return StopCause("stuck", f"no new experiment in {rules.stuck_minutes:g} minutes")
         last = view.finished[self._finished_before :][-rules.failures :]
         if len(last) == rules.failures and all(e.score is None for e in last):
-            return "stuck", f"{rules.failures} experiments in a row have no score"
+            return StopCause("stuck", f"{rules.failures} experiments in a row have no score")
         return None
 
     def _start(self) -> Session:
@@ -311,7 +318,7 @@ def run_command(
     check_rules(preset, rules)
     directory = prepared.directory
     check_places(preset, rules, directory)
-    check_shown((*rules.mounts, *rules.configs) if rules.jail else (), prepared.problem)
+    check_hidden_from_agent((*rules.mounts, *rules.configs) if rules.jail else (), prepared.problem)
     # A level further down than the runs are looked for: what lies in it is never taken for one.
     folder = directory.resolve().parent / WORKSPACES / directory.name
     if os.path.lexists(folder / "ledger.jsonl"):

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from asia.drive.command.rules import Stop
+from asia.drive.command.rules import StopCause
 from asia.drive.command.stream import Stream
 
 _TICK_SECONDS = 0.2
@@ -38,11 +38,11 @@ class Session:
         number: int,
         experiments: int,
         keep: Callable[[int, bytes], None],
-        judge: Callable[[Stream], Stop | None],
+        judge: Callable[[Stream], StopCause | None],
     ) -> None:
         self.process, self.stream = process, stream
         self.number, self.experiments = number, experiments
-        self.stopped: Stop | None = None
+        self.stopped: StopCause | None = None
         self.error: Exception | None = None
         self._keep, self._judge = keep, judge
         self._last_words = ""
@@ -79,7 +79,7 @@ class Session:
         if self.stream.outcome:
             return self.stream.outcome
         if self.stopped is not None:
-            return f"stopped: {self.stopped[1]}"
+            return f"stopped: {self.stopped.detail}"
         how = f"exit code {self.process.returncode}" if alone else "stopped with the search"
         return f"{how}: {self._last_words}" if self._last_words else how
 

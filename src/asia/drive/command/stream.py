@@ -20,19 +20,21 @@ StreamFormat = Literal["claude", "codex", "gemini", "none"]
 
 @dataclass
 class Stream:
-    """What one session's stream has told so far.
-
-    usage: of this process alone; before: the agent's own totals when a session that is taken up
-    again was left, which its totals hold again; totals: where they stand now, None until they are
-    told. outcome: the agent's own word for its end.
-    """
+    """What one session's stream has told so far."""
 
     format: StreamFormat
+    """How its lines are read."""
     before: Usage = field(default_factory=lambda: Usage(cost=0.0))
+    """The agent's own totals when a session that is taken up again was left; its totals hold them
+    again."""
     usage: Usage = field(default_factory=Usage)
+    """Usage of this process alone."""
     session: str = ""
+    """The agent's name of the session, to take it up again."""
     outcome: str = ""
+    """The agent's own word for its end."""
     totals: Usage | None = None
+    """The agent's own totals as they stand now; None until they are told."""
     _seen: set[str] = field(default_factory=set[str])
 
     def feed(self, line: str) -> None:

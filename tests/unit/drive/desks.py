@@ -10,16 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia.agents import Proposal
-from asia.drive import Order, RunDesk, prepare_order
+from asia.drive import RunDesk, SearchRequest, prepare_request
 from asia.ledger import Chain, Event
-
-from .toy import arx, write_problem
+from tests.unit.search.toy import arx, write_problem
 
 LONGEST = 120.0
 
 
-def order(problem: Path, experiments: int | None = 4, seed: int = 0) -> Order:
-    return Order(str(problem), "mcp", seed, experiments, None, None, None)
+def order(problem: Path, experiments: int | None = 4, seed: int = 0) -> SearchRequest:
+    return SearchRequest(str(problem), "mcp", seed, experiments, None, None, None)
 
 
 def candidate(
@@ -50,7 +49,7 @@ class Place:
 def ordered(root: Path, experiments: int | None = 4) -> Place:
     problem = write_problem(root / "toy", experiments=4)
     wanted = order(problem, experiments)
-    directory = prepare_order(wanted, root / "runs", None).directory
+    directory = prepare_request(wanted, root / "runs", None).directory
     wanted.save(directory)
     return Place(problem, directory)
 

@@ -29,7 +29,7 @@ def reply(number: int, tokens: int) -> None:
 
 
 def attempt(name: str, order: int) -> None:
-    source = Path(__file__).with_name("toy.py").read_text("utf-8")
+    source = (Path(__file__).parents[1] / "search" / "toy.py").read_text("utf-8")
     scope: dict[str, str] = {}
     exec(source[source.index('ARX = """') : source.index("NOISE =")], scope)
     text = scope["CRASH"] if order < 0 else scope["ARX"].replace("{order}", str(order))

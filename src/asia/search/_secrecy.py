@@ -10,16 +10,16 @@ from asia.problem.load import Problem, kept_places, record_places
 from asia.sandbox import Isolation, shown_in
 
 
-def check_hidden(problem: Problem, directory: Path, level: Isolation) -> None:
+def check_run_is_hidden(problem: Problem, directory: Path, level: Isolation) -> None:
     """Raises UserError when the run directory, a record or the key of the test lies in a folder
     that every worker can read. Level `process` hides nothing, and nothing is checked there."""
     if level is Isolation.PROCESS:
         return
     for path in (directory, *record_places(problem), *kept_places(problem)):
-        check_outside(path)
+        check_hidden_from_workers(path)
 
 
-def check_outside(path: Path) -> None:
+def check_hidden_from_workers(path: Path) -> None:
     """Raises UserError when `path` lies in a folder that every worker can read."""
     folder = shown_in(path)
     if folder is not None:
@@ -29,7 +29,7 @@ def check_outside(path: Path) -> None:
         )
 
 
-def check_shown(shown: Iterable[Path], problem: Problem) -> None:
+def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
     """Raises UserError when a folder that an agent is to be shown holds the test data or their
     key."""
     hidden = [path.resolve() for path in kept_places(problem)]

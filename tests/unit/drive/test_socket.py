@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.drive._desk import RunDesk, Standing
+from asia.drive._desk import RunDesk, SearchProgress
 from asia.drive._socket import DeskServer, SocketDesk
 from asia.errors import UserError
 
@@ -39,18 +39,18 @@ def test_a_desk_that_hangs_up_is_told_in_a_sentence(tmp_path: Path) -> None:
 
         threading.Thread(target=once, daemon=True).start()
         with pytest.raises(UserError, match="hung up"):
-            SocketDesk(path).standing()
+            SocketDesk(path).progress()
 
 
 def test_every_failure_is_answered(tmp_path: Path) -> None:
     class Broken(RunDesk):
-        def standing(self) -> Standing:
+        def progress(self) -> SearchProgress:
             raise RuntimeError("secret path")
 
     path = tmp_path / "s"
     with DeskServer(path, Broken(tmp_path)):
         with pytest.raises(UserError, match=r"could not answer \(RuntimeError\)"):
-            SocketDesk(path).standing()
+            SocketDesk(path).progress()
         with socket.socket(socket.AF_UNIX) as channel:
             channel.settimeout(20.0)
             channel.connect(str(path))

@@ -20,10 +20,10 @@ from asia.problem.load import load_problem
 from asia.search._run import prepare
 from tests.unit.agents.fake_llm import Told, fake_llm, said
 from tests.unit.cli.conftest import command_line
+from tests.unit.search.toy import arx, write_problem
 
 from .commands import JAILED, RULES, says
 from .desks import candidate, end_searches, ordered, searches
-from .toy import arx, write_problem
 
 PLANTED = "planted-secret-8c1f0e"
 KEY = "sk-planted-77a1"

@@ -5,17 +5,17 @@ from pathlib import Path
 import pytest
 
 from asia.agents import Proposal
-from asia.drive import Order, RunDesk, prepare_order, wait
-from asia.drive._desk import Job
+from asia.drive import RunDesk, SearchRequest, prepare_request, wait
+from asia.drive._desk import Submission
 from asia.drive._queue import Queue
 from asia.drive._serve import clear_known, serve
 from asia.errors import Reason, UserError
 from asia.ledger import Evaluated, Proposed, Run, Stopped, Unsealing, one_line, open_run
 from asia.scoring import Failure
 from asia.search._agent_view import digest
+from tests.unit.search.toy import CRASH, arx
 
 from .desks import Place, candidate, order, ordered
-from .toy import CRASH, arx
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def place(served: tuple[Place, str]) -> Place:
 
 def test_a_submission_is_judged_and_found_by_its_ticket(served: tuple[Place, str]) -> None:
     place, ticket = served
-    assert place.desk.job(ticket) == Job(ticket, "done", experiment=2)
+    assert place.desk.submission(ticket) == Submission(ticket, "done", experiment=2)
     baseline, result = place.desk.results()
     assert (baseline.title, baseline.status) == ("baseline", "keep")
     assert result.status == "keep"
@@ -51,15 +51,15 @@ def test_a_submission_is_judged_and_found_by_its_ticket(served: tuple[Place, str
     assert result.value < 0.05
     assert len(result.folds) == 2
     assert place.desk.source(2) == arx(2)
-    standing = place.desk.standing()
-    assert (standing.state, standing.best, standing.remaining) == ("interrupted", 2, 2)
+    progress = place.desk.progress()
+    assert (progress.state, progress.best, progress.remaining) == ("interrupted", 2, 2)
 
 
 def test_a_submission_waits_for_a_search_that_is_not_there(place: Place) -> None:
     first, second = place.desk.submit(candidate(3)), place.desk.submit(candidate(4))
     assert (first.state, first.ahead) == ("queued", 0)
-    assert place.desk.job(second.ticket) == Job(second.ticket, "queued", 1)
-    looks: list[Job] = []
+    assert place.desk.submission(second.ticket) == Submission(second.ticket, "queued", 1)
+    looks: list[Submission] = []
     assert wait(place.desk, first.ticket, 0.0, looks.append) == looks[0] == first
 
 
@@ -81,8 +81,8 @@ def test_a_submission_needs_a_hypothesis(place: Place) -> None:
 
 
 def test_words_are_bounded_and_stay_on_their_line(place: Place) -> None:
-    job = place.desk.submit(candidate(3, hypothesis="a\x1b[31m\nb " + 3000 * "c"))
-    waiting = Queue(place.directory).get(job.ticket)
+    submission = place.desk.submit(candidate(3, hypothesis="a\x1b[31m\nb " + 3000 * "c"))
+    waiting = Queue(place.directory).get(submission.ticket)
     assert waiting is not None
     assert len(waiting.hypothesis) == 2000
     assert waiting.hypothesis.startswith("a\N{REPLACEMENT CHARACTER}[31m b ccc")
@@ -92,7 +92,7 @@ def test_words_are_bounded_and_stay_on_their_line(place: Place) -> None:
 
 def test_the_same_source_is_one_submission(served: tuple[Place, str]) -> None:
     place, ticket = served
-    assert place.desk.submit(replace(candidate(2), source=arx(2) + "# a comment\n")) == Job(
+    assert place.desk.submit(replace(candidate(2), source=arx(2) + "# a comment\n")) == Submission(
         ticket, "done", experiment=2
     )
     first = place.desk.submit(candidate(3))
@@ -101,9 +101,9 @@ def test_the_same_source_is_one_submission(served: tuple[Place, str]) -> None:
 
 
 def test_what_nobody_handed_in_can_be_asked_for_too(place: Place) -> None:
-    job = place.desk.submit(candidate(1))
-    assert job == Job("experiment-1", "done", experiment=1)
-    assert place.desk.job(job.ticket) == job
+    submission = place.desk.submit(candidate(1))
+    assert submission == Submission("experiment-1", "done", experiment=1)
+    assert place.desk.submission(submission.ticket) == submission
 
 
 def test_a_result_that_hung_on_the_machine_can_be_asked_for_again(place: Place) -> None:
@@ -126,8 +126,8 @@ def test_the_queue_counts_towards_the_budget(place: Place) -> None:
 
 def test_the_baseline_counts_before_it_is_judged(tmp_path: Path) -> None:
     place = ordered(tmp_path, experiments=1)
-    wanted = Order.load(place.directory)
-    place.append(prepare_order(wanted, place.directory.parent, None).started)
+    wanted = SearchRequest.load(place.directory)
+    place.append(prepare_request(wanted, place.directory.parent, None).started)
     with pytest.raises(UserError, match="budget of 1 experiments is spent"):
         place.desk.submit(candidate(2))
 
@@ -143,7 +143,7 @@ def test_withdrawing(served: tuple[Place, str]) -> None:
     place, done = served
     first, second = place.desk.submit(candidate(3)), place.desk.submit(candidate(4))
     assert place.desk.withdraw(first.ticket).state == "unknown"
-    assert place.desk.job(second.ticket).ahead == 0
+    assert place.desk.submission(second.ticket).ahead == 0
     Queue(place.directory).take()
     for ticket, words in (
         (first.ticket, "is unknown"),
@@ -164,7 +164,7 @@ def test_nothing_is_lost_or_counted_twice_when_the_search_dies_between_ledger_an
     queue = Queue(place.directory)
     left = queue.folder / f"{ticket}.taken"
     left.write_text('{"source": "", "family": "", "title": "", "hypothesis": "", "expected": ""}')
-    assert place.desk.job(ticket).state == "done"
+    assert place.desk.submission(ticket).state == "done"
     place.desk.submit(candidate(3))
     waiting = place.desk.submit(candidate(4))
     assert waiting.state == "queued"
@@ -189,7 +189,7 @@ def test_only_a_person_takes_up_what_a_person_stopped(place: Place) -> None:
         place.desk.submit(candidate(4))
     with pytest.raises(UserError, match=f"submission {waiting} is kept, but a person stopped"):
         place.desk.submit(candidate(3))
-    Order.load(place.directory).save(place.directory)
+    SearchRequest.load(place.directory).save(place.directory)
     assert place.desk.submit(candidate(4)).ahead == 1
 
 
@@ -211,8 +211,8 @@ def test_a_search_that_never_began_is_started_first(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no ledger"):
         place.desk.submit(candidate(2))
     desk = RunDesk(place.directory, lambda directory: serve(directory, idle_seconds=0.0))
-    job = desk.submit(Proposal(CRASH, "", "", "it fails", "", None))
-    assert (job.state, job.experiment) == ("done", 2)
+    submission = desk.submit(Proposal(CRASH, "", "", "it fails", "", None))
+    assert (submission.state, submission.experiment) == ("done", 2)
     crash = desk.results()[1]
     assert (crash.status, crash.value, crash.reason) == ("crash", None, "crash")
     assert crash.detail == "line 2: ValueError: no such luck"
@@ -231,9 +231,9 @@ def test_looking_reads_the_ledger_only_where_it_changed(
     monkeypatch.setattr("asia.drive._desk.open_run", counted)
     desk = place.desk
     for _ in range(20):
-        assert desk.job(ticket).state == "done"
-        desk.standing()
+        assert desk.submission(ticket).state == "done"
+        desk.progress()
     assert len(reads) == 1
     place.append(Stopped("user"))
-    desk.job(ticket)
+    desk.submission(ticket)
     assert len(reads) == 2

@@ -11,7 +11,7 @@ from asia.agents import AgentView, Proposal
 from asia.errors import UserError
 from asia.ledger import SearchView, open_run
 from asia.problem.load import load_problem
-from asia.search import Controls, prepare, search
+from asia.search import Steering, prepare, search
 
 from .toy import arx, write_problem
 
@@ -20,7 +20,7 @@ from .toy import arx, write_problem
 class Attentive:
     """Proposes lags one after the other and keeps the notes it saw; `before` is called first."""
 
-    controls: Controls
+    steering: Steering
     say: dict[int, str] = field(default_factory=dict[int, str])
     seen: list[tuple[str, ...]] = field(default_factory=list[tuple[str, ...]])
     name: str = "attentive"
@@ -30,11 +30,11 @@ class Attentive:
         number = len(view.trials)
         word = self.say.get(number)
         if word == "stop":
-            self.controls.stop()
+            self.steering.stop()
         elif word == "pause":
-            self.controls.pause()
+            self.steering.pause()
         elif word:
-            self.controls.steer(word)
+            self.steering.steer(word)
         return Proposal(arx(number + 1), "arx", f"{number + 1} lags", "more lags", "less error")
 
 
@@ -45,16 +45,16 @@ def go(problem: Path, agent: Attentive, runs: Path) -> SearchView:
 
 def test_a_note_is_recorded_and_seen_from_the_next_step_on(tmp_path: Path) -> None:
     problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
-    agent = Attentive(Controls(runs / "toy-attentive-s0"), {2: "the valve sticks"})
+    agent = Attentive(Steering(runs / "toy-attentive-s0"), {2: "the valve sticks"})
     view = go(problem, agent, runs)
     assert agent.seen == [(), (), ("the valve sticks",)]
     assert [note.text for note in view.notes] == ["the valve sticks"]
-    assert not agent.controls.waiting
+    assert not agent.steering.waiting
 
 
 def test_a_stopped_search_goes_on_by_the_same_call(tmp_path: Path) -> None:
     problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
-    agent = Attentive(Controls(runs / "toy-attentive-s0"), {1: "stop"})
+    agent = Attentive(Steering(runs / "toy-attentive-s0"), {1: "stop"})
     view = go(problem, agent, runs)
     assert view.stopped is not None
     assert view.stopped.reason == "user"
@@ -68,20 +68,20 @@ def test_a_stopped_search_goes_on_by_the_same_call(tmp_path: Path) -> None:
 
 def test_a_pause_holds_the_search_between_experiments(tmp_path: Path) -> None:
     problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
-    controls = Controls(runs / "toy-attentive-s0")
-    agent = Attentive(controls, {2: "pause"})
+    steering = Steering(runs / "toy-attentive-s0")
+    agent = Attentive(steering, {2: "pause"})
     thread = threading.Thread(target=go, args=(problem, agent, runs))
     thread.start()
-    while not (controls.directory / "ledger.jsonl").is_file() or not controls.paused:
+    while not (steering.directory / "ledger.jsonl").is_file() or not steering.paused:
         time.sleep(0.02)
     time.sleep(1.5)
-    held = len(open_run(controls.directory).view.experiments)
+    held = len(open_run(steering.directory).view.experiments)
     assert held == 3
-    controls.go_on()
+    steering.go_on()
     thread.join()
-    assert len(open_run(controls.directory).view.experiments) == 4
+    assert len(open_run(steering.directory).view.experiments) == 4
 
 
 def test_an_empty_note_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="1 to 4000 characters"):
-        Controls(tmp_path).steer("  ")
+        Steering(tmp_path).steer("  ")

@@ -14,7 +14,7 @@ LONGEST_NOTE = 4000
 
 
 @dataclass(frozen=True)
-class Controls:
+class Steering:
     """The `control` folder of a run directory."""
 
     directory: Path

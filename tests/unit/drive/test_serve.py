@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from asia.agents import Agent
-from asia.drive import Order, RunDesk, prepare_order, start_search, wait
+from asia.drive import RunDesk, SearchRequest, prepare_request, start_search, wait
 from asia.drive._queue import Queue
 from asia.drive._serve import IdleError, serve
 from asia.errors import UserError
@@ -31,16 +31,16 @@ def test_a_search_of_its_own_runs_to_the_end_of_its_budget(
     desk = RunDesk(Path("runs") / place.directory.name, start_search)
     first = desk.submit(candidate(2))
     assert first.state == "queued"
-    assert desk.standing().state == "running"
+    assert desk.progress().state == "running"
     assert len(searches(place.directory)) == 1
     start_search(place.directory)
     assert len(searches(place.directory)) == 1
     second = desk.submit(candidate(3, parent=1))
-    assert wait(desk, second.ticket, 60.0, lambda job: None).experiment == 3
-    assert desk.job(first.ticket).experiment == 2
-    while desk.standing().state == "running":
+    assert wait(desk, second.ticket, 60.0, lambda submission: None).experiment == 3
+    assert desk.submission(first.ticket).experiment == 2
+    while desk.progress().state == "running":
         time.sleep(0.05)
-    assert desk.standing().state == "finished"
+    assert desk.progress().state == "finished"
     assert Queue(place.directory).tickets() == []
 
 
@@ -57,16 +57,16 @@ def test_a_search_that_fails_at_once_says_why(place: Place) -> None:
 
 def test_a_killed_search_is_taken_up_again_where_it_was(place: Place) -> None:
     desk = RunDesk(place.directory, start_search)
-    job = desk.submit(candidate(2))
-    wait(desk, job.ticket, 0.0, lambda job: None)
+    submission = desk.submit(candidate(2))
+    wait(desk, submission.ticket, 0.0, lambda submission: None)
     for pid in searches(place.directory):
         os.kill(pid, 9)
-    while desk.standing().state == "running":
+    while desk.progress().state == "running":
         time.sleep(0.02)
-    assert desk.standing().state == "interrupted"
-    assert desk.job(job.ticket).state in ("queued", "running")
+    assert desk.progress().state == "interrupted"
+    assert desk.submission(submission.ticket).state in ("queued", "running")
     desk.wake()
-    assert wait(desk, job.ticket, 60.0, lambda job: None).state == "done"
+    assert wait(desk, submission.ticket, 60.0, lambda submission: None).state == "done"
     assert [r.experiment for r in desk.results()] == [1, 2]
 
 
@@ -136,7 +136,7 @@ def test_the_same_order_again_does_not_disturb_a_search_that_waits(
 
     def waits(prepared: Prepared, agent: Agent) -> None:
         place.append(prepared.started)
-        Order.load(place.directory).save(place.directory)
+        SearchRequest.load(place.directory).save(place.directory)
         agent.propose(None)  # pyright: ignore[reportArgumentType]
 
     seen = fake_search(monkeypatch, waits)
@@ -172,18 +172,18 @@ def test_an_order_for_a_run_that_exists(tmp_path: Path) -> None:
     order(place.problem, 7).save(place.directory)
     serve(place.directory, idle_seconds=0.0)
     assert open_run(place.directory).view.budget == 7
-    kept = prepare_order(order(place.problem, None), runs, None)
+    kept = prepare_request(order(place.problem, None), runs, None)
     assert kept.problem.budget.experiments == 7
     with pytest.raises(UserError, match="has 7 experiments, and a budget can only grow"):
-        prepare_order(order(place.problem, 3), runs, None)
+        prepare_request(order(place.problem, 3), runs, None)
     with pytest.raises(UserError, match="has seed 0, not 1: choose another --name"):
-        prepare_order(order(place.problem, 7, seed=1), runs, place.directory.name)
+        prepare_request(order(place.problem, 7, seed=1), runs, place.directory.name)
 
 
 def test_an_order_that_is_not_there_or_damaged(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="takes no submissions: it was not started by"):
-        Order.load(tmp_path)
+        SearchRequest.load(tmp_path)
     (tmp_path / "control").mkdir()
     (tmp_path / "control" / "order.json").write_text("[]")
     with pytest.raises(UserError, match=r"order.json is damaged"):
-        Order.load(tmp_path)
+        SearchRequest.load(tmp_path)

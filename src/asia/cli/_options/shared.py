@@ -30,20 +30,5 @@ YesProcess = Annotated[
 ProblemName = Annotated[
     str, typer.Argument(metavar="PROBLEM", help="Built-in name, or a directory with problem.toml.")
 ]
-Experiments = Annotated[
-    int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
-]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the search.")]
-Hours = Annotated[
-    float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
-]
-Name = Annotated[str | None, typer.Option(help="Name of the run; default PROBLEM-AGENT-sSEED.")]
-EarlyStopping = Annotated[
-    str | None,
-    typer.Option(help="inner, or validation (V is then not leak-free); default the problem's."),
-]
-IsolationLevel = Annotated[
-    str | None, typer.Option(help="Ask for a level instead of the strongest: landlock or process.")
-]
 MORE = "More commands"
 DEFAULT_RUNS = Path("runs")

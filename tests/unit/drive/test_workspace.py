@@ -5,12 +5,11 @@ from pathlib import Path
 import pytest
 
 from asia.candidate import check_source
-from asia.drive._folder import write_file
 from asia.drive._workspace import write_folder
+from asia.drive._write_file import write_file
 from asia.errors import UserError
 from asia.problem.load import load_problem
-
-from .toy import write_problem
+from tests.unit.search.toy import write_problem
 
 
 @pytest.mark.parametrize("link", [".best.py.new", "best.py"])

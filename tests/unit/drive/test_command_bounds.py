@@ -5,14 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from asia.cli._command_options import command_driver
+from asia.cli._options.command import CommandOptions
+from asia.cli._options.llm import ModelOptions
 from asia.drive.command import Stream
 from asia.errors import UserError
 from asia.ledger import Store, Streamed, Usage, find_run, read_lines
 from asia.sandbox import Jail
+from tests.unit.search.toy import write_problem
 
 from .commands import JAILED, RULES, fake, go, says, with_config
-from .toy import write_problem
 
 KEY = "sk-0123456789abcdef"
 
@@ -131,10 +132,8 @@ def test_a_mount_does_not_show_the_runs(problem: Path) -> None:
 
 
 def driver(agent: str, command: str | None, configs: list[Path] | None = None) -> dict[str, str]:
-    return command_driver(
-        agent, command, minutes=None, stuck_minutes=30.0, tokens=None, cost=None, network=True,
-        configs=configs, mounts=None, pass_env=None, model=None,
-    ).settings  # fmt: skip
+    options = CommandOptions(command=command, network=True, agent_config=configs)
+    return options.driver(agent, ModelOptions()).settings
 
 
 @pytest.mark.parametrize("name", ["expert", "random", "llm", "workspace", "mcp"])

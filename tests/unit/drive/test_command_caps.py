@@ -10,10 +10,10 @@ from asia.errors import UserError
 from asia.ledger import Evaluated, Event, SearchView, read_lines
 from asia.problem.load import load_problem
 from asia.search import prepare
+from tests.unit.search.toy import write_problem
 
-from .commands import HERE, RULES, fake, go, says, with_config
+from .commands import RULES, TOY, fake, go, says, with_config
 from .test_socket import ends
-from .toy import write_problem
 
 PAID = (
     "import json;print(json.dumps(dict(type='result',subtype='success',"
@@ -107,7 +107,7 @@ def test_time_is_capped_while_candidates_wait(tmp_path: Path) -> None:
     loaded = load_problem(problem)
     loaded = replace(loaded, budget=replace(loaded.budget, patience=1000))
     ready = prepare(loaded, "claude", seed=0, runs=tmp_path / "runs")
-    preset = says(code, "none", str(HERE / "toy.py"))
+    preset = says(code, "none", str(TOY))
     rules = replace(RULES, minutes=0.1)
     view = run_command(ready, preset, rules, lambda e, v: None, lambda v: None)
     assert view.stopped is not None

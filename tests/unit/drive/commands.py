@@ -12,8 +12,9 @@ from asia.sandbox import Isolation, probe
 from asia.search import prepare
 
 HERE = Path(__file__).resolve().parent
+TOY = HERE.parent / "search" / "toy.py"
 JAILED = probe().level is Isolation.NAMESPACE
-RULES = CommandRules(mounts=(HERE,), jail=JAILED)
+RULES = CommandRules(mounts=(HERE, TOY.parent), jail=JAILED)
 
 
 def fake(format_: str, scenario: str, *arguments: str, dollars: tuple[str, ...] = ()) -> Preset:

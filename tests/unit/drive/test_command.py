@@ -11,9 +11,9 @@ import pytest
 from asia.drive.command import make_preset
 from asia.errors import UserError
 from asia.ledger import Store, Streamed, open_run, read_lines
+from tests.unit.search.toy import write_problem
 
 from .commands import JAILED, RULES, fake, go, with_config
-from .toy import write_problem
 
 
 @pytest.fixture

@@ -1,0 +1,1 @@
+"""Options of the commands: what several commands share, and groups of options as dataclasses."""

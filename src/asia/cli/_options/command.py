@@ -1,0 +1,164 @@
+"""Options of the agent `command:NAME`."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asia.cli._driver import Driver
+from asia.cli._options.llm import ModelOptions
+
+if TYPE_CHECKING:
+    from asia.drive.command import CommandRules
+
+PREFIX = "command:"
+_OTHERS = ("llm", "mcp", "workspace")
+_PANEL = "Agent command:NAME (claude, codex, gemini, or a program of your own)"
+
+
+@dataclass(frozen=True)
+class CommandOptions:
+    """How a coding agent is started, and what it may use."""
+
+    command: Annotated[
+        str | None,
+        typer.Option(
+            rich_help_panel=_PANEL,
+            help="Command line of an agent of your own, with {prompt} or {prompt_file} in it.",
+        ),
+    ] = None
+    agent_minutes: Annotated[
+        float | None, typer.Option(rich_help_panel=_PANEL, help="Most minutes of one sitting.")
+    ] = None
+    stuck_minutes: Annotated[
+        float,
+        typer.Option(
+            rich_help_panel=_PANEL, help="Stop it after so many without a new experiment."
+        ),
+    ] = 30.0
+    network: Annotated[
+        bool,
+        typer.Option(
+            "--network",
+            rich_help_panel=_PANEL,
+            help="Let it reach the network, which hosted models need.",
+        ),
+    ] = False
+    agent_config: Annotated[
+        list[Path] | None,
+        typer.Option(
+            rich_help_panel=_PANEL,
+            help="Folder or file of its own, such as ~/.claude; it gets a copy.",
+        ),
+    ] = None
+    agent_mount: Annotated[
+        list[Path] | None,
+        typer.Option(
+            rich_help_panel=_PANEL,
+            help="Folder to show it, read-only, such as where it is installed.",
+        ),
+    ] = None
+    pass_env: Annotated[
+        list[str] | None,
+        typer.Option(
+            rich_help_panel=_PANEL, help="Environment variable to pass on, such as its key."
+        ),
+    ] = None
+
+    def driver(self, agent: str, caps: ModelOptions) -> Driver:
+        """The program, its rules and its jail. Raises UserError for what is not there, and for a
+        cap that cannot be kept."""
+        from asia.drive.command import check_rules, make_preset, run_command
+
+        name = _name(agent)
+        preset = make_preset(name, self.command)
+        rules = self._rules(preset.keys, caps)
+        check_rules(preset, rules)
+        return Driver(
+            name,
+            lambda ready, on_event, on_start: run_command(ready, preset, rules, on_event, on_start),
+            _settings(self.command or name, rules),
+            (_jail_words(name, rules),),
+        )
+
+    def _rules(self, keys: tuple[str, ...], caps: ModelOptions) -> CommandRules:
+        from asia.drive.command import CommandRules
+        from asia.sandbox import Isolation, probe
+
+        configs, mounts = self.agent_config or (), self.agent_mount or ()
+        _check_given((*configs, *mounts), self.pass_env or ())
+        return CommandRules(
+            minutes=self.agent_minutes,
+            tokens=caps.max_tokens,
+            cost=caps.max_cost,
+            stuck_minutes=self.stuck_minutes,
+            network=self.network,
+            mounts=tuple(p.expanduser().resolve() for p in mounts),
+            # Not resolved: a link keeps its own name below the agent's home.
+            configs=tuple(Path(os.path.abspath(p.expanduser())) for p in configs),
+            variables=(*keys, *(self.pass_env or ())),
+            jail=probe().level is Isolation.NAMESPACE,
+            model=caps.model,
+        )
+
+
+def _name(agent: str) -> str:
+    """NAME of `command:NAME`. Raises UserError for one that is taken or is none."""
+    from asia.agents import AGENTS
+    from asia.errors import UserError
+
+    name = agent.removeprefix(PREFIX)
+    if not name.replace("-", "").isalnum():
+        raise UserError(f"--agent {agent}: expected command:NAME with letters and digits")
+    if name in {*AGENTS, *_OTHERS}:
+        raise UserError(
+            f"--agent {agent}: '{name}' is another way to drive a search; choose a name of your own"
+        )
+    return name
+
+
+def _settings(command: str, rules: CommandRules) -> dict[str, str]:
+    """For the ledger."""
+    return {
+        "command": command,
+        "model": rules.model or "its default",
+        "jail": "namespace" if rules.jail else "none",
+        "network": "yes" if rules.network else "no",
+        "mounts": _names(rules.mounts),
+        "configs": _names(rules.configs),
+    }
+
+
+def _names(paths: Sequence[Path]) -> str:
+    home = str(Path.home())
+    return ", ".join(re.sub(f"^{re.escape(home)}(?=/|$)", "~", str(p)) for p in paths) or "none"
+
+
+def _check_given(paths: Sequence[Path], variables: Sequence[str]) -> None:
+    from asia.errors import UserError
+
+    for path in paths:
+        if not path.expanduser().exists():
+            raise UserError(f"{path} does not exist: give a folder or file that does")
+    for variable in variables:
+        if variable not in os.environ:
+            raise UserError(f"--pass-env {variable}: it is not set; export it first")
+
+
+def _jail_words(name: str, rules: CommandRules) -> str:
+    """What holds the agent, for people."""
+    if not rules.jail:
+        return (
+            f"agent {name}: no jail (level process). It can read what you can: other runs, test "
+            "files that lie open, your keys. Its score still comes from the evaluator alone. "
+            "Install bubblewrap for a jail."
+        )
+    network = "the network" if rules.network else "no network (hosted models need --network)"
+    shown = ", ".join(str(p) for p in (*rules.mounts, *rules.configs)) or "nothing else of yours"
+    return f"agent {name}: in a jail (level namespace) with its workspace, {network}, {shown}"

@@ -1,0 +1,165 @@
+"""Options of language models: `asia run --agent llm`, and what coding agents share with it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from asia.agents import LlmAgent
+
+KEY_VARIABLE = "OPENAI_API_KEY"
+_MODELS = "Language models and coding agents (--agent llm, command:NAME)"
+_LLM = "Language model (--agent llm)"
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """The model and its caps, for language models and coding agents."""
+
+    model: Annotated[
+        str | None,
+        typer.Option(rich_help_panel=_MODELS, help="Name of the model, as its server calls it."),
+    ] = None
+    max_tokens: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            rich_help_panel=_MODELS,
+            help="Stop before input and output tokens exceed this in all; no limit by default.",
+        ),
+    ] = None
+    max_cost: Annotated[
+        float | None,
+        typer.Option(
+            metavar="USD",
+            rich_help_panel=_MODELS,
+            help="Stop before the cost exceeds this; llm needs --prices.",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class LlmOptions:
+    """What is asked of a language model, and where it is."""
+
+    base_url: Annotated[
+        str | None,
+        typer.Option(
+            envvar="OPENAI_BASE_URL",
+            rich_help_panel=_LLM,
+            help="OpenAI-compatible server, such as http://localhost:8000/v1; default OpenAI's.",
+        ),
+    ] = None
+    temperature: Annotated[
+        float | None,
+        typer.Option(min=0.0, rich_help_panel=_LLM, help="Sent as it is; left out by default."),
+    ] = None
+    top_p: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, max=1.0, rich_help_panel=_LLM, help="Sent as it is; left out by default."
+        ),
+    ] = None
+    llm_seed: Annotated[
+        int | None,
+        typer.Option(
+            rich_help_panel=_LLM,
+            help="Seed for the server, which may heed it; left out by default.",
+        ),
+    ] = None
+    extra_body: Annotated[
+        str | None,
+        typer.Option(
+            metavar="JSON",
+            rich_help_panel=_LLM,
+            help="More fields of the request, such as '{\"top_k\": 20}'.",
+        ),
+    ] = None
+    api_key_env: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            rich_help_panel=_LLM,
+            help="Environment variable that holds the key; local servers need none.",
+        ),
+    ] = KEY_VARIABLE
+    max_reply_tokens: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            rich_help_panel=_LLM,
+            help="Limit of one reply, thoughts included; default 16384.",
+        ),
+    ] = None
+    prices: Annotated[
+        str | None,
+        typer.Option(
+            metavar="IN,OUT",
+            rich_help_panel=_LLM,
+            help="USD for a million input and output tokens, such as 0.5,2.",
+        ),
+    ] = None
+    anonymous: Annotated[
+        bool,
+        typer.Option(
+            "--anonymous",
+            rich_help_panel=_LLM,
+            help="Hide names, units, description and equations: what is prior knowledge worth?",
+        ),
+    ] = False
+
+    def agent(self, caps: ModelOptions) -> LlmAgent:
+        """The agent with these options. Raises UserError for those that make no sense."""
+        from asia.agents import LlmAgent, LlmSettings
+
+        price_input, price_output = _prices(self.prices)
+        return LlmAgent(
+            LlmSettings(
+                model=caps.model or "",
+                base_url=self.base_url,
+                temperature=self.temperature,
+                top_p=self.top_p,
+                seed=self.llm_seed,
+                extra_body=_object(self.extra_body),
+                api_key_env=self.api_key_env,
+                max_tokens_total=caps.max_tokens,
+                max_cost=caps.max_cost,
+                price_input=price_input,
+                price_output=price_output,
+                max_reply_tokens=self.max_reply_tokens or LlmSettings.max_reply_tokens,
+                anonymous=self.anonymous,
+            )
+        )
+
+
+def _prices(text: str | None) -> tuple[float | None, float | None]:
+    from asia.errors import UserError
+
+    if text is None:
+        return None, None
+    try:
+        price_input, price_output = (float(part) for part in text.split(","))
+    except ValueError:
+        raise UserError(
+            f"--prices {text}: expected two numbers, USD for a million input and output tokens, "
+            "such as 0.5,2"
+        ) from None
+    return price_input, price_output
+
+
+def _object(text: str | None) -> dict[str, Any]:
+    from asia.errors import UserError
+
+    if text is None:
+        return {}
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict):
+        raise UserError(f"--extra-body {text}: expected a JSON object, such as '{{\"top_k\": 20}}'")
+    return value
