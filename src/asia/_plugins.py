@@ -40,6 +40,14 @@ class Part:
         """The part itself. Raises UserError when its module cannot be imported or lacks it."""
         return load_target(self.target, f"{self.name} of package {self.package} {self.version}")
 
+    def why_not(self) -> str | None:
+        """Why it cannot be loaded; None when it can."""
+        try:
+            self.load()
+        except UserError as error:
+            return str(error)
+        return None
+
 
 def load_target(target: str, what: str) -> object:
     """The object at `module:Name`. what: its description in messages. Raises UserError when the

@@ -42,7 +42,7 @@ from asia.ledger import (
 )
 from asia.problem.load import Problem
 from asia.scoring import Failure
-from asia.search import Prepared
+from asia.search import Prepared, environment_changes
 
 STYLES = {"keep": "bold green", "discard": "dim", "crash": "red", "timeout": "yellow"}
 
@@ -141,8 +141,8 @@ class TextDisplay:
             self._print(f"note    {NOT_LEAK_FREE}")
         for note in start.isolation_notes:
             self._print(f"note    {note}", style="dim")
-        if start.environment != self.prepared.started.environment:
-            self._print("note    the run began with other package versions; see its first record")
+        for change in environment_changes(start.environment, self.prepared.started.environment):
+            self._print(f"note    the run began elsewhere: {change}")
         if view.experiments:
             self._print(f"resumed after {len(view.finished)} of {view.budget} experiments")
         for rung in view.rungs:

@@ -1,8 +1,8 @@
-"""asia doctor: how well can this machine keep candidates in?"""
+"""asia doctor: how well can this machine keep candidates in, and what is plugged in?"""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import typer
@@ -13,6 +13,26 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from asia.sandbox import LevelState, Machine
+
+_INDENT = 13
+
+
+@dataclass(frozen=True)
+class PluggedPart:
+    """A part of another package, as it is found here."""
+
+    kind: str
+    """families, agents, sources, metrics, executors or sinks."""
+    name: str
+    """What it is called in problem files and on the command line."""
+    package: str
+    """The package that brings it."""
+    version: str
+    """The version of that package."""
+    target: str
+    """Where it is defined, `module:Name`."""
+    failure: str | None
+    """Why it cannot be loaded; None when it can."""
 
 
 def register(app: typer.Typer) -> None:
@@ -25,31 +45,73 @@ def doctor(json: Json = False) -> None:
     from asia.sandbox import machine, survey
 
     here, levels = machine(), survey()
+    plugged, clash = _plugged()
     if json:
         from json import dumps
 
         best = next(state.level for state in levels if state.works)
-        found = {"level": best, "machine": asdict(here), "levels": [asdict(s) for s in levels]}
+        found = {
+            "level": best,
+            "machine": asdict(here),
+            "levels": [asdict(s) for s in levels],
+            "parts": [asdict(p) for p in plugged],
+            "clash": clash,
+        }
         print(dumps(found))
     else:
-        _tell(here, levels)
+        _print_machine(here)
+        _print_levels(levels)
+        _print_parts(plugged, clash)
+        print("\ndocs/isolation.md says what each level stops and what not.")
 
 
-def _tell(here: Machine, levels: Sequence[LevelState]) -> None:
+def _plugged() -> tuple[tuple[PluggedPart, ...], str | None]:
+    """The parts of other packages; without them, why they cannot be told apart."""
+    from asia._plugins import parts
+    from asia.errors import UserError
+
+    try:
+        found = parts()
+    except UserError as error:
+        return (), str(error)
+    return tuple(
+        PluggedPart(
+            p.group.removeprefix("asia."), p.name, p.package, p.version, p.target, p.why_not()
+        )
+        for p in found
+    ), None
+
+
+def _print_machine(here: Machine) -> None:
     memory = f", {here.memory_mb} MB of memory" if here.memory_mb else ""
     where = ", in a container" if here.container else ""
     print(f"machine    {here.system}, {here.architecture}, {here.cores} cores{memory}{where}")
     print(f"python     {here.python}, as {'root' if here.user == 'root' else 'an ordinary user'}")
     print(f"landlock   {f'version {here.landlock}' if here.landlock else 'none'}")
     print(f"bubblewrap {here.bubblewrap or 'none'}")
+
+
+def _print_levels(levels: Sequence[LevelState]) -> None:
     print()
     chosen = False
     for state in levels:
         used = state.works and not chosen
         chosen = chosen or state.works
         words = f"works: {', '.join(state.layers)}" if state.works else "does not work"
-        print(f"{state.level:<13}{words}{'   <- what a search uses here' if used else ''}")
+        print(f"{state.level:<{_INDENT}}{words}{'   <- what a search uses here' if used else ''}")
         for lack in state.lacks:
-            print(f"{'':<13}why not: {lack.reason}")
-            print(f"{'':<13}to get it: {lack.remedy}")
-    print("\ndocs/isolation.md says what each level stops and what not.")
+            print(f"{'':<{_INDENT}}why not: {lack.reason}")
+            print(f"{'':<{_INDENT}}to get it: {lack.remedy}")
+
+
+def _print_parts(plugged: Sequence[PluggedPart], clash: str | None) -> None:
+    print()
+    if not plugged:
+        print(f"{'plugged in':<{_INDENT}}{clash or 'nothing: no other package brings a part'}")
+        return
+    heads = [f"{p.kind} {p.name}" for p in plugged]
+    width = max(_INDENT, *(len(head) + 2 for head in heads))
+    for head, part in zip(heads, plugged, strict=True):
+        print(f"{head:<{width}}{part.target}, of {part.package} {part.version}")
+        if part.failure is not None:
+            print(f"{'':<{width}}does not load: {part.failure}")

@@ -3,7 +3,15 @@
 from asia.search._agent_view import agent_view, problem_facts
 from asia.search._loop import OnEvent
 from asia.search._replay import Replayed, ReplayReport, replay_run
-from asia.search._run import LOCK, Prepared, check_baseline, prepare, search, with_early_stopping
+from asia.search._run import (
+    LOCK,
+    Prepared,
+    check_baseline,
+    environment_changes,
+    prepare,
+    search,
+    with_early_stopping,
+)
 from asia.search._secrecy import check_hidden_from_workers
 from asia.search._simulate import simulate
 from asia.search._steering import Steering
@@ -21,6 +29,7 @@ __all__ = [
     "agent_view",
     "check_baseline",
     "check_hidden_from_workers",
+    "environment_changes",
     "needs_consent",
     "prepare",
     "problem_facts",

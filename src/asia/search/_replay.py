@@ -43,7 +43,7 @@ from asia.scoring import Failure, Outcome, Score
 from asia.search._agent_view import agent_view, as_bytes, problem_facts
 from asia.search._loop import judge
 from asia.search._rules import decide
-from asia.search._run import LOCK, environment, make_evaluator
+from asia.search._run import LOCK, environment, environment_changes, make_evaluator
 
 OutcomeAgreement = Literal["same", "close", "differs", "exempt", "unfinished"]
 ProposalAgreement = Literal["same", "differs", "taken", "none"]
@@ -295,13 +295,8 @@ def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
     wanted, found = Isolation(started.isolation), probe().level
     level = wanted if wanted in (found, Isolation.PROCESS) else found
     notes = () if level is wanted else (f"isolation {level.value} here, {wanted.value} then",)
-    here, there = environment(started.agent), started.environment
-    changed = [
-        f"{name} {here.get(name, 'missing')} here, {there.get(name, 'missing')} then"
-        for name in sorted({**there, **here})
-        if here.get(name) != there.get(name)
-    ]
-    return level, (*notes, *changed)
+    changes = environment_changes(started.environment, environment(started.agent))
+    return level, (*notes, *changes)
 
 
 def _value(outcome: Outcome) -> float | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
+from asia._plugins import parts
 from asia.agents import Agent
 from asia.candidate import Context, check_source
 from asia.errors import CandidateError, SandboxError, UserError
@@ -235,10 +236,22 @@ def _probe(wanted: Isolation | None) -> Probe:
 
 
 def environment(agent_name: str) -> dict[str, str]:
-    """Python, platform and the versions of the packages that outcomes or prompts may depend on."""
+    """Python, platform and the versions of the packages that outcomes or prompts may depend on,
+    those that bring parts included. Raises UserError as `asia._plugins.parts` does."""
     names = (*PACKAGES, *AGENT_PACKAGES.get(agent_name, ()))
     versions = {name: importlib.metadata.version(name) for name in names}
-    return {"python": platform.python_version(), "platform": platform.platform(), **versions}
+    plugged = {part.package: part.version for part in parts()}
+    python = {"python": platform.python_version(), "platform": platform.platform()}
+    return {**python, **plugged, **versions}
+
+
+def environment_changes(there: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...]:
+    """What differs between the environment in a ledger and the one here, one sentence each."""
+    return tuple(
+        f"{name} {here.get(name, 'missing')} here, {there.get(name, 'missing')} then"
+        for name in sorted({**there, **here})
+        if here.get(name) != there.get(name)
+    )
 
 
 def _compare(problem: Problem, sealed: Seal, directory: Path) -> None:

@@ -4,9 +4,15 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from asia import _plugins
+from asia._plugins import Part
 from asia.cli import app
+from asia.errors import UserError
 from asia.sandbox import Isolation, Layer, _doctor, machine, probe, survey
 from asia.sandbox.levels import landlock as level
+from asia.search import _run as search_run
+from asia.search import environment_changes
+from asia.search._run import environment
 
 
 def doctor(*words: str) -> str:
@@ -35,6 +41,47 @@ def test_text_marks_one_level(monkeypatch, tmp_path):
     assert text.count("<- what a search uses here") == 1
     assert "apt install bubblewrap" in text
     assert "bubblewrap none" in text
+
+
+def plug(monkeypatch, *parts: Part) -> None:
+    monkeypatch.setattr(_plugins, "parts", lambda: parts)
+
+
+def test_parts_of_other_packages_are_listed_and_a_broken_one_is_a_line(monkeypatch):
+    good = Part("asia.metrics", "good", "json:dumps", "asia-extra", "1.2")
+    bad = Part("asia.agents", "bad", "no_such_module:Agent", "asia-broken", "0.1")
+    plug(monkeypatch, good, bad)
+    text = doctor()
+    assert "metrics good  json:dumps, of asia-extra 1.2\n" in text
+    assert "does not load: bad of package asia-broken 0.1: cannot import no_such_module" in text
+    found = json.loads(doctor("--json"))
+    assert [part["failure"] is None for part in found["parts"]] == [True, False]
+    assert found["parts"][0] == {
+        "kind": "metrics", "name": "good", "package": "asia-extra", "version": "1.2",
+        "target": "json:dumps", "failure": None,
+    }  # fmt: skip
+
+
+def test_nothing_plugged_in_and_a_clash_are_said(monkeypatch):
+    plug(monkeypatch)
+    assert "plugged in   nothing: no other package brings a part" in doctor()
+
+    def clash() -> None:
+        raise UserError("packages a and b both bring 'x'")
+
+    monkeypatch.setattr(_plugins, "parts", clash)
+    assert "packages a and b both bring 'x'" in doctor()
+    assert json.loads(doctor("--json"))["clash"] == "packages a and b both bring 'x'"
+
+
+def test_the_ledger_names_packages_that_bring_parts(monkeypatch):
+    before = environment("expert")
+    part = Part("asia.metrics", "good", "json:dumps", "asia-extra", "1.2")
+    monkeypatch.setattr(search_run, "parts", lambda: (part,))
+    after = environment("expert")
+    assert after == {**before, "asia-extra": "1.2"}
+    assert environment_changes(before, after) == ("asia-extra 1.2 here, missing then",)
+    assert environment_changes(after, after) == ()
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ absent again array attached bench bound brief check choice closing command compa
 contiguous contract cost count crash curve data diagnostics difference distance diverged done each
 effort end ended entry environment equation error euclidean evaluated exchanged exec exempt
 exhausted exited extended fact figure file finding finished finite fixed format geodesic held
-honest hour index input interrupted invalid job killed kind lack layers leave length library limit
+honest hour index input interrupted invalid killed kind lack layers leave length library limit
 line literal load local look looked machine make making memory name named none not note off on one
 open opened order out output outside paper part picture plan planned prepared program published
 quick range reached refitted refused reply report reproducible request result resumed row rule
@@ -41,7 +41,7 @@ ABBREVIATIONS = "llm mae mee rmse mcp"
 
 # Class names that still have two meanings. This list only shrinks.
 TWICE = """
-Part Journal Case Choice Answer Task Result Plan Table Content Desk Batch Simulator _Check Line
+Part Journal Case Choice Task Result Plan Table Content Desk Batch Simulator _Check Line
 Place Verdict Status Data Lags Limits Segments Windows Structure Fitted State _Search Predictor
 Cell Split _Judge
 """
