@@ -1,10 +1,15 @@
-# make demo: the simulated two-tank problem, set-up included. make test: all checks. make docs: the
-# documentation as a site, in build/site.
+# make demo: the simulated two-tank problem, set-up included. make test: the checks of every change.
+# make test-all: those that take long, the documentation among them. make docs: the documentation as
+# a site, in build/site.
 PYTHON ?= python3
 BIN := .venv/bin
 RUNS ?= runs
+# Many tests wait for processes they started: two workers a core keep the cores busy. A file stays
+# with one worker, so that what its tests share is made once.
+WORKERS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN))))
+PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations 15
 
-.PHONY: demo test lint docs format clean
+.PHONY: demo test test-all lint docs format clean
 
 .venv/ready: pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -21,7 +26,10 @@ demo: .venv/ready
 	$(BIN)/asia run two_tanks_sim --experiments 8 --runs $(RUNS)
 
 test: .venv/ready-dev lint
-	$(BIN)/pytest -n auto
+	$(PYTEST)
+
+test-all: .venv/ready-dev docs
+	$(PYTEST) -m slow
 
 lint: .venv/ready-dev
 	$(BIN)/ruff check .

@@ -12,7 +12,10 @@ from asia.sandbox import Isolation, Layer, why_not
 from .conftest import page_tables
 
 REASON = why_no_outer(nested=True) or why_not(Isolation.LANDLOCK)
-pytestmark = pytest.mark.skipif(REASON is not None, reason=str(REASON))
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(REASON is not None, reason=str(REASON)),
+]
 LEVELS = (Isolation.NAMESPACE, Isolation.LANDLOCK)
 BOTH = (Layer.LANDLOCK, Layer.SECCOMP)
 

@@ -44,6 +44,7 @@ def records(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_commands_for_ones_own_records_run_as_written(records: Path) -> None:
     commands = next(b for b in blocks(README) if b[0].startswith("asia init"))
     for command in commands:
