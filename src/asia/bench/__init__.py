@@ -3,34 +3,41 @@
 Every search is a run of its own, so a comparison that was interrupted goes on where it was.
 """
 
-from asia.bench._arms import ARM_NAMES, arms
-from asia.bench._bench import Result, Watcher, bench
+from asia.bench._arms import ARM_NAMES, make_arms
+from asia.bench._bench import BenchResult, Watcher, bench
 from asia.bench._json import result_object
 from asia.bench._paper import Paper, paper
-from asia.bench._plan import QUICK_EXPERIMENTS, SETTINGS, Arm, Plan, PlannedRun, chosen
+from asia.bench._plan import (
+    QUICK_EXPERIMENTS,
+    SETTINGS,
+    Arm,
+    ComparisonPlan,
+    PlannedRun,
+    select_arms,
+)
 from asia.bench._references import FixedAgent, reference_agent
 from asia.bench._rows import Comparison, Reached, Row
-from asia.bench._tables import Table
+from asia.bench._tables import TextTable
 
 __all__ = [
     "ARM_NAMES",
     "QUICK_EXPERIMENTS",
     "SETTINGS",
     "Arm",
+    "BenchResult",
     "Comparison",
+    "ComparisonPlan",
     "FixedAgent",
     "Paper",
-    "Plan",
     "PlannedRun",
     "Reached",
-    "Result",
     "Row",
-    "Table",
+    "TextTable",
     "Watcher",
-    "arms",
     "bench",
-    "chosen",
+    "make_arms",
     "paper",
     "reference_agent",
     "result_object",
+    "select_arms",
 ]

@@ -1,4 +1,4 @@
-"""The sides that can be compared."""
+"""The arms of a comparison with the paper."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from asia.bench._references import reference_agent
 ARM_NAMES = ("expert", "random", "random-paper", "references")
 
 
-def arms(paper: Paper | None) -> tuple[Arm, ...]:
+def make_arms(paper: Paper | None) -> tuple[Arm, ...]:
     """All of `ARM_NAMES`; the references, only where the paper has some."""
     searches = (
         Arm("expert", "expert", partial(make_agent, "expert")),

@@ -10,9 +10,9 @@ from typing import Protocol
 from asia.bench._declaration import declare, require_declared
 from asia.bench._figures import draw
 from asia.bench._paired import paired_table
-from asia.bench._plan import Plan, PlannedRun
-from asia.bench._rows import Comparison, Finished, compare
-from asia.bench._tables import Table, comparison_table
+from asia.bench._plan import ComparisonPlan, PlannedRun
+from asia.bench._rows import Comparison, FinishedSearch, compare
+from asia.bench._tables import TextTable, comparison_table
 from asia.bench._test import TestResult, read_test, test_tables
 from asia.ledger import Event, SearchView, open_run
 from asia.search import prepare, search, unseal
@@ -26,7 +26,7 @@ class Watcher(Protocol):
         ...
 
     def on_event(self, event: Event, view: SearchView) -> None:
-        """An event of that search was recorded."""
+        """An event of that search was written to its ledger."""
         ...
 
     def on_end(self, run: PlannedRun, view: SearchView) -> None:
@@ -35,21 +35,30 @@ class Watcher(Protocol):
 
 
 @dataclass(frozen=True)
-class Result:
-    """A finished comparison. test: what the declared run's opened test said, None while it is
-    sealed; document: the tables as Markdown; pictures: PNG and PDF files."""
+class BenchResult:
+    """A finished comparison."""
 
     comparisons: tuple[Comparison, ...]
-    tables: tuple[Table, ...]
+    """What was measured, one for each early-stopping setting."""
+    tables: tuple[TextTable, ...]
+    """The same, and the test, for people."""
     declared: str | None
+    """The run whose test may be opened."""
     test: TestResult | None
+    """What the declared run's opened test said; None while it is sealed."""
     document: Path
+    """The tables as Markdown."""
     pictures: tuple[Path, ...]
+    """PNG and PDF files."""
 
 
 def bench(
-    plan: Plan, watcher: Watcher, *, open_test: bool = False, process_consent: bool = False
-) -> Result:
+    plan: ComparisonPlan,
+    watcher: Watcher,
+    *,
+    open_test: bool = False,
+    process_consent: bool = False,
+) -> BenchResult:
     """Searches that exist are finished, not repeated: killed anywhere, the same call goes on.
 
     open_test: after the last search, score the declared run on the sealed test; no other run's test
@@ -59,19 +68,19 @@ def bench(
     declared = declare(plan)
     to_open = require_declared(plan, declared) if open_test else None
     planned = plan.searches
-    finished: list[Finished] = []
+    finished: list[FinishedSearch] = []
     for number, run in enumerate(planned, start=1):
         watcher.on_run(run, number, len(planned))
         view = _search(plan, run, watcher)
         watcher.on_end(run, view)
-        finished.append(Finished(run, view))
+        finished.append(FinishedSearch(run, view))
         _write(plan, _tables(plan, finished, declared, None))
     if to_open is not None:
         unseal(plan.runs / to_open, process_consent=process_consent)
     names = {run.name for run in planned}
     test = read_test(plan.runs / declared) if declared in names and declared else None
     tables = _tables(plan, finished, declared, test)
-    return Result(
+    return BenchResult(
         comparisons=tuple(compare(s, finished, plan.paper) for s in plan.settings),
         tables=tables,
         declared=declared,
@@ -81,7 +90,7 @@ def bench(
     )
 
 
-def _search(plan: Plan, run: PlannedRun, watcher: Watcher) -> SearchView:
+def _search(plan: ComparisonPlan, run: PlannedRun, watcher: Watcher) -> SearchView:
     agent = run.arm.make()
     ready = prepare(run.problem, agent.name, seed=run.seed, runs=plan.runs, name=run.name)
     search(ready, agent, watcher.on_event, _silent)
@@ -93,8 +102,11 @@ def _silent(view: SearchView) -> None:
 
 
 def _tables(
-    plan: Plan, finished: Iterable[Finished], declared: str | None, test: TestResult | None
-) -> tuple[Table, ...]:
+    plan: ComparisonPlan,
+    finished: Iterable[FinishedSearch],
+    declared: str | None,
+    test: TestResult | None,
+) -> tuple[TextTable, ...]:
     runs = tuple(finished)
     done = [compare(setting, runs, plan.paper) for setting in plan.settings]
     shown = [comparison_table(c, plan.paper) for c in done if c.rows]
@@ -104,7 +116,7 @@ def _tables(
     return (*shown, *test_tables(plan, declared, test))
 
 
-def _write(plan: Plan, tables: tuple[Table, ...]) -> Path:
+def _write(plan: ComparisonPlan, tables: tuple[TextTable, ...]) -> Path:
     plan.directory.mkdir(parents=True, exist_ok=True)
     path = plan.directory / f"{plan.problem.name}.md"
     head = f"# {plan.problem.name}: {plan.budget} experiments a search, seeds "

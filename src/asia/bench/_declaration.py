@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from asia.bench._plan import Plan
+from asia.bench._plan import ComparisonPlan
 from asia.errors import UserError
 
 _FILE = "bench.json"
 
 
-def declare(plan: Plan) -> str | None:
+def declare(plan: ComparisonPlan) -> str | None:
     """The name of the declared run, written to `bench.json` on the first call.
 
     What is written there stands. None when the plan has no expert, or when the run had begun
@@ -32,7 +32,7 @@ def declare(plan: Plan) -> str | None:
     return name
 
 
-def require_declared(plan: Plan, declared: str | None) -> str:
+def require_declared(plan: ComparisonPlan, declared: str | None) -> str:
     """The run to unseal after the searches of `plan`. Raises UserError when there is none."""
     if plan.quick:
         raise UserError(

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from asia.bench._paper import PaperMee
-from asia.bench._plan import Plan
-from asia.bench._rows import Finished
+from asia.bench._plan import ComparisonPlan
+from asia.bench._rows import FinishedSearch
 from asia.bench._test import TestResult
 from asia.protocol import EarlyStopping
 from asia.report import (
@@ -27,7 +27,9 @@ _WORDS: dict[EarlyStopping, str] = {
 }
 
 
-def draw(plan: Plan, finished: Sequence[Finished], test: TestResult | None) -> tuple[Path, ...]:
+def draw(
+    plan: ComparisonPlan, finished: Sequence[FinishedSearch], test: TestResult | None
+) -> tuple[Path, ...]:
     """Progress of the expert's first search and the sides against each other for each setting;
     with an opened test, what it says beside the published results."""
     sides: list[SidesPicture] = []
@@ -56,7 +58,9 @@ def _published(row: PaperMee) -> PublishedMee:
     return PublishedMee(row.model, tuple(point for pair in points for point in pair))
 
 
-def _sides(plan: Plan, setting: EarlyStopping, runs: Sequence[Finished]) -> SidesPicture:
+def _sides(
+    plan: ComparisonPlan, setting: EarlyStopping, runs: Sequence[FinishedSearch]
+) -> SidesPicture:
     arms = dict.fromkeys(r.planned.arm for r in runs if r.planned.arm.fixed is None)
     sides = tuple(
         Side(arm.label, tuple(_curve(run) for run in runs if run.planned.arm == arm))
@@ -71,16 +75,18 @@ def _sides(plan: Plan, setting: EarlyStopping, runs: Sequence[Finished]) -> Side
     )
 
 
-def _who(plan: Plan) -> str:
+def _who(plan: ComparisonPlan) -> str:
     bench = plan.word == "bench"
     return "expert against random search" if bench else "agents at equal budgets"
 
 
-def _curve(run: Finished) -> Curve:
+def _curve(run: FinishedSearch) -> Curve:
     return Curve(tuple(e.score.value if e.score else None for e in run.view.finished))
 
 
-def _levels(plan: Plan, setting: EarlyStopping, runs: Sequence[Finished]) -> tuple[Level, ...]:
+def _levels(
+    plan: ComparisonPlan, setting: EarlyStopping, runs: Sequence[FinishedSearch]
+) -> tuple[Level, ...]:
     """The linear model, and the paper's searches where they were measured alike."""
     rungs = [rung for run in runs[:1] for rung in run.view.rungs if rung.name == "linear model"]
     levels = [Level("linear model", r.outcome.value) for r in rungs if isinstance(r.outcome, Score)]

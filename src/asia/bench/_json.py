@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from asia.bench._bench import Result
+from asia.bench._bench import BenchResult
 from asia.bench._rows import Comparison, Row
 from asia.bench._test import test_object
 
 
-def result_object(result: Result) -> dict[str, Any]:
+def result_object(result: BenchResult) -> dict[str, Any]:
     """`comparisons` holds one object an early-stopping setting, never both in one; `test` is null
     while the declared run is sealed."""
     return {

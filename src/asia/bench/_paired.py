@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import wilcoxon
 
-from asia.bench._rows import Finished
-from asia.bench._tables import Table
+from asia.bench._rows import FinishedSearch
+from asia.bench._tables import TextTable
 from asia.ledger import error_value
 
 _NOTHING = "-"
 _FEWEST = 6
 
 
-def paired_table(runs: Sequence[Finished]) -> Table | None:
+def paired_table(runs: Sequence[FinishedSearch]) -> TextTable | None:
     """For each two agents: with how many seeds the first is better, the median ratio of V, and the
     exact two-sided p of Wilcoxon's signed-rank test on the logarithms. None for one agent."""
     names = list(dict.fromkeys(run.planned.arm.name for run in runs))
@@ -39,7 +39,7 @@ def paired_table(runs: Sequence[Finished]) -> Table | None:
     ]
     if len(seeds) < _FEWEST:
         notes.append(f"With fewer than {_FEWEST} seeds no difference can be significant at 5 %.")
-    return Table("Paired by seed", header, tuple(rows), tuple(notes))
+    return TextTable("Paired by seed", header, tuple(rows), tuple(notes))
 
 
 def _cells(both: Sequence[tuple[float, float]]) -> tuple[str, ...]:
@@ -55,6 +55,6 @@ def _cells(both: Sequence[tuple[float, float]]) -> tuple[str, ...]:
     return (str(len(both)), f"{better} of {len(both)}", error_value(statistics.median(ratios)), p)
 
 
-def _best(run: Finished) -> float | None:
+def _best(run: FinishedSearch) -> float | None:
     best = run.view.best
     return best.score.value if best is not None and best.score is not None else None

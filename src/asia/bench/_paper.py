@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PaperV:
-    """V of one model in the paper. `row` names the row of ours that it belongs to, None when we
-    have none."""
+    """V of one model in the paper."""
 
     model: str
+    """The paper's name of it."""
     value: float
+    """V, with validation early stopping."""
     row: str | None = None
+    """Key of the row of ours that it belongs beside; None where there is none."""
 
 
 @dataclass(frozen=True)
@@ -44,16 +46,20 @@ class PaperMee:
 
 @dataclass(frozen=True)
 class Paper:
-    """The paper's figures on one problem. experiments: its budget; references: names of the
-    candidates that rebuild its own configurations; protocol: what to know when test figures are
-    compared."""
+    """The paper's figures on one problem."""
 
     experiments: int
+    """Its budget."""
     references: tuple[str, ...]
+    """Names of the candidates that rebuild its own configurations."""
     values: tuple[PaperV, ...]
+    """Its values of V."""
     test: tuple[PaperTest, ...] = ()
+    """Its test errors in the unit of the output."""
     mee: tuple[PaperMee, ...] = ()
+    """Its mean Euclidean errors on the test."""
     protocol: str = ""
+    """What to know when test figures are compared."""
 
 
 def paper(problem_name: str) -> Paper | None:

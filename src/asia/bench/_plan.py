@@ -25,30 +25,41 @@ SETTINGS: tuple[EarlyStopping, ...] = ("inner", "validation")
 
 @dataclass(frozen=True)
 class Arm:
-    """One side of the comparison. `fixed`: it evaluates given candidates, so many experiments and
-    no more, and only where early stopping sees the validation fold."""
+    """One agent in a comparison."""
 
     name: str
+    """What `--arms` and the names of its runs call it."""
     label: str
+    """What tables and pictures call it."""
     make: Callable[[], Agent]
+    """Makes the agent, a new one for each search."""
     fixed: int | None = None
+    """How many given candidates it evaluates, and no more, only where early stopping sees the
+    validation fold; None for an agent that searches."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A comparison. `paper` is None for problems that the paper does not treat; quick: a few
-    experiments with short fits, to see that everything works; word: `bench`, or `compare` for
-    agents against each other, where no test is declared."""
+class ComparisonPlan:
+    """What is compared, and at which budget."""
 
     problem: Problem
+    """The problem that every arm searches a model for."""
     arms: tuple[Arm, ...]
+    """The agents, each of them once."""
     seeds: tuple[int, ...]
+    """One search for each arm, setting and seed."""
     runs: Path
+    """The directory of the runs."""
     settings: tuple[EarlyStopping, ...] = SETTINGS
+    """Settings of early stopping, never two of them in one table."""
     experiments: int | None = None
+    """Experiments of each search; None for the paper's number, else the problem's."""
     paper: Paper | None = None
+    """The paper's figures; None for problems that it does not treat."""
     quick: bool = False
+    """A few experiments with short fits, to see that everything works."""
     word: Literal["bench", "compare"] = "bench"
+    """The command: `compare` is agents against each other, where no test is declared."""
 
     def __post_init__(self) -> None:
         for what, given in (
@@ -117,16 +128,21 @@ class Plan:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One search: the name of its run, and the problem with its own protocol and budget."""
+    """One search of a comparison."""
 
     name: str
+    """Name of its run."""
     arm: Arm
+    """Who searches."""
     setting: EarlyStopping
+    """Its setting of early stopping."""
     seed: int
+    """Its seed."""
     problem: Problem
+    """The problem with the protocol and budget of this search."""
 
 
-def chosen(arms: Sequence[Arm], names: Sequence[str] | None) -> tuple[Arm, ...]:
+def select_arms(arms: Sequence[Arm], names: Sequence[str] | None) -> tuple[Arm, ...]:
     """The arms of these names, all when None. Raises UserError for an unknown name."""
     if names is None:
         return tuple(arms)

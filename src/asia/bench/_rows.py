@@ -15,26 +15,32 @@ from asia.scoring import Score
 
 
 @dataclass(frozen=True)
-class Finished:
+class FinishedSearch:
     """A search of the comparison and what its ledger tells."""
 
     planned: PlannedRun
+    """Which search it is."""
     view: SearchView
+    """Its ledger, replayed."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """V of one model or search, a value a run that has a score, in order of the seeds; `runs` is
-    how many there are. paper: V in the paper, None where it reports none or where its figure was
-    measured under another early-stopping setting; scores_seen: how often a fit was told its score
-    on the held-out part, the most in one run."""
+    """V of one model or search over the seeds."""
 
     key: str
+    """What it is called in JSON, and where the paper's figures name it."""
     model: str
+    """What it is called in tables."""
     values: tuple[float, ...]
+    """V of every run that has a score, in order of the seeds."""
     runs: int
+    """How many runs there are, with a score or without."""
     paper: float | None = None
+    """V in the paper; None where it reports none, or measured it under another setting of early
+    stopping."""
     scores_seen: int = 0
+    """How often a fit was told its score on the held-out part, the most in one run."""
 
     @property
     def median(self) -> float | None:
@@ -44,13 +50,17 @@ class Row:
 
 @dataclass(frozen=True)
 class Reached:
-    """Experiments that `side`, the expert or the first agent compared, needed to come to the best V
+    """Experiments that `arm`, the expert or the first agent compared, needed to come to the best V
     of a control with the same seed; None where it did not, or where the control has no score."""
 
-    side: str
+    arm: str
+    """The arm whose experiments are counted."""
     control: str
+    """The arm whose best V is to be reached."""
     seeds: tuple[int, ...]
+    """The seeds that both were run with."""
     experiments: tuple[int | None, ...]
+    """For each seed how many it took; None where it was not reached."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +68,16 @@ class Comparison:
     """Everything measured under one early-stopping setting."""
 
     setting: EarlyStopping
+    """The setting."""
     rows: tuple[Row, ...]
+    """Rungs, baseline, references and searches."""
     reached: tuple[Reached, ...]
+    """How fast the first arm came to the best V of the others."""
 
 
-def compare(setting: EarlyStopping, runs: Sequence[Finished], paper: Paper | None) -> Comparison:
+def compare(
+    setting: EarlyStopping, runs: Sequence[FinishedSearch], paper: Paper | None
+) -> Comparison:
     """The rows of one setting; `runs` of other settings are passed over."""
     own = [run for run in runs if run.planned.setting == setting]
     published = {v.row: v.value for v in paper.values if v.row} if paper else {}
@@ -86,7 +101,7 @@ def _paper_only(paper: Paper | None, ours: set[str]) -> list[Row]:
     ]
 
 
-def _rungs(runs: Sequence[Finished]) -> list[Row]:
+def _rungs(runs: Sequence[FinishedSearch]) -> list[Row]:
     """The same in every run of a seed; the linear model may depend on the seed."""
     first = list({run.planned.seed: run for run in reversed(runs)}.values())[::-1]
     names = list(dict.fromkeys(rung.name for run in first for rung in run.view.rungs))
@@ -99,7 +114,7 @@ def _rungs(runs: Sequence[Finished]) -> list[Row]:
     return rows
 
 
-def _baseline(runs: Sequence[Finished]) -> list[Row]:
+def _baseline(runs: Sequence[FinishedSearch]) -> list[Row]:
     first = list({run.planned.seed: run for run in reversed(runs)}.values())[::-1]
     if not first:
         return []
@@ -107,7 +122,7 @@ def _baseline(runs: Sequence[Finished]) -> list[Row]:
     return [_row("baseline", "baseline of the problem", experiments, len(first))]
 
 
-def _references(runs: Sequence[Finished]) -> list[Row]:
+def _references(runs: Sequence[FinishedSearch]) -> list[Row]:
     fixed = [run for run in runs if run.planned.arm.fixed is not None]
     keys = {title: key for key, title in TITLES.items()}
     titles = [e.proposed.title for run in fixed for e in run.view.experiments[1:]]
@@ -118,7 +133,7 @@ def _references(runs: Sequence[Finished]) -> list[Row]:
     return rows
 
 
-def _arms(runs: Sequence[Finished]) -> list[Row]:
+def _arms(runs: Sequence[FinishedSearch]) -> list[Row]:
     rows: list[Row] = []
     for arm in dict.fromkeys(run.planned.arm for run in runs if run.planned.arm.fixed is None):
         own = [run for run in runs if run.planned.arm == arm]
@@ -135,26 +150,26 @@ def _row(key: str, model: str, experiments: Iterable[Experiment], runs: int) -> 
     return Row(key, model, values, runs, scores_seen=max(seen, default=0))
 
 
-def _reached(runs: Sequence[Finished]) -> tuple[Reached, ...]:
+def _reached(runs: Sequence[FinishedSearch]) -> tuple[Reached, ...]:
     names = list(dict.fromkeys(r.planned.arm.name for r in runs if r.planned.arm.fixed is None))
     if not names:
         return ()
-    side = "expert" if "expert" in names else names[0]
-    own = {run.planned.seed: run.view for run in runs if run.planned.arm.name == side}
-    controls = [name for name in names if name != side]
+    arm = "expert" if "expert" in names else names[0]
+    own = {run.planned.seed: run.view for run in runs if run.planned.arm.name == arm}
+    controls = [name for name in names if name != arm]
     answer: list[Reached] = []
     for control in controls:
         views = {run.planned.seed: run.view for run in runs if run.planned.arm.name == control}
         seeds = tuple(seed for seed in own if seed in views)
         if seeds:
             counts = tuple(_first_as_good(own[s], views[s]) for s in seeds)
-            answer.append(Reached(side, control, seeds, counts))
+            answer.append(Reached(arm, control, seeds, counts))
     return tuple(answer)
 
 
-def _first_as_good(side: SearchView, control: SearchView) -> int | None:
+def _first_as_good(arm: SearchView, control: SearchView) -> int | None:
     best = control.best
     if best is None or best.score is None:
         return None
     goal = best.score.value
-    return next((e.number for e in side.finished if e.score and e.score.value <= goal), None)
+    return next((e.number for e in arm.finished if e.score and e.score.value <= goal), None)

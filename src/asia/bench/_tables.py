@@ -20,13 +20,17 @@ _NOTHING = "-"
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Cells as text; the first column is left-aligned, the others right."""
 
     title: str
+    """Heading above it."""
     header: tuple[str, ...]
+    """Heads of the columns."""
     rows: tuple[tuple[str, ...], ...]
+    """Cells, as many in each row as there are heads."""
     notes: tuple[str, ...] = ()
+    """Sentences below it."""
 
     def markdown(self) -> str:
         """Title, rows and notes."""
@@ -44,7 +48,7 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
     return f"| {' | '.join([first, *rest])} |"
 
 
-def comparison_table(comparison: Comparison, paper: Paper | None) -> Table:
+def comparison_table(comparison: Comparison, paper: Paper | None) -> TextTable:
     """V of every row. The paper's column stands only in the table of its own setting."""
     validation = comparison.setting == "validation"
     header = ("model", "V", "lowest", "highest", "runs")
@@ -65,7 +69,7 @@ def comparison_table(comparison: Comparison, paper: Paper | None) -> Table:
         notes.append("Scores seen: how often the fits of one V were told their held-out score.")
     elif paper is not None:
         notes.append(_not_comparable(paper))
-    return Table(
+    return TextTable(
         _TITLES[comparison.setting],
         header,
         tuple(rows),
@@ -94,7 +98,7 @@ def _reached_note(reached: Reached) -> str:
     counts = [c for c in reached.experiments if c is not None]
     middle = f"; median {statistics.median(counts):g}" if len(counts) > 1 else ""
     return (
-        f"Experiments the {reached.side} needed to reach the best V of {reached.control}: "
+        f"Experiments the {reached.arm} needed to reach the best V of {reached.control}: "
         f"{each}{middle}"
     )
 

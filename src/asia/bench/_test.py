@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from asia.bench._paper import PaperMee
-from asia.bench._plan import Plan
-from asia.bench._tables import Table
+from asia.bench._plan import ComparisonPlan
+from asia.bench._tables import TextTable
 from asia.errors import UserError
 from asia.ledger import TestRecord, Unsealed, error_value, open_run
 from asia.report import Entry, leaderboard
@@ -22,11 +22,14 @@ _SEALED = "sealed"
 
 @dataclass(frozen=True)
 class TestResult:
-    """The test result of run `run`; opened_before: other runs that had opened the same test."""
+    """The test result of the declared run."""
 
     run: str
+    """Name of the run."""
     record: Unsealed
+    """The scores, as the ledger keeps them."""
     opened_before: tuple[str, ...]
+    """Other runs that had opened the same test."""
 
     @property
     def models(self) -> tuple[tuple[str, TestRecord | Failure], ...]:
@@ -48,7 +51,9 @@ def read_test(directory: Path) -> TestResult | None:
     return TestResult(directory.name, view.unsealed, before)
 
 
-def test_tables(plan: Plan, declared: str | None, test: TestResult | None) -> tuple[Table, ...]:
+def test_tables(
+    plan: ComparisonPlan, declared: str | None, test: TestResult | None
+) -> tuple[TextTable, ...]:
     """One table a test metric that the problem has, ours beside what was published; declared: the
     run whose test may be opened."""
     if plan.problem.test.source is None:
@@ -62,7 +67,9 @@ def test_tables(plan: Plan, declared: str | None, test: TestResult | None) -> tu
     return tuple(table for table in tables if test is not None or len(table.rows) > 1)
 
 
-def _error_table(plan: Plan, declared: str | None, test: TestResult | None, metric: str) -> Table:
+def _error_table(
+    plan: ComparisonPlan, declared: str | None, test: TestResult | None, metric: str
+) -> TextTable:
     outputs = plan.problem.outputs
     unit = f" [{outputs[0].unit}]" if len(outputs) == 1 and outputs[0].unit else ""
     rows = [(model, cells[0]) for model, cells in _ours(test, 1, partial(_value, metric))]
@@ -73,10 +80,10 @@ def _error_table(plan: Plan, declared: str | None, test: TestResult | None, metr
         rows += _standing(entries)
         notes += [*_rank(entries, test), plan.paper.protocol]
     header = ("model", f"test {metric.upper()}{unit}")
-    return Table(f"Sealed test: {metric.upper()}", header, tuple(rows), tuple(notes))
+    return TextTable(f"Sealed test: {metric.upper()}", header, tuple(rows), tuple(notes))
 
 
-def _mee_table(plan: Plan, declared: str | None, test: TestResult | None) -> Table:
+def _mee_table(plan: ComparisonPlan, declared: str | None, test: TestResult | None) -> TextTable:
     rule = plan.problem.protocol.test
     horizons = rule.horizons or (plan.problem.protocol.horizon,)
     names = [f"h{h}" for h in horizons]
@@ -87,7 +94,7 @@ def _mee_table(plan: Plan, declared: str | None, test: TestResult | None) -> Tab
         rows += [(row.model, *_paper_cells(row)) for row in plan.paper.mee]
         notes.append(plan.paper.protocol)
     title = "Sealed test: Mean Euclidean Error by output group, after so many samples and summed"
-    return Table(title, ("model", *header), tuple(rows), tuple(notes))
+    return TextTable(title, ("model", *header), tuple(rows), tuple(notes))
 
 
 def _ours(
@@ -134,7 +141,7 @@ def _notes(declared: str | None, test: TestResult | None) -> list[str]:
     return notes
 
 
-def _entries(plan: Plan) -> tuple[Entry, ...]:
+def _entries(plan: ComparisonPlan) -> tuple[Entry, ...]:
     """A person's own data may bear a benchmark's name; its error has no place in that list."""
     measured = plan.problem.data.public
     return leaderboard(plan.problem.name) if measured else ()

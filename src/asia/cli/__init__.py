@@ -93,7 +93,7 @@ def main() -> None:
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    """As an interrupt: what runs ends its workers on the way out, and the record stays whole."""
+    """As an interrupt: what runs ends its workers on the way out, and the ledger stays whole."""
     sys.exit(TERMINATED)
 
 

@@ -13,7 +13,7 @@ import typer
 from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, Runs, YesProcess
 
 if TYPE_CHECKING:
-    from asia.bench import Arm, Paper, Plan, PlannedRun, Result
+    from asia.bench import Arm, BenchResult, ComparisonPlan, Paper, PlannedRun
     from asia.ledger import Event, SearchView
     from asia.problem.load import Problem
     from asia.protocol import EarlyStopping
@@ -76,13 +76,13 @@ def bench(
     expert's run with the first seed is declared for the sealed test before it starts; without
     --unseal no test is opened.
     """
-    from asia.bench import Plan, chosen
+    from asia.bench import ComparisonPlan, select_arms
     from asia.bench import bench as compare
 
     loaded, figures = load_compared(problem)
-    plan = Plan(
+    plan = ComparisonPlan(
         problem=loaded,
-        arms=chosen(_sides(figures, quick), arms),
+        arms=select_arms(_arms(figures, quick), arms),
         seeds=chosen_seeds(seeds, 1 if quick else DEFAULT_SEEDS),
         runs=runs,
         settings=_settings(early_stopping),
@@ -93,12 +93,7 @@ def bench(
     lines = Lines(json)
     lines.head(plan)
     result = compare(plan, lines, open_test=unseal, process_consent=yes_process)
-    if json:
-        from asia.bench import result_object
-
-        print(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
-    else:
-        print_result(result)
+    print_result(result, json=json)
 
 
 def load_compared(name: str) -> tuple[Problem, Paper | None]:
@@ -112,11 +107,11 @@ def load_compared(name: str) -> tuple[Problem, Paper | None]:
     return load_problem(name), None
 
 
-def _sides(figures: Paper | None, quick: bool) -> tuple[Arm, ...]:
+def _arms(figures: Paper | None, quick: bool) -> tuple[Arm, ...]:
     """The references take their full training or show nothing."""
-    from asia.bench import arms
+    from asia.bench import make_arms
 
-    return tuple(arm for arm in arms(figures) if arm.fixed is None or not quick)
+    return tuple(arm for arm in make_arms(figures) if arm.fixed is None or not quick)
 
 
 def chosen_seeds(given: list[int] | None, default: int) -> tuple[int, ...]:
@@ -153,7 +148,7 @@ class Lines:
     json: bool
     start: float = field(default_factory=time.monotonic)
 
-    def head(self, plan: Plan) -> None:
+    def head(self, plan: ComparisonPlan) -> None:
         """What is going to be run."""
         searches = plan.searches
         total = sum(run.problem.budget.experiments for run in searches)
@@ -199,8 +194,13 @@ class Lines:
         print(text, file=sys.stderr if self.json else sys.stdout, flush=True)
 
 
-def print_result(result: Result) -> None:
-    """Tables, then where they and the pictures are."""
+def print_result(result: BenchResult, *, json: bool) -> None:
+    """Tables, then where they and the pictures are; with `json` one object instead."""
+    from asia.bench import result_object
+
+    if json:
+        print(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
+        return
     print()
     for table in result.tables:
         print(table.markdown())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as jsonlib
 from typing import Annotated
 
 import typer
@@ -42,7 +41,7 @@ def compare(
     best, a paired test, curves with bands. Interrupted, the same command goes on.
     """
     from asia.agents import make_agent
-    from asia.bench import Arm, Plan, bench, result_object
+    from asia.bench import Arm, ComparisonPlan, bench
     from asia.search import with_early_stopping
 
     names = [name.strip() for name in agents.split(",") if name.strip()]
@@ -52,7 +51,7 @@ def compare(
     loaded, _ = load_compared(problem)
     if early_stopping is not None:
         loaded = with_early_stopping(loaded, early_stopping)
-    plan = Plan(
+    plan = ComparisonPlan(
         problem=loaded,
         arms=arms,
         seeds=chosen_seeds(seeds, 5),
@@ -64,7 +63,4 @@ def compare(
     lines = Lines(json)
     lines.head(plan)
     result = bench(plan, lines)
-    if json:
-        print(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
-    else:
-        print_result(result)
+    print_result(result, json=json)

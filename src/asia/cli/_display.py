@@ -55,7 +55,7 @@ class Display(Protocol):
         ...
 
     def on_event(self, event: Event, view: SearchView) -> None:
-        """An event was recorded."""
+        """An event was written to the ledger."""
         ...
 
     def finish(self, view: SearchView, pictures: Sequence[Path]) -> None:

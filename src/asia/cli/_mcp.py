@@ -1,5 +1,5 @@
-"""asia mcp: the search as a server of the Model Context Protocol; asia mcp-config: how a coding
-agent is told of it."""
+"""asia mcp: the search as a server of the Model Context Protocol; asia mcp-config: what a
+coding agent needs to start it."""
 
 from __future__ import annotations
 

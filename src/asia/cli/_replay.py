@@ -34,7 +34,7 @@ def replay(
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Ask the agent again with the answers on record, evaluate every candidate again, compare.
+    """Ask the agent again with the answers in the ledger, evaluate every candidate again, compare.
 
     Needs no network and no key, and writes nothing. Experiments that the deadline decided are not
     evaluated again. Exit code 1: something differs.

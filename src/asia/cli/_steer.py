@@ -22,6 +22,7 @@ def steer(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Leave a note that the agent sees at its next step; the ledger keeps it."""
+    from asia.agents import AGENTS
     from asia.ledger import find_run, open_run
     from asia.search import Steering
 
@@ -30,8 +31,8 @@ def steer(
     agent = opened.view.started.agent
     when = "at its next step" if opened.state == "running" else "when the search goes on"
     print(f"noted for {opened.name}: recorded {when}")
-    if agent in ("expert", "random", "random-paper", "bayes"):
-        print(f"note     the agent '{agent}' does not read; the note is for the record")
+    if agent in AGENTS:
+        print(f"note     the agent '{agent}' reads no notes; the ledger keeps it for people")
 
 
 def pause(

@@ -1,4 +1,4 @@
-"""asia verify: is the record whole?"""
+"""asia verify: is the ledger whole?"""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def register(app: typer.Typer) -> None:
 
 
 def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
-    """Check the chain of records and every artifact they name.
+    """Check the chain of the ledger and every artifact it names.
 
-    Note the head elsewhere: it alone tells a whole record from one with its end cut off.
+    Note the head elsewhere: it alone tells a whole ledger from one whose end was cut off.
     """
     from asia.ledger import find_run
     from asia.ledger import verify as check
@@ -28,7 +28,7 @@ def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
     if json:
         print(jsonlib.dumps({"run": directory.name, **asdict(found)}))
         return
-    print(f"{directory.name}: {found.records} records and {found.artifacts} artifacts verify")
+    print(f"{directory.name}: {found.records} events and {found.artifacts} artifacts verify")
     print(f"head {found.head}")
     if found.torn:
-        print(f"{found.torn} bytes of a record cut off while it was written are passed over")
+        print(f"{found.torn} bytes of a line that was cut off while it was written are passed over")

@@ -211,9 +211,9 @@ class RunDesk:
         over = _over(self._directory, run)
         if over is not None:
             raise UserError(over)
-        recorded = {e.proposed.ticket for e in view.experiments}
+        in_ledger = {e.proposed.ticket for e in view.experiments}
         # The baseline is the first experiment, and nobody hands it in.
-        spent = max(1, len(view.experiments)) + sum(t not in recorded for t in waiting)
+        spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
         if spent >= budget:
             raise UserError(
                 f"the budget of {budget} experiments is spent; a person can raise it with "

@@ -1,4 +1,4 @@
-"""What a client must be told to start `asia mcp`: its own file format, and its own traps."""
+"""The configuration with which a client starts `asia mcp`: its own file format, its own traps."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def _listening(host: str, port: int) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))
-        listener.listen()  # before the address is told
+        listener.listen()  # before the address is printed
     except OSError as error:
         listener.close()
         raise UserError(

@@ -64,7 +64,7 @@ def digest(source: str) -> str:
 
 
 def as_bytes(source: str) -> bytes:
-    """UTF-8; what cannot be encoded is kept as an escape, for the record."""
+    """UTF-8; what cannot be encoded is kept as an escape."""
     return source.encode("utf-8", "backslashreplace")
 
 

@@ -1,4 +1,4 @@
-"""The look at the guard: how the last new bests do on records that nothing in a search has seen."""
+"""The look at the guard: how the last incumbents do on records that no search has seen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""propose -> record -> evaluate -> keep or discard -> record, until a stop rule holds.
+"""Propose, evaluate, keep or discard, each step written to the ledger, until a stop rule holds.
 
 All the loop knows is in the ledger: killed anywhere, the same call goes on from there.
 """
@@ -267,9 +267,9 @@ class LoopJournal:
 
 
 def judge(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
-    """Evaluate; a would-be winner must also come back bitwise the same from its bytes, and answer
-    like a model. With the Ladder all that have a score must, since a verdict on would-be winners
-    alone, and the time it takes, tell who would win. After an objection the folds stay."""
+    """Evaluate. A candidate that would be kept must also come back bitwise the same from its bytes,
+    and answer like a model. With the Ladder every candidate with a score must: otherwise the check,
+    and the time it takes, would say which one is kept. After an objection the folds stay."""
     evaluation = evaluator.evaluate(source)
     if isinstance(evaluation.outcome, Failure):
         return evaluation

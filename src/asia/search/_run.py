@@ -86,8 +86,7 @@ def prepare(
     """
     _check(problem)
     sealed = replace(seal(problem), guard=guard_digest(problem))
-    setting = "" if problem.protocol.early_stopping == "inner" else "-validation"
-    run_name = name or f"{problem.name}-{agent_name}-s{seed}{setting}"
+    run_name = name or _default_name(problem, agent_name, seed)
     directory = runs / run_name
     found = _probe(isolation)
     check_run_is_hidden(problem, directory, found.level)
@@ -115,8 +114,13 @@ def prepare(
     )
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
-        _compare(problem, sealed, directory)
+        _check_lock_agrees(problem, sealed, directory)
     return Prepared(problem, directory, lock, started, resumes)
+
+
+def _default_name(problem: Problem, agent_name: str, seed: int) -> str:
+    setting = "" if problem.protocol.early_stopping == "inner" else "-validation"
+    return f"{problem.name}-{agent_name}-s{seed}{setting}"
 
 
 def search(
@@ -150,7 +154,7 @@ def search(
             on_event=on_event,
         )
         loop.store.tidy()
-        # A search that was killed behind its last record has not written them.
+        # A search that was killed behind its last event has not written them.
         write_exports(directory, view)
         on_start(view)
         wanted = prepared.started
@@ -254,7 +258,7 @@ def environment_changes(there: Mapping[str, str], here: Mapping[str, str]) -> tu
     )
 
 
-def _compare(problem: Problem, sealed: Seal, directory: Path) -> None:
+def _check_lock_agrees(problem: Problem, sealed: Seal, directory: Path) -> None:
     """The budget may grow; all else must be as it was."""
     found = lock_differences(problem, sealed, directory / LOCK)
     different = [d for d in found if d.key not in ("budget.experiments", "budget.hours")]

@@ -12,17 +12,17 @@ import pytest
 from asia.bench import (
     QUICK_EXPERIMENTS,
     Arm,
+    BenchResult,
+    ComparisonPlan,
     FixedAgent,
     Paper,
-    Plan,
     PlannedRun,
-    Result,
-    arms,
     bench,
-    chosen,
+    make_arms,
     paper,
     reference_agent,
     result_object,
+    select_arms,
 )
 from asia.bench._paper import PaperTest, PaperV
 from asia.candidate import check_source
@@ -66,13 +66,15 @@ class Log:
 
 @dataclass(frozen=True)
 class Compared:
-    plan: Plan
+    plan: ComparisonPlan
     log: Log
-    result: Result
+    result: BenchResult
 
 
-def make_plan(problem: Problem, runs: Path, **changes: object) -> Plan:
-    plan = Plan(problem, (EXPERT, RANDOM, REFERENCES), (0,), runs, experiments=3, paper=PAPER)
+def make_plan(problem: Problem, runs: Path, **changes: object) -> ComparisonPlan:
+    plan = ComparisonPlan(
+        problem, (EXPERT, RANDOM, REFERENCES), (0,), runs, experiments=3, paper=PAPER
+    )
     return replace(plan, **changes)  # pyright: ignore[reportArgumentType]
 
 
@@ -289,14 +291,14 @@ def test_a_plan_names_everything_once(
 
 
 def test_arms_by_name() -> None:
-    known = arms(paper("cascaded_tanks"))
+    known = make_arms(paper("cascaded_tanks"))
     assert [a.name for a in known] == ["expert", "random", "random-paper", "references"]
     assert [a.make().name for a in known] == ["expert", "random", "random-paper", "references"]
-    assert [a.name for a in arms(None)] == ["expert", "random", "random-paper"]
-    assert chosen(known, None) == known
-    assert [a.name for a in chosen(known, ["random", "expert"])] == ["random", "expert"]
+    assert [a.name for a in make_arms(None)] == ["expert", "random", "random-paper"]
+    assert select_arms(known, None) == known
+    assert [a.name for a in select_arms(known, ["random", "expert"])] == ["random", "expert"]
     with pytest.raises(UserError, match="no arm 'llm'; there is: expert"):
-        chosen(known, ["llm"])
+        select_arms(known, ["llm"])
 
 
 @pytest.mark.parametrize("problem", ["cascaded_tanks", "nanodrone"])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.bench import Arm, Plan, bench
+from asia.bench import Arm, ComparisonPlan, bench
 from asia.bench._paired import paired_table
 from asia.bench._plan import PlannedRun
 from asia.ledger import Event, SearchView
@@ -26,7 +26,7 @@ class Quiet:
 def test_agents_are_compared_pair_by_pair_and_no_test_is_declared(tmp_path: Path) -> None:
     good = Arm("good", "good", lambda: Scripted((arx(2),), "good"))
     bad = Arm("bad", "bad", lambda: Scripted((arx(3),), "bad"))
-    plan = Plan(
+    plan = ComparisonPlan(
         problem=load_problem(write_problem(tmp_path / "toy")),
         arms=(good, bad),
         seeds=(0, 1),

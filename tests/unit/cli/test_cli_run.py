@@ -145,7 +145,7 @@ def test_diff(searched: Searched, asia: Asia) -> None:
 def test_verify(searched: Searched, asia: Asia) -> None:
     done = asia("verify", "--runs", searched.runs)
     assert done.code == 0
-    assert "8 records and" in done.out
+    assert "8 events and" in done.out
     artifact = next((searched.directory / "artifacts").iterdir())
     artifact.write_bytes(artifact.read_bytes() + b" ")
     broken = asia("verify", "--runs", searched.runs)

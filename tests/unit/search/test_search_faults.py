@@ -117,7 +117,7 @@ def test_a_read_only_directory_can_be_asked_and_not_searched(problem: Path, tmp_
     (ready.directory / "index.sqlite").unlink()
     done = in_a_mount_namespace(READ_ONLY, runs, problem)
     assert "1 of 1 experiments" in done.stdout
-    assert "records and" in done.stdout
+    assert "events and" in done.stdout
     assert "exit code 2" in done.stdout
     assert "new/ledger.jsonl could not be written: Read-only file system; make the " in done.stderr
     assert "name another one with --runs" in done.stderr

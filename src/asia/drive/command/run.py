@@ -110,7 +110,7 @@ class CommandAgent(SubmittedAgent):
         shutil.rmtree(self._private, ignore_errors=True)
 
     def told(self, event: Event, view: SearchView, store: Store) -> None:
-        """An event was recorded: renew the views."""
+        """An event was written to the ledger: renew the views."""
         self._view = view
         clearing(self._queue, event)
         if isinstance(event, Evaluated):
