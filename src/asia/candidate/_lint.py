@@ -24,7 +24,7 @@ _SIGNS = (ast.operator, ast.unaryop, ast.cmpop, ast.boolop)
 
 
 @dataclass(frozen=True)
-class Content:
+class SourceContent:
     """Information in a source, as bytes of DEFLATE: of the numbers, strings and bytes that it
     writes out, of the names it uses, of those of its statements that are most alike, and of all of
     it. Comments and docstrings do not count, since a candidate runs without them."""
@@ -41,7 +41,7 @@ class Content:
     """Of the whole source."""
 
 
-def content(source: str, tree: ast.Module) -> Content:
+def content(source: str, tree: ast.Module) -> SourceContent:
     """What a source carries; `tree` is the source, parsed. Raises CandidateError as
     `without_words`."""
     words = _docstrings(tree)
@@ -51,7 +51,7 @@ def content(source: str, tree: ast.Module) -> Content:
         if isinstance(node, ast.Constant) and node not in words:
             literals.append(_literal(node.value))
         names.update(dict.fromkeys(_names(node)))
-    return Content(
+    return SourceContent(
         _deflated(b"\n".join(literals)),
         _deflated("\n".join(names).encode("utf-8", "replace")),
         _alike(tree),

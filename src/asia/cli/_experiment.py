@@ -27,7 +27,7 @@ def describe(console: Console, run: Run, experiment: Experiment) -> None:
     p, r = experiment.proposed, experiment.result
     parent = f", made from #{p.parent:02d}" if p.parent else ""
     title = Text(f"#{p.experiment:02d} {p.title}", style="bold")
-    console.print(title, Text(f" ({p.family}, {p.phase}{parent})"))
+    console.print(title, Text(f"({p.family}, {p.phase}{parent})"))
     console.print(Text(f"hypothesis  {p.hypothesis}"))
     console.print(Text(f"expected    {p.expected}"))
     console.print(Text(f"result      {describe_result(experiment, run.view)}"))

@@ -41,9 +41,7 @@ ABBREVIATIONS = "llm mae mee rmse mcp"
 
 # Class names that still have two meanings. This list only shrinks.
 TWICE = """
-Part Journal Case Choice Task Result Plan Table Content Desk Batch Simulator _Check Line
-Place Verdict Status Data Lags Limits Segments Windows Structure Fitted State _Search Predictor
-Cell Split _Judge
+Part Journal Case Desk _Check Line Place Cell
 """
 FAMILY_WORDS = {"Config"}
 """Every family has a class of this name: `linear.Config`, `narx.Config`."""
