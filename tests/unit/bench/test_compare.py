@@ -45,7 +45,7 @@ def test_agents_are_compared_pair_by_pair_and_no_test_is_declared(tmp_path: Path
     assert row[2] in ("0 of 2", "2 of 2")
     assert float(row[4]) == pytest.approx(0.5)
     (reached,) = result.comparisons[0].reached
-    assert (reached.side, reached.control) == ("good", "bad")
+    assert (reached.arm, reached.control) == ("good", "bad")
     assert any(p.suffix == ".png" for p in result.pictures)
 
 
