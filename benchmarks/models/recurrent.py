@@ -32,7 +32,8 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.models import ltc, recurrent
-from asia.models._networks.network import NetworkModel, as_built, rollout, train_network
+from asia.models._networks.network import NetworkModel, as_built, train_network
+from asia.models._networks.structure import rollout
 from asia.models.methods import Adam
 
 SAMPLES, HIDDEN, PAST = 510, 64, 5

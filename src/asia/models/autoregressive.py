@@ -20,28 +20,36 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.models import recurrent
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._data.records import ScaledData
+from asia.models._data.records import ScaledData, window_size
 from asia.models._data.scaling import Scaling
-from asia.models._networks.network import NetworkModel, Params, train_network, window_size, zeros
-from asia.models.methods import NetworkMethod
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import Features, check_features, drive_size
+from asia.models._networks.layers import zeros
+from asia.models._networks.network import NetworkModel, Prepare
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
 
 
 @dataclass(frozen=True)
 class Config:
-    """cell; hidden: units a layer; layers; encoder: units of the initial-state network; features:
-    functions of the inputs, see `asia.models._data.features`."""
+    """Kind and size of the recurrent layers."""
 
     cell: Literal["rnn", "gru", "lstm"] = "lstm"
+    """Kind of the layers."""
     hidden: int = 32
+    """Units of a layer."""
     layers: int = 1
+    """Layers, each of which reads the one before."""
     encoder: int = 32
+    """Units of the network that maps the past window to the initial state."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
         # The inner network checks the rest.
         _ = self.inner
-        check_features(self.features, "autoregressive.Config")
+        check_features(self)
 
     @property
     def inner(self) -> recurrent.Config:
@@ -55,13 +63,20 @@ FeedbackState = tuple[Any, jax.Array]
 
 
 @dataclass(frozen=True)
-class AutoregressiveCell(Driven):
-    """Structure of the network: see `Cell` and `OutputFeedback` in `_networks`; ny outputs,
-    the last of them in the past window where `measured`."""
+class AutoregressiveCell(Driven[Config]):
+    """Structure of the network: see `Cell` and `OutputFeedback` in
+    `asia.models._networks.structure`."""
 
-    config: Config
     ny: int
+    """Outputs."""
     measured: bool
+    """Whether the past window shows the last of them."""
+
+    @classmethod
+    def of(cls, config: Config, context: Context) -> AutoregressiveCell:
+        """The structure for a problem."""
+        drive = Features(config.features)
+        return cls(config, context.ny, context.n_past_y > 0, drive=drive)
 
     @property
     def inner(self) -> recurrent.RecurrentCell:
@@ -88,6 +103,11 @@ class AutoregressiveCell(Driven):
             "out_b": zeros(context.ny),
             "fixed": {"increment": np.ones(context.ny, np.float32)},
         }
+
+    def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
+        """The size of the increments comes from the records."""
+        del trajectories, context
+        return _with_increments
 
     def initial(self, params: Any, window: jax.Array) -> FeedbackState:
         """Layers' states and the last measured output, its mean where none is given."""
@@ -119,24 +139,12 @@ class AutoregressiveCell(Driven):
         return inner, mask * y + (1 - mask) * own
 
 
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained network initialised from `context.seed`."""
-    drive = Features(config.features)
-    cell = AutoregressiveCell(config, context.ny, context.n_past_y > 0, drive=drive)
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    driven = with_drive(model, trajectories)
-    return train_network(driven, trajectories, context, method, _with_increments)
-
-
 def _with_increments(params: Params, records: ScaledData, scaling: Scaling) -> Params:
     del scaling
     steps = np.concatenate([np.diff(r.y, axis=0) for r in records])
     size = np.sqrt((steps**2).mean(axis=0))
     increment = np.where(size > 0, size, 1.0).astype(np.float32)
     return {**params, "fixed": {"increment": increment}}
+
+
+build, train = network_family(Config, AutoregressiveCell)

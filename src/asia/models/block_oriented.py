@@ -25,6 +25,7 @@ from asia.models._data.scaling import Scaling
 from asia.models._data.segments import window_pieces
 from asia.models._linear.fit import Refinement
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.progress import silent
 from asia.models._state_space.fit import StateFit, fit_states, of_records
 from asia.models._state_space.structure import Basis, Nonlinearity
 from asia.models._state_space.wiener_hammerstein import (
@@ -145,7 +146,7 @@ def _wiener_hammerstein(
             "x0": ridge,
         }
         one = fit_states(
-            start.structure, [start.params], of_records(late, x0), weights, method, _quiet
+            start.structure, [start.params], of_records(late, x0), weights, method, silent
         )[0]
         fits.append((start.structure, one))
     structure, best = min(fits, key=lambda f: f[1].cost)
@@ -153,10 +154,6 @@ def _wiener_hammerstein(
         context.log(i, float(loss))
     member = best.params, _encoder(structure, best, late, context, config)
     return FittedStateSpace(structure, (member,), delay, scaling)
-
-
-def _quiet(step: float, loss: float) -> None:
-    del step, loss
 
 
 def _encoder(

@@ -9,7 +9,6 @@ Nature Machine Intelligence 4, 2022, for the layer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,54 +17,53 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._networks.layers import mlp, mlp_params
-from asia.models._networks.network import (
-    NetworkModel,
-    Params,
-    dense,
-    linear_output,
-    train_network,
-    window_size,
-    zeros,
-)
-from asia.models.methods import NetworkMethod
+from asia.models._config import check_at_least
+from asia.models._data.records import window_size
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import check_features, drive_size
+from asia.models._networks.layers import dense, mlp, mlp_params, zeros
+from asia.models._networks.network import NetworkModel
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
 
 
 @dataclass(frozen=True)
 class Config:
-    """slow, fast: states of the layers; width: units of the inner layer of each f and of the
-    initial-state network; slow_min, slow_max, fast_min, fast_max: ranges of the time constants,
-    in samples; features: functions of the inputs, see `asia.models._data.features`."""
+    """Size of the two layers, and the ranges of their time constants."""
 
     slow: int = 16
+    """States of the slow layer."""
     fast: int = 16
+    """States of the fast layer."""
     width: int = 32
+    """Units of the inner layer of each f and of the network that gives the initial states."""
     slow_min: float = 10.0
+    """Least time constant of the slow layer, in samples."""
     slow_max: float = 200.0
+    """Greatest time constant of the slow layer, in samples."""
     fast_min: float = 0.5
+    """Least time constant of the fast layer, in samples."""
     fast_max: float = 20.0
+    """Greatest time constant of the fast layer, in samples."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        if min(self.slow, self.fast, self.width) < 1:
-            raise UserError("cascaded_ltc.Config: slow, fast and width must be at least 1")
+        check_at_least(1, self, "slow", "fast", "width")
         for low, high in (self.slow_min, self.slow_max), (self.fast_min, self.fast_max):
             if not 0 < low < high:
                 raise UserError(
                     f"cascaded_ltc.Config: time constants from {low} to {high} samples, "
                     "expected 0 < min < max"
                 )
-        check_features(self.features, "cascaded_ltc.Config")
+        check_features(self)
 
 
 @dataclass(frozen=True)
-class CascadedLTCCell(Driven):
-    """Structure of the network: see `asia.models._networks.network.Cell`."""
-
-    config: Config
+class CascadedLTCCell(Driven[Config]):
+    """Structure of the network: see `asia.models._networks.structure.Cell`."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
@@ -94,10 +92,6 @@ class CascadedLTCCell(Driven):
         fast = _layer(params["fast"], c.fast_min, c.fast_max, state[1], drive)
         return (slow, fast), jnp.concatenate([slow, fast], axis=-1)
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
-        """Linear in the states and in u."""
-        return linear_output(params, features, u)
-
 
 def _layer(p: Any, low: float, high: float, h: jax.Array, drive: jax.Array) -> jax.Array:
     decay = jnp.exp(-1.0 / time_constants(p["place"], low, high))
@@ -111,19 +105,6 @@ def time_constants(place: jax.Array, low: float, high: float) -> jax.Array:
     return jnp.exp((1 - share) * jnp.log(low) + share * jnp.log(high))
 
 
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained network initialised from `context.seed`."""
-    cell = CascadedLTCCell(config, drive=Features(config.features))
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    return train_network(with_drive(model, trajectories), trajectories, context, method)
-
-
 def _layer_params(rng: np.random.Generator, inputs: int, states: int, width: int) -> dict[str, Any]:
     return {
         "h": dense(rng, states, width),
@@ -133,3 +114,6 @@ def _layer_params(rng: np.random.Generator, inputs: int, states: int, width: int
         "b2": zeros(states),
         "place": np.linspace(-2.5, 2.5, states).astype(np.float32),
     }
+
+
+build, train = network_family(Config, CascadedLTCCell)

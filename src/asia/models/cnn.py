@@ -9,7 +9,6 @@ networks in system identification, CDC 2019; van den Oord et al., arXiv 1609.034
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,42 +17,39 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
-from asia.errors import UserError
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._networks.layers import decaying, log_spaced, mlp, mlp_params
-from asia.models._networks.network import (
-    NetworkModel,
-    Params,
-    dense,
-    linear_output,
-    train_network,
-    window_size,
-    zeros,
-)
-from asia.models.methods import NetworkMethod
+from asia.models._config import check_at_least
+from asia.models._data.records import window_size
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import check_features, drive_size
+from asia.models._networks.layers import decaying, dense, log_spaced, mlp, mlp_params, zeros
+from asia.models._networks.network import NetworkModel
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
 
 
 @dataclass(frozen=True)
 class Config:
-    """receptive_field: samples of input that an output depends on, at least; width: channels;
-    kernel: taps a convolution; memory: channels that carry the past window, with initial time
-    constants log-spaced from 1 to the receptive field; encoder: units of the network that fills
-    them; features: functions of the inputs, see `asia.models._data.features`."""
+    """Reach and size of the convolutions, and of what carries the past window."""
 
     receptive_field: int = 128
+    """Samples of input that an output depends on, at least."""
     width: int = 16
+    """Channels of a block."""
     kernel: int = 3
+    """Taps of a convolution."""
     memory: int = 16
+    """Channels that carry the past window; their initial time constants are log-spaced from 1 to
+    the receptive field."""
     encoder: int = 32
+    """Units of the network that fills them."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        if min(self.width, self.memory, self.encoder) < 1:
-            raise UserError("cnn.Config: width, memory and encoder must be at least 1")
-        if self.kernel < 2 or self.receptive_field < 2:
-            raise UserError("cnn.Config: kernel and receptive_field must be at least 2")
-        check_features(self.features, "cnn.Config")
+        check_at_least(1, self, "width", "memory", "encoder")
+        check_at_least(2, self, "kernel", "receptive_field")
+        check_features(self)
 
     @property
     def dilations(self) -> tuple[int, ...]:
@@ -65,10 +61,8 @@ class Config:
 
 
 @dataclass(frozen=True)
-class ConvolutionStack(Driven):
-    """Structure of the network: see `asia.models._networks.network.FeatureMap`."""
-
-    config: Config
+class ConvolutionStack(Driven[Config]):
+    """Structure of the network: see `asia.models._networks.structure.FeatureMap`."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
@@ -93,10 +87,6 @@ class ConvolutionStack(Driven):
             x = x + (jnp.tanh(value) * jax.nn.sigmoid(gate)) @ p["w2"] + p["b2"]
         return jnp.concatenate([x, memory], axis=-1)
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
-        """Linear in the features and in u."""
-        return linear_output(params, features, u)
-
 
 def _late(x: jax.Array, samples: int) -> jax.Array:
     """x (B, T, channels) delayed, zero before the first sample."""
@@ -112,14 +102,4 @@ def _block_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:
     }
 
 
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained network initialised from `context.seed`."""
-    cell = ConvolutionStack(config, drive=Features(config.features))
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    return train_network(with_drive(model, trajectories), trajectories, context, method)
+build, train = network_family(Config, ConvolutionStack)

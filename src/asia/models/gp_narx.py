@@ -11,18 +11,18 @@ Kocijan, Modelling and Control of Dynamic Systems Using Gaussian Process Models,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import minimize
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._data.cuts import spread
 from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history, regressors
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
@@ -36,6 +36,7 @@ from asia.models._one_step.free_model import (
     usable,
 )
 from asia.models._solvers.least_squares import MarginalLikelihood
+from asia.models._solvers.progress import Progress, silent
 
 _JITTER = 1e-8
 _MEAN_RIDGE = 1e-6
@@ -144,14 +145,10 @@ def _choose(
     errors = left_out_error(
         part,
         context,
-        lambda kept: [_fit(kept, item, context, quick, brief, _quiet) for item in lags],
+        lambda kept: [_fit(kept, item, context, quick, brief, silent) for item in lags],
         2 * past_length(context) + 4 * lags[-1].memory,
     )
     return lags[int(np.argmax(errors <= errors.min() + 2 * np.log(1.02)))]
-
-
-def _quiet(step: float, loss: float) -> None:
-    del step, loss
 
 
 def _fit(
@@ -160,14 +157,14 @@ def _fit(
     context: Context,
     config: Config,
     method: MarginalLikelihood,
-    log: Callable[[float, float], None],
+    log: Progress,
 ) -> FreeRun:
     pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]
     z, y = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
     mean = _mean(config, records, lags, context)
     left = y - mean[0] - z @ mean[1:]
-    rows = _spread(len(z), config.points)
-    few = _spread(len(z), min(config.points, method.points))
+    rows = spread(len(z), config.points)
+    few = spread(len(z), min(config.points, method.points))
     processes: list[Process] = []
     for i in range(y.shape[1]):
         size = float(left[:, i].std()) or 1.0
@@ -187,10 +184,6 @@ def _mean(config: Config, records: ScaledData, lags: Lags, context: Context) -> 
         return hold
     # Of degree one, the products are the constant and each regressor, in order.
     return linear_run(records, lags, context, _MEAN_RIDGE, config.margin).one_step.theta
-
-
-def _spread(length: int, count: int) -> NDArray[np.intp]:
-    return np.unique(np.linspace(0, length - 1, min(count, length)).round().astype(np.intp))
 
 
 def _distances(a: Array, b: Array) -> Array:

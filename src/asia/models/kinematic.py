@@ -24,39 +24,66 @@ from asia.candidate import Context
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import autoregressive
-from asia.models._data.features import Features, check_features, with_drive
-from asia.models._data.records import ScaledData, check
+from asia.models._data.records import ScaledData
 from asia.models._data.scaling import Scaling
 from asia.models._equations.rates import Rate, find_rates, read_by_equations
-from asia.models._networks.network import NetworkModel, Params, train_network, zeros
+from asia.models._networks.family import network_family
+from asia.models._networks.features import Features
+from asia.models._networks.layers import zeros
+from asia.models._networks.network import NetworkModel, Prepare
+from asia.models._networks.structure import Params
 from asia.models.autoregressive import AutoregressiveCell, FeedbackState
-from asia.models.methods import NetworkMethod
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
 
 
 @dataclass(frozen=True)
 class Config(autoregressive.Config):
-    """cell, hidden, layers, encoder, features: as in `asia.models.autoregressive`.
-
-    blind: outputs that the network does not read, such as a position where the forces are the same
-    everywhere; None for those integrated ones that no equation of [physics] reads, without
-    [physics] none.
-    """
+    """Settings of `asia.models.autoregressive`, and which outputs the network reads."""
 
     blind: tuple[str, ...] | None = None
-
-    def __post_init__(self) -> None:
-        # The inner network checks the rest.
-        _ = self.inner
-        check_features(self.features, "kinematic.Config")
+    """Names of outputs that the network does not read, such as a position where the forces are the
+    same everywhere; None: those integrated ones that no equation of [physics] reads, and without
+    [physics] none."""
 
 
 @dataclass(frozen=True)
 class KinematicCell(AutoregressiveCell):
-    """Structure of the network: see `Cell` and `OutputFeedback` in `_networks`; past: output
-    samples in the past window."""
+    """Structure of the network: see `Cell` and `OutputFeedback` in
+    `asia.models._networks.structure`."""
 
     config: Config
     past: int = 0
+    """Output samples in the past window."""
+
+    @classmethod
+    def of(cls, config: autoregressive.Config, context: Context) -> KinematicCell:
+        """The structure for a problem. Raises UserError when there is but one output, or none of
+        the name that is to be left unread."""
+        assert isinstance(config, Config)
+        names = [s.name for s in context.outputs]
+        unknown = [name for name in config.blind or () if name not in names]
+        if unknown:
+            raise UserError(
+                f"kinematic.Config: blind names '{unknown[0]}', expected some of {', '.join(names)}"
+            )
+        if context.ny < 2:
+            raise _no_rates()
+        past, drive = context.n_past_y, Features(config.features)
+        return cls(config, context.ny, past > 0, past=past, drive=drive)
+
+    def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare:
+        """With the kinematics of the records. Raises UserError when no output is the integral of
+        another."""
+        rates = find_rates(trajectories, context)
+        if not rates:
+            raise _no_rates()
+        return partial(
+            _with_kinematics,
+            rates=rates,
+            read=_read(self.config.blind, rates, context),
+            sampling_time=context.sampling_time,
+        )
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`: the output is held."""
@@ -91,43 +118,6 @@ class KinematicCell(AutoregressiveCell):
         integrated = (1 + params["gain"]) * (y @ fixed["rate"] + fixed["drift"])
         y = y + moved + integrated
         return (inner, y), y
-
-
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained network initialised from `context.seed`. Raises UserError when there is but one
-    output, or none of the name that is to be left unread."""
-    names = [s.name for s in context.outputs]
-    unknown = [name for name in config.blind or () if name not in names]
-    if unknown:
-        raise UserError(
-            f"kinematic.Config: blind names '{unknown[0]}', expected some of {', '.join(names)}"
-        )
-    if context.ny < 2:
-        raise _no_rates()
-    drive = Features(config.features)
-    past = context.n_past_y
-    cell = KinematicCell(config, context.ny, past > 0, past=past, drive=drive)
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped and when
-    no output is the integral of another."""
-    check(trajectories, context)
-    rates = find_rates(trajectories, context)
-    if not rates:
-        raise _no_rates()
-    cell = model.cell
-    blind = cell.config.blind if isinstance(cell, KinematicCell) else None
-    prepare = partial(
-        _with_kinematics,
-        rates=rates,
-        read=_read(blind, rates, context),
-        sampling_time=context.sampling_time,
-    )
-    return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
 
 
 def _read(
@@ -169,3 +159,6 @@ def _no_rates() -> UserError:
         "kinematic: no output is the integral of another, in [physics] or in the training records; "
         "use autoregressive"
     )
+
+
+build, train = network_family(Config, KinematicCell)

@@ -12,7 +12,6 @@ lift).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,50 +20,54 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
-from asia.errors import UserError
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._networks.layers import diagonal_states, log_spaced, mlp, mlp_params, poles
-from asia.models._networks.network import (
-    NetworkModel,
-    Params,
+from asia.models._config import check_at_least, demand
+from asia.models._data.records import window_size
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import check_features, drive_size
+from asia.models._networks.layers import (
     dense,
-    linear_output,
-    train_network,
-    window_size,
+    diagonal_states,
+    log_spaced,
+    mlp,
+    mlp_params,
+    poles,
     zeros,
 )
-from asia.models.methods import NetworkMethod
+from asia.models._networks.network import NetworkModel
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
 
 
 @dataclass(frozen=True)
 class Config:
-    """levels; states: complex states a level; lift: channels that the inputs are lifted to beside
-    themselves; width: units of the inner layers of both lifts; tau_max: slowest of the log-spaced
-    initial time constants, in samples, the fastest being 1; angle_max: largest initial rotation a
-    sample, in rad; features: functions of the inputs, see `asia.models._data.features`."""
+    """Size of the latent state and of the lifts, and where its dynamics start."""
 
     levels: int = 3
+    """Levels of the latent state; 1 is the model without bilinear terms."""
     states: int = 16
+    """Complex states of a level."""
     lift: int = 8
+    """Channels that the inputs are lifted to, beside the inputs themselves."""
     width: int = 32
+    """Units of the inner layer of both lifts."""
     tau_max: float = 100.0
+    """Slowest of the log-spaced initial time constants, in samples; the fastest is 1."""
     angle_max: float = 0.5
+    """Largest initial rotation of a state in one sample, in rad, at most pi."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        if min(self.levels, self.states, self.lift, self.width) < 1:
-            raise UserError("koopman.Config: levels, states, lift and width must be at least 1")
-        if self.tau_max < 1 or not 0 <= self.angle_max <= np.pi:
-            raise UserError("koopman.Config: expected tau_max >= 1 and angle_max in [0, pi]")
-        check_features(self.features, "koopman.Config")
+        check_at_least(1, self, "levels", "states", "lift", "width")
+        demand(self, "tau_max", self.tau_max >= 1, "at least 1 sample")
+        demand(self, "angle_max", 0 <= self.angle_max <= np.pi, "an angle in [0, pi]")
+        check_features(self)
 
 
 @dataclass(frozen=True)
-class KoopmanMap(Driven):
-    """Structure of the model: see `asia.models._networks.network.FeatureMap`."""
-
-    config: Config
+class KoopmanMap(Driven[Config]):
+    """Structure of the model: see `asia.models._networks.structure.FeatureMap`."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
@@ -92,10 +95,6 @@ class KoopmanMap(Driven):
             previous = jnp.concatenate([start[:, None], z[:, :-1]], axis=1)
             before = jnp.concatenate([before, previous], axis=-1)
         return below
-
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
-        """Linear in z and in u."""
-        return linear_output(params, features, u)
 
 
 def _level(p: Any, v: jax.Array, before: jax.Array, start: jax.Array) -> jax.Array:
@@ -126,14 +125,4 @@ def _level_params(rng: np.random.Generator, c: Config, lifted: int, lower: int) 
     }
 
 
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained model initialised from `context.seed`."""
-    cell = KoopmanMap(config, drive=Features(config.features))
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    return train_network(with_drive(model, trajectories), trajectories, context, method)
+build, train = network_family(Config, KoopmanMap)

@@ -8,7 +8,6 @@ networks for long sequences, ICML 2023.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,50 +16,55 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
-from asia.errors import UserError
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._networks.layers import diagonal_states, gated, log_spaced, mlp, mlp_params, poles
-from asia.models._networks.network import (
-    NetworkModel,
-    Params,
+from asia.models._config import check_at_least, demand
+from asia.models._data.records import window_size
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import check_features, drive_size
+from asia.models._networks.layers import (
     dense,
-    linear_output,
-    train_network,
-    window_size,
+    diagonal_states,
+    gated,
+    log_spaced,
+    mlp,
+    mlp_params,
+    poles,
     zeros,
 )
-from asia.models.methods import NetworkMethod
+from asia.models._networks.network import NetworkModel
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
 
 
 @dataclass(frozen=True)
 class Config:
-    """layers; states: complex states a layer; width: channels between layers; encoder: units of
-    the initial-state network; tau_max: slowest of the log-spaced initial time constants, in
-    samples, the fastest being 1; angle_max: largest initial rotation a sample, in rad; features:
-    functions of the inputs, see `asia.models._data.features`."""
+    """Number and size of the layers, and where their dynamics start."""
 
     layers: int = 2
+    """Linear systems in series."""
     states: int = 16
+    """Complex states of a layer."""
     width: int = 16
+    """Channels between layers."""
     encoder: int = 32
+    """Units of the network that maps the past window to the initial states."""
     tau_max: float = 100.0
+    """Slowest of the log-spaced initial time constants, in samples; the fastest is 1."""
     angle_max: float = 0.5
+    """Largest initial rotation of a state in one sample, in rad, at most pi."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        if min(self.layers, self.states, self.width, self.encoder) < 1:
-            raise UserError("lru.Config: layers, states, width and encoder must be at least 1")
-        if self.tau_max < 1 or not 0 <= self.angle_max <= np.pi:
-            raise UserError("lru.Config: expected tau_max >= 1 and angle_max in [0, pi]")
-        check_features(self.features, "lru.Config")
+        check_at_least(1, self, "layers", "states", "width", "encoder")
+        demand(self, "tau_max", self.tau_max >= 1, "at least 1 sample")
+        demand(self, "angle_max", 0 <= self.angle_max <= np.pi, "an angle in [0, pi]")
+        check_features(self)
 
 
 @dataclass(frozen=True)
-class LRUStack(Driven):
-    """Structure of the network: see `asia.models._networks.network.FeatureMap`."""
-
-    config: Config
+class LRUStack(Driven[Config]):
+    """Structure of the network: see `asia.models._networks.structure.FeatureMap`."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
@@ -81,10 +85,6 @@ class LRUStack(Driven):
         for i, p in enumerate(params["layers"]):
             x = x + _layer(p, x, jax.lax.complex(starts[2 * i], starts[2 * i + 1]))
         return x
-
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
-        """Linear in the last layer's channels and in u."""
-        return linear_output(params, features, u)
 
 
 def _layer(p: Any, v: jax.Array, start: jax.Array) -> jax.Array:
@@ -110,14 +110,4 @@ def _layer_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:
     }
 
 
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained network initialised from `context.seed`."""
-    cell = LRUStack(config, drive=Features(config.features))
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    return train_network(with_drive(model, trajectories), trajectories, context, method)
+build, train = network_family(Config, LRUStack)

@@ -19,57 +19,58 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._networks.network import (
-    NetworkModel,
-    Params,
-    as_built,
-    dense,
-    linear_output,
-    train_network,
-    uniform,
-    window_size,
-    zeros,
-)
-from asia.models.methods import NetworkMethod
+from asia.models._config import check_at_least, check_choice
+from asia.models._data.records import window_size
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import check_features, drive_size
+from asia.models._networks.layers import dense, uniform, zeros
+from asia.models._networks.network import NetworkModel, Prepare, as_built
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
 
 
 @dataclass(frozen=True)
 class Config:
-    """hidden: states; width: units of the inner layer of f and of the initial-state network, None
-    for as many as states; tau_min, tau_max: first and last of the log-spaced initial time
-    constants, in samples; start: "ridge" solves the output layer by ridge regression, "uniform"
-    draws all weights within 1 / sqrt(fan-in), as PyTorch does; bounded: whether f and the
-    initial-state network end in a tanh or in their linear layer; features: functions of the inputs
-    that f sees, see `asia.models._data.features`."""
+    """Size of the network, and where its time constants and weights start."""
 
     hidden: int = 64
+    """States."""
     width: int | None = None
+    """Units of the inner layer of f and of the network that gives the initial states; None: as
+    many as states."""
     tau_min: float = 1.0
+    """Fastest of the log-spaced initial time constants, in samples."""
     tau_max: float = 25.0
+    """Slowest of the log-spaced initial time constants, in samples."""
     start: Literal["ridge", "uniform"] = "ridge"
+    """"ridge" solves the output layer by ridge regression before training; "uniform" draws all
+    weights within 1 / sqrt(fan-in), as PyTorch does."""
     bounded: bool = True
+    """Whether f and the network that gives the initial states end in a tanh."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        if self.hidden < 1 or (self.width is not None and self.width < 1):
-            raise UserError("ltc.Config: hidden and width must be at least 1")
+        check_at_least(1, self, "hidden", "width")
         if not 0 < self.tau_min <= self.tau_max:
             raise UserError("ltc.Config: expected 0 < tau_min <= tau_max")
-        if self.start not in ("ridge", "uniform"):
-            raise UserError(f"ltc.Config: start is '{self.start}', expected ridge or uniform")
-        check_features(self.features, "ltc.Config")
+        check_choice(self, "start", ("ridge", "uniform"))
+        check_features(self)
 
 
 @dataclass(frozen=True)
-class LTCCell(Driven):
-    """Structure of the network: see `asia.models._networks.network.Cell`."""
-
-    config: Config
+class LTCCell(Driven[Config]):
+    """Structure of the network: see `asia.models._networks.structure.Cell`."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
         return _parameters(self.config, context)
+
+    def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
+        """Weights of a "uniform" start stay as they are drawn."""
+        del trajectories, context
+        return as_built if self.config.start == "uniform" else None
 
     def initial(self, params: Any, window: jax.Array) -> jax.Array:
         """h before the first sample."""
@@ -84,27 +85,8 @@ class LTCCell(Driven):
         state = decay * state + (1 - decay) * target
         return state, state
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
-        """Linear in h and u."""
-        return linear_output(params, features, u)
-
     def _bent(self, values: jax.Array) -> jax.Array:
         return jnp.tanh(values) if self.config.bounded else values
-
-
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained network initialised from `context.seed`."""
-    cell = LTCCell(config, drive=Features(config.features))
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    random = isinstance(model.cell, LTCCell) and model.cell.config.start == "uniform"
-    prepare = as_built if random else None
-    return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
 
 
 def _parameters(config: Config, context: Context) -> Params:
@@ -139,3 +121,6 @@ def _parameters(config: Config, context: Context) -> Params:
 def _biases(config: Config) -> dict[str, int]:
     width = config.width or config.hidden
     return {"enc_b1": width, "enc_b2": config.hidden, "f_b1": width, "f_b2": config.hidden}
+
+
+build, train = network_family(Config, LTCCell)

@@ -30,13 +30,14 @@ from asia.models._data.records import (
     past_length,
     scaled,
     window,
+    window_size,
     windows,
 )
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import LinearFit, Refinement, encoder_of
 from asia.models._linear.windows import WindowPredictor
-from asia.models._networks.network import train_cell, window_size
+from asia.models._networks.training import fit as fit_network
 from asia.models._state_space.fit import StateSamples, fit_states, of_records
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
@@ -92,7 +93,7 @@ class FittedStateSpace:
 
 @dataclass(frozen=True)
 class StateCell:
-    """The model as Adam trains it: see `asia.models._networks.network.Cell`."""
+    """The model as Adam trains it: see `asia.models._networks.structure.Cell`."""
 
     structure: StateSpaceStructure
 
@@ -291,7 +292,7 @@ def _by_adam(
     context: Context,
     method: Adam,
 ) -> Any:
-    trained = train_cell(StateCell(structure), _cast(params, np.float32), records, context, method)
+    trained = fit_network(StateCell(structure), _cast(params, np.float32), records, context, method)
     return _cast(trained, np.float64)
 
 

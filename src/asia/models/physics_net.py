@@ -24,20 +24,16 @@ from asia.candidate import VALIDATION_SCORES, Context, Model
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
-from asia.models._data.records import check, past_length, scaled, windows
+from asia.models._data.records import check, past_length, scaled
 from asia.models._data.scaling import Scaling
+from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
 from asia.models._equations.measured import MeasuredCell, NetworkKind, limits
-from asia.models._equations.measured_fit import TermPenalties, choose_windows, fit_equations
+from asia.models._equations.measured_fit import TermPenalties, fit_equations
 from asia.models._equations.ode import Equations, equations
-from asia.models._networks.network import (
-    NetworkModel,
-    Params,
-    as_built,
-    dense,
-    train_network,
-    zeros,
-)
+from asia.models._networks.layers import dense, zeros
+from asia.models._networks.network import NetworkModel, as_built, train_network
+from asia.models._networks.structure import Params
 from asia.models.methods import LevenbergMarquardt, NetworkMethod
 from asia.problem import Bounds
 from asia.problem.physics.expressions import Name
@@ -193,13 +189,13 @@ def _fit_equations(
     assert isinstance(cell, MeasuredCell)
     assert scaling is not None
     plain = replace(cell, network=None, inner=None)
-    skip = past_length(context)
-    records = [(windows(r, context), r.u[skip:], r.y[skip:]) for r in scaled(trajectories, scaling)]
-    horizon = context.horizon or min(_LONGEST, min(len(y) for _, _, y in records))
+    records = scaled(trajectories, scaling)
+    shortest = min(len(r) for r in records) - past_length(context)
+    horizon = context.horizon or min(_LONGEST, shortest)
     params = fit_equations(
         plain,
         network.params,
-        choose_windows(records, horizon, config.windows),
+        whole_windows(records, context, horizon, config.windows),
         TermPenalties(config.robust, config.ridge, config.sparsity),
         method,
         context.log,

@@ -17,66 +17,56 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
-from asia.errors import UserError
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._networks.network import (
-    Float32,
-    NetworkModel,
-    Params,
-    as_built,
-    dense,
-    linear_output,
-    train_network,
-    uniform,
-    window_size,
-    zeros,
-)
-from asia.models.methods import NetworkMethod
+from asia.models._config import check_at_least, check_choice
+from asia.models._data.records import window_size
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import check_features, drive_size
+from asia.models._networks.layers import Float32, dense, linear_output, uniform, zeros
+from asia.models._networks.network import NetworkModel, Prepare, as_built
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
+
 
 _GATES = {"rnn": 1, "gru": 3, "lstm": 4}
 
 
 @dataclass(frozen=True)
 class Config:
-    """cell; hidden: units a layer; layers; encoder: units of the initial-state network.
-
-    activation: that of the network's inner layer; with "relu" its outputs are linear, with "tanh"
-    they are bent too. tied: an LSTM's c starts equal to h. direct: whether the output has a linear
-    term of the input. start: "ridge" draws orthogonal recurrent weights and gates that remember 1
-    to 100 samples and solves the output layer by ridge regression; "uniform" draws everything
-    within 1 / sqrt(fan-in), as PyTorch does. features: functions of the inputs that the layers see,
-    see `asia.models._data.features`.
-    """
+    """Kind and size of the layers, and the weights that training starts from."""
 
     cell: Literal["rnn", "gru", "lstm"] = "gru"
+    """Kind of the layers."""
     hidden: int = 32
+    """Units of a layer."""
     layers: int = 1
+    """Layers, each of which reads the one before."""
     encoder: int = 32
+    """Units of the network that maps the past window to the initial state."""
     activation: Literal["tanh", "relu"] = "tanh"
+    """Of that network's inner layer; with "relu" its outputs are linear, with "tanh" bounded."""
     tied: bool = False
+    """Whether the c of an LSTM starts equal to its h."""
     direct: bool = True
+    """Whether the output has a linear term of the input of the same sample."""
     start: Literal["ridge", "uniform"] = "ridge"
+    """"ridge" draws orthogonal recurrent weights and gates that remember 1 to 100 samples, and
+    solves the output layer by ridge regression; "uniform" draws all weights within
+    1 / sqrt(fan-in), as PyTorch does."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        if self.cell not in _GATES:
-            raise UserError(f"recurrent.Config: cell is '{self.cell}', expected rnn, gru or lstm")
-        if min(self.hidden, self.layers, self.encoder) < 1:
-            raise UserError("recurrent.Config: hidden, layers and encoder must be at least 1")
-        if self.activation not in ("tanh", "relu"):
-            raise UserError(
-                f"recurrent.Config: activation is '{self.activation}', expected tanh or relu"
-            )
-        if self.start not in ("ridge", "uniform"):
-            raise UserError(f"recurrent.Config: start is '{self.start}', expected ridge or uniform")
-        check_features(self.features, "recurrent.Config")
+        check_choice(self, "cell", tuple(_GATES))
+        check_at_least(1, self, "hidden", "layers", "encoder")
+        check_choice(self, "activation", ("tanh", "relu"))
+        check_choice(self, "start", ("ridge", "uniform"))
+        check_features(self)
 
 
 @dataclass(frozen=True)
-class RecurrentCell(Driven):
-    """Structure of the network: see `asia.models._networks.network.Cell`."""
-
-    config: Config
+class RecurrentCell(Driven[Config]):
+    """Structure of the network: see `asia.models._networks.structure.Cell`."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
@@ -84,6 +74,11 @@ class RecurrentCell(Driven):
         if self.config.start == "uniform":
             return _uniform_parameters(rng, self.config, context)
         return _parameters(rng, self.config, context)
+
+    def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
+        """Weights of a "uniform" start stay as they are drawn."""
+        del trajectories, context
+        return as_built if self.config.start == "uniform" else None
 
     def initial(self, params: Any, window: jax.Array) -> Any:
         """One (h, c) for each layer; c is used by the LSTM alone."""
@@ -127,21 +122,6 @@ class RecurrentCell(Driven):
         write, keep, read, new = (a + b for a, b in zip(parts, back, strict=True))
         c = jax.nn.sigmoid(keep) * c + jax.nn.sigmoid(write) * jnp.tanh(new)
         return jax.nn.sigmoid(read) * jnp.tanh(c), c
-
-
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained network initialised from `context.seed`."""
-    cell = RecurrentCell(config, drive=Features(config.features))
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    random = isinstance(model.cell, RecurrentCell) and model.cell.config.start == "uniform"
-    prepare = as_built if random else None
-    return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
 
 
 def _parameters(rng: np.random.Generator, config: Config, context: Context) -> Params:
@@ -206,3 +186,6 @@ def _memory(rng: np.random.Generator, config: Config) -> Float32:
             np.exp(rng.uniform(0.0, np.log(100.0), config.hidden)) + 1e-3
         )
     return bias
+
+
+build, train = network_family(Config, RecurrentCell)

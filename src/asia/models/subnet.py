@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -20,25 +21,22 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
-from asia.errors import UserError
 from asia.models import linear
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._data.records import ScaledData
+from asia.models._config import check_at_least, check_choice
+from asia.models._data.records import ScaledData, window_size
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import Refinement, encoder_of
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowLags, one_step
-from asia.models._networks.layers import log_spaced, mlp, mlp_params
-from asia.models._networks.network import (
-    NetworkModel,
-    Params,
-    dense,
-    train_network,
-    window_size,
-    zeros,
-)
-from asia.models.methods import NetworkMethod
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import check_features, drive_size
+from asia.models._networks.layers import dense, log_spaced, mlp, mlp_params, zeros
+from asia.models._networks.network import NetworkModel, Prepare, as_built
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
+
 
 # Far outside what training visits; keeps a model that is unstable there from overflowing.
 _LARGEST_STATE = 30.0
@@ -48,33 +46,30 @@ _ONE_STEP_RIDGE = 1e-4
 
 @dataclass(frozen=True)
 class Config:
-    """states; width, layers: units and inner layers of f, h and the encoder's network; features:
-    functions of the inputs that f and h see, see `asia.models._data.features`.
-
-    start: `linear` starts training at the best linear model with as many states or, where the
-    problem has a horizon, at one whose state holds the last outputs, if there are enough states
-    for one sample of them; `random` starts from time constants between 1 and 100 samples.
-    """
+    """Size of the state and of its networks, and the model that training starts from."""
 
     states: int = 4
+    """States of the model."""
     width: int = 32
+    """Units of an inner layer of f, of h and of the encoder's network."""
     layers: int = 1
+    """Inner layers of each of these."""
     start: Literal["linear", "random"] = "linear"
+    """"linear" starts at the best linear model with as many states or, where the problem has a
+    horizon, at one whose state holds the last outputs, if there are enough states for one sample
+    of them; "random" starts from time constants between 1 and 100 samples."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        if min(self.states, self.width, self.layers) < 1:
-            raise UserError("subnet.Config: states, width and layers must be at least 1")
-        if self.start not in ("linear", "random"):
-            raise UserError(f"subnet.Config: start is '{self.start}', expected linear or random")
-        check_features(self.features, "subnet.Config")
+        check_at_least(1, self, "states", "width", "layers")
+        check_choice(self, "start", ("linear", "random"))
+        check_features(self)
 
 
 @dataclass(frozen=True)
-class SubnetCell(Driven):
-    """Structure of the model: see `asia.models._networks.network.Cell`."""
-
-    config: Config
+class SubnetCell(Driven[Config]):
+    """Structure of the model: see `asia.models._networks.structure.Cell`."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`, without the linear model."""
@@ -96,6 +91,13 @@ class SubnetCell(Driven):
             "h": mlp_params(rng, (driven, *inner, ny), last_gain=0.0),
         }
 
+    def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
+        """From the linear model, or as drawn."""
+        del trajectories
+        if self.config.start == "random":
+            return as_built
+        return partial(_from_linear_model, context=context)
+
     def initial(self, params: Any, window: jax.Array) -> jax.Array:
         """State at the first sample."""
         linear_part = window @ params["encode_w"] + params["encode_b"]
@@ -113,27 +115,10 @@ class SubnetCell(Driven):
         return features @ params["c"] + u @ params["d"] + params["offset"] + bent
 
 
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained model initialised from `context.seed`."""
-    cell = SubnetCell(config, drive=Features(config.features))
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    cell = model.cell
-    from_linear = isinstance(cell, SubnetCell) and cell.config.start == "linear"
-
-    def prepare(params: Params, records: ScaledData, scaling: Scaling) -> Params:
-        del scaling
-        return _from_linear_model(params, records, context) if from_linear else params
-
-    return train_network(with_drive(model, trajectories), trajectories, context, method, prepare)
-
-
-def _from_linear_model(params: Params, records: ScaledData, context: Context) -> Params:
+def _from_linear_model(
+    params: Params, records: ScaledData, scaling: Scaling, *, context: Context
+) -> Params:
+    del scaling
     states = len(params["a"])
     lags = WindowLags(
         context.n_past_u, context.n_past_y, 0, context.n_past_y, context.nu, context.ny
@@ -178,3 +163,6 @@ def _embedded(params: Params, s: LinearSystem, weights: Array, bias: Array) -> d
         result[name] = result[name].copy()
         result[name][place] = value
     return result
+
+
+build, train = network_family(Config, SubnetCell)

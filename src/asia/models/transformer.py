@@ -9,7 +9,6 @@ Smith and Lewis, ICLR 2022 (the biases at the start).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,56 +17,50 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models._data.features import Driven, Features, check_features, drive_size, with_drive
-from asia.models._networks.layers import mlp, mlp_params, normalised
-from asia.models._networks.network import (
-    Float32,
-    NetworkModel,
-    Params,
-    dense,
-    linear_output,
-    train_network,
-    window_size,
-    zeros,
-)
-from asia.models.methods import NetworkMethod
+from asia.models._config import check_at_least
+from asia.models._data.records import window_size
+from asia.models._networks.family import Driven, network_family
+from asia.models._networks.features import check_features, drive_size
+from asia.models._networks.layers import Float32, dense, mlp, mlp_params, normalised, zeros
+from asia.models._networks.network import NetworkModel
+from asia.models._networks.structure import Params
+
+__all__ = ["Config", "NetworkModel", "build", "train"]
 
 
 @dataclass(frozen=True)
 class Config:
-    """layers; heads; width: channels, a multiple of heads; inner: units of the static network in
-    a layer; span: tokens an attention sees, itself included; encoder: units of the network that
-    makes the past window's token; features: functions of the inputs, see
-    `asia.models._data.features`."""
+    """Number and size of the layers, and how far back they look."""
 
     layers: int = 2
+    """Layers of attention and static network."""
     heads: int = 4
+    """Attentions side by side in a layer."""
     width: int = 32
+    """Channels between layers, a multiple of `heads`."""
     inner: int = 64
+    """Units of the static network of a layer."""
     span: int = 64
+    """Tokens that a sample attends to, its own included."""
     encoder: int = 32
+    """Units of the network that makes the token of the past window."""
     features: tuple[str, ...] = ()
+    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        if min(self.layers, self.heads, self.width, self.inner, self.encoder) < 1 or self.span < 2:
-            raise UserError(
-                "transformer.Config: layers, heads, width, inner and encoder must be at least 1, "
-                "span at least 2"
-            )
+        check_at_least(1, self, "layers", "heads", "width", "inner", "encoder")
+        check_at_least(2, self, "span")
         if self.width % self.heads:
             raise UserError(
                 f"transformer.Config: width {self.width} is no multiple of heads {self.heads}"
             )
-        check_features(self.features, "transformer.Config")
+        check_features(self)
 
 
 @dataclass(frozen=True)
-class Transformer(Driven):
-    """Structure of the network: see `asia.models._networks.network.FeatureMap`."""
-
-    config: Config
+class Transformer(Driven[Config]):
+    """Structure of the network: see `asia.models._networks.structure.FeatureMap`."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
@@ -92,10 +85,6 @@ class Transformer(Driven):
             inner = jax.nn.gelu(normalised(x, p["gain2"]) @ p["w1"] + p["b1"])
             x = x + inner @ p["w2"] + p["b2"]
         return x[:, 1 : samples + 1]
-
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
-        """Linear in the features and in u."""
-        return linear_output(params, features, u)
 
 
 def banded_attention(p: Any, x: jax.Array, heads: int, span: int) -> jax.Array:
@@ -139,14 +128,4 @@ def _nearness(c: Config) -> Float32:
     return (-np.arange(c.span) / reach[:, None]).astype(np.float32)
 
 
-def build(config: Config, context: Context) -> NetworkModel:
-    """An untrained network initialised from `context.seed`."""
-    cell = Transformer(config, drive=Features(config.features))
-    return NetworkModel(cell, cell.parameters(context))
-
-
-def train(
-    model: NetworkModel, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> NetworkModel:
-    """Fits to the simulation error; raises UserError for records too short or mis-shaped."""
-    return train_network(with_drive(model, trajectories), trajectories, context, method)
+build, train = network_family(Config, Transformer)

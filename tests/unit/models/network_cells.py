@@ -11,7 +11,8 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
-from asia.models._networks.network import NetworkModel, Params
+from asia.models._networks.network import NetworkModel
+from asia.models._networks.structure import Params
 
 PAST = 2
 A, B = 0.9, 0.4

@@ -16,8 +16,9 @@ from asia.models._data.chunks import laid, tracks
 from asia.models._data.records import PaddedBatch, batch, holdout_masks, reweighted, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._networks import training
-from asia.models._networks.network import NetworkModel, Params, as_built, rollout, train_network
+from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.objective import objective
+from asia.models._networks.structure import Params, rollout
 from asia.models._networks.training import FitTask, HoldoutSplit
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import Case, case, filtered

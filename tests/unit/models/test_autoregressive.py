@@ -10,7 +10,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import autoregressive
-from asia.models._networks.network import OutputFeedback, rollout
+from asia.models._networks.structure import OutputFeedback, rollout
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import case, wiener
 

@@ -9,7 +9,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import cnn
-from asia.models._networks.network import rollout
+from asia.models._networks.structure import rollout
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import case, wiener
 
@@ -54,5 +54,5 @@ def test_the_past_window_is_felt_and_fades() -> None:
 
 
 def test_too_small_a_kernel_is_refused() -> None:
-    with pytest.raises(UserError, match="kernel and receptive_field must be at least 2"):
+    with pytest.raises(UserError, match="kernel is 1, expected at least 2"):
         cnn.Config(kernel=1)

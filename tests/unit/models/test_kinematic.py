@@ -15,7 +15,8 @@ from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import kinematic
 from asia.models._equations.rates import Rate, find_rates, read_by_equations
-from asia.models._networks.network import NetworkModel, OutputFeedback, Restartable
+from asia.models._networks.network import NetworkModel
+from asia.models._networks.structure import OutputFeedback, Restartable
 from asia.models.kinematic import _read
 from asia.models.methods import Adam
 from asia.problem import ParameterRange, Physics

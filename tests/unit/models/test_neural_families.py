@@ -23,7 +23,7 @@ from asia.models import (
     subnet,
     transformer,
 )
-from asia.models._networks.network import Restartable
+from asia.models._networks.structure import Restartable
 from asia.models.methods import Adam
 
 FAMILIES: list[tuple[ModuleType, dict[str, Any]]] = [

@@ -9,7 +9,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import transformer
-from asia.models._networks.network import rollout
+from asia.models._networks.structure import rollout
 from asia.models.methods import Adam
 from tests.unit.models.black_box_systems import case, wiener
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from asia.models._data.cuts import laid_end_to_end, rows
 from asia.models._data.records import PaddedBatch
 
 
@@ -48,21 +49,13 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
     first: list[int] = []
     firsts = np.concatenate([[0], np.cumsum(batch.lengths)[:-1]])
     for total, base in zip(batch.lengths, firsts, strict=True):
-        begins = np.arange(0, total, length)
-        if overlap:
-            begins = np.minimum(begins, max(total - length, 0))
-        first += (base + begins).tolist()
+        first += (base + laid_end_to_end(total, length, overlap)).tolist()
     record, begin = batch.starts[first].T
-    rows = begin[:, None] + np.arange(length)
-    inside = rows < batch.u.shape[1]
-    rows = np.minimum(rows, batch.u.shape[1] - 1)
-    weight = batch.weight[record[:, None], rows] * inside
-    arrays = (
-        batch.start_windows[first],
-        batch.u[record[:, None], rows],
-        batch.y[record[:, None], rows],
-        weight,
-    )
+    samples = rows(begin, length)
+    inside = samples < batch.u.shape[1]
+    at = record[:, None], np.minimum(samples, batch.u.shape[1] - 1)
+    weight = batch.weight[at] * inside
+    arrays = batch.start_windows[first], batch.u[at], batch.y[at], weight
     return Simulations(*(jnp.asarray(a, jnp.float32) for a in arrays))
 
 
@@ -88,14 +81,14 @@ def places(batch: PaddedBatch, length: int) -> Places:
     starts = np.asarray(batch.starts, np.int32)
     own = np.asarray(batch.lengths)[starts[:, 0]]
     fits = starts[:, 1] + length <= own
-    rows = np.flatnonzero(starts[:, 1] == 0)
+    chosen = np.flatnonzero(starts[:, 1] == 0)
     if fits.any():
         short = own < length
         index = np.arange(len(starts))
-        rows = np.where(short, index - starts[:, 1], index)[fits | short]
-    arrays = (batch.u, batch.y, batch.weight, batch.start_windows[rows])
+        chosen = np.where(short, index - starts[:, 1], index)[fits | short]
+    arrays = (batch.u, batch.y, batch.weight, batch.start_windows[chosen])
     u, y, weight, windows = (jnp.asarray(a, jnp.float32) for a in arrays)
-    return Places(u, y, weight, windows, jnp.asarray(starts[rows]))
+    return Places(u, y, weight, windows, jnp.asarray(starts[chosen]))
 
 
 def random_chunks(p: Places, length: int, count: int | None, key: jax.Array) -> Simulations:

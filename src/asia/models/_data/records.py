@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._data.cuts import side_by_side, spread
 from asia.models._data.scaling import Scaling
 
 
@@ -28,6 +29,13 @@ class ScaledTrajectory:
     def __len__(self) -> int:
         return len(self.u)
 
+    def part(self, first: int, length: int) -> ScaledTrajectory:
+        """`length` samples from `first` on."""
+        rows = slice(first, first + length)
+        return ScaledTrajectory(
+            self.u[rows], self.y[rows], self.weight[rows], self.measured_u[rows]
+        )
+
 
 ScaledData: TypeAlias = Sequence[ScaledTrajectory]
 """All records of a fit."""
@@ -36,6 +44,11 @@ ScaledData: TypeAlias = Sequence[ScaledTrajectory]
 def past_length(context: Context) -> int:
     """Samples before the first simulated one."""
     return max(context.n_past_u, context.n_past_y)
+
+
+def window_size(context: Context) -> int:
+    """Length of the flattened past window."""
+    return context.n_past_u * context.nu + context.n_past_y * context.ny
 
 
 def check(trajectories: Sequence[Trajectory], context: Context) -> None:
@@ -115,16 +128,9 @@ def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTr
     if sum(len(r) for r in records) <= samples:
         return list(records)
     most = max(3, samples // shortest)
-    chosen = np.unique(
-        np.linspace(0, len(records) - 1, min(most, len(records))).round().astype(int)
-    )
-    kept = [records[i] for i in chosen]
+    kept = [records[i] for i in spread(len(records), most)]
     fraction = samples / sum(len(r) for r in kept)
-    return [_rows(r, slice(0, max(shortest, round(fraction * len(r))))) for r in kept]
-
-
-def _rows(r: ScaledTrajectory, rows: slice) -> ScaledTrajectory:
-    return ScaledTrajectory(r.u[rows], r.y[rows], r.weight[rows], r.measured_u[rows])
+    return [r.part(0, max(shortest, round(fraction * len(r)))) for r in kept]
 
 
 def contiguous_splits(
@@ -141,7 +147,7 @@ def contiguous_splits(
         for r in records:
             count = max(1, min(parts, len(r) // max(shortest, 1)))
             for i, rows in enumerate(np.array_split(np.arange(len(r)), count)):
-                pieces.append(_rows(r, slice(int(rows[0]), int(rows[-1]) + 1)))
+                pieces.append(r.part(int(rows[0]), len(rows)))
                 membership.append(i)
         groups = [[k for k, m in enumerate(membership) if m == i] for i in sorted(set(membership))]
     if len(groups) < 2:
@@ -173,22 +179,15 @@ def batch(records: ScaledData, context: Context) -> PaddedBatch:
     """Pads the simulated part of each record to the longest."""
     skip = past_length(context)
     lengths = tuple(len(r) - skip for r in records)
-    longest = max(lengths)
-
-    def padded(values: Array) -> Array:
-        part = values[skip:]
-        fill = [(0, longest - len(part))] + [(0, 0)] * (part.ndim - 1)
-        return np.pad(part, fill)
-
     every = [windows(r, context) for r in records]
     starts = np.concatenate(
         [np.stack([np.full(n, i), np.arange(n)], axis=1) for i, n in enumerate(lengths)]
     )
     return PaddedBatch(
         window=np.stack([w[0] for w in every]),
-        u=np.stack([padded(r.u) for r in records]),
-        y=np.stack([padded(r.y) for r in records]),
-        weight=np.stack([padded(r.weight) for r in records]),
+        u=side_by_side([r.u[skip:] for r in records]),
+        y=side_by_side([r.y[skip:] for r in records]),
+        weight=side_by_side([r.weight[skip:] for r in records]),
         lengths=lengths,
         start_windows=np.concatenate(every),
         starts=starts,

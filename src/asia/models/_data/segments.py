@@ -14,6 +14,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
+from asia.models._data.cuts import laid_end_to_end, side_by_side, spread
 from asia.models._data.records import ScaledData, contiguous_splits, past_length
 
 # A longer record is cut, and its parts are simulated side by side: time is what a loop pays for.
@@ -56,21 +57,14 @@ def segments(
     longest = context.horizon or _LONGEST
     lengths = [min(longest, len(r) - first) for r, first in places]
     most = max(1, samples // max(lengths))
-    if len(places) > most:
-        chosen = np.linspace(0, len(places) - 1, most).round().astype(int)
-        places, lengths = [places[i] for i in chosen], [lengths[i] for i in chosen]
-    height = max(lengths)
-
-    def rows(values: Array, first: int, length: int) -> Array:
-        return np.pad(values[first : first + length], ((0, height - length), (0, 0)))
-
-    pairs = list(zip(places, lengths, strict=True))
+    chosen = spread(len(places), most)
+    pieces = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
     return Stretches(
-        np.stack([r.measured_u[k - context.n_past_u : k] for r, k in places]),
-        np.stack([r.y[k - context.n_past_y : k] for r, k in places]),
-        np.stack([rows(r.u, k, n) for (r, k), n in pairs]),
-        np.stack([rows(r.y, k, n) for (r, k), n in pairs]),
-        (np.arange(height) < np.array(lengths)[:, None]).astype(np.float64),
+        np.stack([r.measured_u[k - context.n_past_u : k] for r, k, _ in pieces]),
+        np.stack([r.y[k - context.n_past_y : k] for r, k, _ in pieces]),
+        side_by_side([r.u[k:end] for r, k, end in pieces]),
+        side_by_side([r.y[k:end] for r, k, end in pieces]),
+        side_by_side([np.ones(end - k) for _, k, end in pieces]),
     )
 
 
@@ -113,14 +107,11 @@ def window_pieces(
         return list(trajectories)
     past, horizon = past_length(context), context.horizon
     places = [(t, k - past) for t in trajectories for k in _firsts(len(t), past, horizon)]
-    chosen = np.unique(np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(int))
-    return [t[k : k + past + horizon] for t, k in (places[i] for i in chosen)]
+    kept = [places[i] for i in spread(len(places), most)]
+    return [t[k : k + past + horizon] for t, k in kept]
 
 
 def _firsts(length: int, past: int, horizon: int | None) -> list[int]:
     """First simulated samples; the last window ends with the record."""
-    span = horizon or _LONGEST
-    firsts = list(range(past, length, span))
-    if horizon is not None and firsts and length - past >= horizon:
-        firsts[-1] = length - horizon
-    return firsts
+    starts = laid_end_to_end(length - past, horizon or _LONGEST, overlap=horizon is not None)
+    return (past + starts).tolist()

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
+from asia.models._data.cuts import rows, spread
 from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, windows
 
 # Stretches cut from one record: long ones, so that slow modes show.
 _PIECES = 4
 
 
-@dataclass(frozen=True)
-class HorizonWindows:
-    """z-scored: features (W, d), the past windows; u (W, H, nu) and y (W, H, ny) after them."""
+class HorizonWindows(NamedTuple):
+    """Windows side by side, z-scored; JAX reads it as a tree of its arrays."""
 
-    features: Array
-    u: Array
-    y: Array
-
-    def __len__(self) -> int:
-        return len(self.features)
+    features: Any
+    """Past windows, flattened (W, d)."""
+    u: Any
+    """Inputs after them (W, H, nu)."""
+    y: Any
+    """Outputs after them (W, H, ny)."""
 
 
 def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
@@ -40,11 +40,27 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
     y: list[Array] = []
     for r, count in zip(usable, places, strict=True):
         starts = np.arange((count - 1) % stride // 2, count, stride)
-        rows = starts[:, None] + past + np.arange(horizon)
+        simulated = rows(past + starts, horizon)
         features.append(windows(r, context)[starts])
-        u.append(r.u[rows])
-        y.append(r.y[rows])
+        u.append(r.u[simulated])
+        y.append(r.y[simulated])
     return HorizonWindows(np.concatenate(features), np.concatenate(u), np.concatenate(y))
+
+
+def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> HorizonWindows:
+    """At most about `most` windows of `horizon` samples that lie end to end in each record, and
+    none that its end would cut, spread over all records."""
+    past = past_length(context)
+    counts = [(len(r) - past) // horizon for r in records]
+    stride = max(1, round(sum(max(count, 1) for count in counts) / most))
+    places = [(i, k * horizon) for i, count in enumerate(counts) for k in range(count)][::stride]
+    features = [windows(r, context) for r in records]
+    pieces = [records[i].part(past + k, horizon) for i, k in places]
+    return HorizonWindows(
+        np.stack([features[i][k] for i, k in places]),
+        np.stack([piece.u for piece in pieces]),
+        np.stack([piece.y for piece in pieces]),
+    )
 
 
 def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
@@ -55,16 +71,12 @@ def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTr
     if total <= samples:
         return list(records)
     most = max(1, samples // shortest)
-    rows = np.linspace(0, len(records) - 1, min(len(records), most)).round().astype(int)
-    kept = [records[i] for i in rows]
+    kept = [records[i] for i in spread(len(records), most)]
     share = samples / sum(len(r) for r in kept)
     pieces: list[ScaledTrajectory] = []
     for r in kept:
         count = int(np.clip(share * len(r) // shortest, 1, _PIECES))
         length = min(len(r), max(shortest, int(share * len(r) / count)))
-        for start in np.linspace(0, len(r) - length, count).round().astype(int):
-            part = slice(int(start), int(start) + length)
-            pieces.append(
-                ScaledTrajectory(r.u[part], r.y[part], r.weight[part], r.measured_u[part])
-            )
+        starts = np.linspace(0, len(r) - length, count).round().astype(int)
+        pieces += [r.part(int(start), length) for start in starts]
     return pieces

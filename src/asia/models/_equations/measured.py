@@ -21,7 +21,6 @@ from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations
 
 NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
-Params = Any
 
 # A simulation beyond so many deviations of a state has run away.
 _FAR = 30.0
@@ -42,7 +41,7 @@ class MeasuredState(NamedTuple):
 
 @dataclass(frozen=True)
 class MeasuredCell:
-    """Structure of the model: see `asia.models._networks.network.Cell`. Hashable.
+    """Structure of the model: see `asia.models._networks.structure.Cell`. Hashable.
 
     order: the output that is each state; dynamic, kinematic: indices of the equations with and
     without free parameters; read: names of the states and definitions the learned terms may read.
@@ -84,7 +83,7 @@ class MeasuredCell:
             values.append(jnp.exp(value) if span.min > 0 else value)
         return jnp.stack(values) if values else jnp.zeros(0)
 
-    def initial(self, params: Params, window: jax.Array) -> MeasuredState:
+    def initial(self, params: Any, window: jax.Array) -> MeasuredState:
         """From the last measured outputs, and the last measured inputs where there are any."""
         fixed = params["fixed"]
         ny, nu = len(self.order), len(self.equations.inputs)
@@ -104,7 +103,7 @@ class MeasuredCell:
         )
 
     def step(
-        self, params: Params, state: MeasuredState, u: jax.Array
+        self, params: Any, state: MeasuredState, u: jax.Array
     ) -> tuple[MeasuredState, jax.Array]:
         """What the output is read from is the output, z-scored."""
         fixed, dt = params["fixed"], self.sampling_time
@@ -133,13 +132,13 @@ class MeasuredCell:
         ]
         return MeasuredState(x, m, d, h, jnp.zeros_like(state.first)), y
 
-    def output(self, params: Params, features: jax.Array, u: jax.Array) -> jax.Array:
+    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
         """The features."""
         del params, u
         return features
 
     def feed(
-        self, params: Params, state: MeasuredState, y: jax.Array, mask: jax.Array
+        self, params: Any, state: MeasuredState, y: jax.Array, mask: jax.Array
     ) -> MeasuredState:
         """The state with its outputs replaced by the measured ones, z-scored, where the mask is
         1."""
@@ -147,13 +146,13 @@ class MeasuredCell:
         measured = (y * fixed["y_std"] + fixed["y_mean"])[:, jnp.array(self.order)]
         return state._replace(x=mask * measured + (1 - mask) * state.x)
 
-    def signals(self, params: Params, p: jax.Array, x: jax.Array, m: jax.Array) -> jax.Array:
+    def signals(self, params: Any, p: jax.Array, x: jax.Array, m: jax.Array) -> jax.Array:
         """Normalised signals (B, len(read))."""
         values = jax.vmap(lambda a, b: self.equations.named(self.read, p, a, b))(x, m)
         return (values - params["fixed"]["s_mean"]) / params["fixed"]["s_std"]
 
     def _learned(
-        self, params: Params, p: jax.Array, state: MeasuredState, m: jax.Array, known: jax.Array
+        self, params: Any, p: jax.Array, state: MeasuredState, m: jax.Array, known: jax.Array
     ) -> tuple[jax.Array, jax.Array, Any]:
         """Learned rates (B, nd), next disturbance, next state of the network."""
         fixed = params["fixed"]

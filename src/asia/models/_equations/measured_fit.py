@@ -8,21 +8,21 @@ Nagarajan, NeurIPS 2007).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from asia.data import Array
+from asia.models._data.windows import HorizonWindows
 from asia.models._equations.measured import MeasuredCell
-from asia.models._networks.network import rollout
+from asia.models._networks.structure import Params, rollout
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.progress import Progress
 
-Params = Mapping[str, Any]
 Judge = Callable[[Params], float]
 
 _ROUNDS = 3
@@ -36,14 +36,6 @@ _LEAST_GAIN = 2e-3
 _LEARNED = ("linear", "offset")
 # Not fitted by Levenberg-Marquardt.
 _HELD = ("fixed", "net", "out_w", "out_b")
-
-
-class HorizonWindows(NamedTuple):
-    """z-scored: window (B, d) past, u (B, T, nu), y (B, T, ny)."""
-
-    window: Any
-    u: Any
-    y: Any
 
 
 @dataclass(frozen=True)
@@ -73,7 +65,7 @@ def fit_equations(
     windows: HorizonWindows,
     settings: TermPenalties,
     method: LevenbergMarquardt,
-    log: Callable[[float, float], None],
+    log: Progress,
     judge: Judge | None = None,
 ) -> Params:
     """The parameters but `fixed` and the network's, fitted; the best by `judge`, asked after every
@@ -84,7 +76,7 @@ def fit_equations(
         theta0, unravel = ravel_pytree(free)
         learned, _ = ravel_pytree({k: jnp.full_like(v, k in _LEARNED) for k, v in free.items()})
         rounds = _ROUNDS if settings.sparsity > 0 and cell.linear else 1
-        every = _Program(cell, kept, unravel, HorizonWindows(*_single(windows)), settings)
+        every = _Program(cell, kept, unravel, _single(windows), settings)
         few = every
         if rounds > 1 and len(windows.u) >= _MANY:
             quarter = HorizonWindows(*(_single(a[::4]) for a in windows))
@@ -157,7 +149,7 @@ class _Program:
 
         def residual(theta: jax.Array) -> jax.Array:
             params = _single({**self.kept, **unravel(theta)})
-            y = rollout(cell, params, windows.window, windows.u)
+            y = rollout(cell, params, windows.features, windows.u)
             return (y - windows.y)[:, _EVERY - 1 :: _EVERY].ravel().astype(theta.dtype)
 
         def weights(e: jax.Array) -> jax.Array:
@@ -190,21 +182,3 @@ class _Program:
     def cost(self, theta: jax.Array, theta0: jax.Array, ridge: jax.Array) -> float:
         """The penalised loss."""
         return float(self._cost(theta, theta0, ridge))
-
-
-def choose_windows(
-    records: Sequence[tuple[Array, Array, Array]], horizon: int, most: int
-) -> HorizonWindows:
-    """At most about `most` windows of `horizon` samples, spread over all records. Each record is
-    given as (windows (N, d), u (N, nu), y (N, ny)): past window before each sample, and the rest
-    from the first simulated sample on."""
-    total = sum(max(len(y) // horizon, 1) for _, _, y in records)
-    stride = max(1, round(total / most))
-    places = [
-        (i, k * horizon) for i, (_, _, y) in enumerate(records) for k in range(len(y) // horizon)
-    ][::stride]
-    return HorizonWindows(
-        np.stack([records[i][0][k] for i, k in places]),
-        np.stack([records[i][1][k : k + horizon] for i, k in places]),
-        np.stack([records[i][2][k : k + horizon] for i, k in places]),
-    )

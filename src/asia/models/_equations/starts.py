@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array, Trajectory
+from asia.models._data.cuts import side_by_side, spread
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, simulate_states
 from asia.models._solvers.levenberg_marquardt import LMResult
@@ -58,21 +59,13 @@ def cut_segments(
         length = (1 if structure.measured else structure.n_past) + horizon
         pieces = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
         pieces = [t for t in pieces if len(t) == length] or list(trajectories)
-        most = _most_windows(structure, length)
-        if len(pieces) > most:
-            chosen = np.linspace(0, len(pieces) - 1, most).round().astype(int)
-            pieces = [pieces[i] for i in chosen]
-    longest = max(len(t) for t in pieces)
-
-    def pad(values: Array) -> Array:
-        return np.pad(values, ((0, longest - len(values)), (0, 0)), mode="edge")
-
-    mask = np.array([np.arange(longest) < len(t) for t in pieces], dtype=np.float64)
-    u = np.stack([pad(t.u) for t in pieces])
+        pieces = [pieces[i] for i in spread(len(pieces), _most_windows(structure, length))]
+    mask = side_by_side([np.ones(len(t)) for t in pieces])
+    u = side_by_side([t.u for t in pieces], "edge")
     if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
         # As in simulation, where the input of the last past sample is not known.
         u[:, 0] = u[:, 1]
-    return RecordPieces(u, np.stack([pad(t.y) for t in pieces]), mask)
+    return RecordPieces(u, side_by_side([t.y for t in pieces], "edge"), mask)
 
 
 def _most_windows(structure: GreyBoxStructure, length: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asia.data import Array
+from asia.models._data.cuts import rows
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._equations.starts import RecordPieces
@@ -57,7 +58,7 @@ def _windows(
     first = np.arange(len(u) - n_past)
 
     def cut(values: Array, length: int) -> Array:
-        return values[(first + n_past - length)[:, None] + np.arange(length)]
+        return values[rows(first + n_past - length, length)]
 
     return (
         cut(u, structure.n_past_u),

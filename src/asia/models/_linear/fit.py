@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +18,7 @@ from asia.models._data.records import (
 )
 from asia.models._linear.subspace import spread_poles, starts
 from asia.models._linear.system import LinearSystem, delayed_convolution, powers, states_of
-
-Log = Callable[[float, float], None]
+from asia.models._solvers.progress import Progress
 
 # A system this close to the unit circle or beyond grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
@@ -50,7 +48,7 @@ class LinearFit:
 
 
 def fit(
-    records: ScaledData, order: int, refinement: Refinement, log: Log | None = None
+    records: ScaledData, order: int, refinement: Refinement, log: Progress | None = None
 ) -> LinearFit:
     """Best start of this order by simulation error, then refined; log(iteration, error)."""
     pairs = [s.start(order) for s in starts(records, max(order, 4))]
@@ -64,7 +62,7 @@ def fit(
     return best
 
 
-def _offset(log: Log | None, by: int, least: float) -> Log | None:
+def _offset(log: Progress | None, by: int, least: float) -> Progress | None:
     """Iterations counted from `by`, errors never above `least`."""
     if log is None:
         return None
@@ -153,7 +151,7 @@ def simulated_states(records: ScaledData, system: LinearSystem, x0: Array) -> li
 
 
 def refine(
-    records: ScaledData, start: LinearFit, refinement: Refinement, log: Log | None = None
+    records: ScaledData, start: LinearFit, refinement: Refinement, log: Progress | None = None
 ) -> LinearFit:
     """Levenberg-Marquardt on A, B, C, D, offset and the initial states.
 

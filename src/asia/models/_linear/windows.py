@@ -177,7 +177,7 @@ def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[
     by_x = model.theta[: lags.order]
     x = lags.state(windows.features)
     size = model.theta.size
-    sensitivity = np.zeros((len(windows), lags.order, size))
+    sensitivity = np.zeros((len(windows.u), lags.order, size))
     gram, gradient = np.zeros((size, size)), np.zeros(size)
     for k in range(windows.u.shape[1]):
         u = windows.u[:, k]

@@ -14,8 +14,8 @@ import optax
 from asia.models._data.chunks import Places, Simulations, laid, places, random_chunks, tracks, whole
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.network import Cell, NetworkStructure, Params
 from asia.models._networks.objective import check_structure, forward, objective
+from asia.models._networks.structure import Cell, NetworkStructure, Params
 from asia.models.methods import Adam
 
 

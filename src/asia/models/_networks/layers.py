@@ -1,5 +1,5 @@
-"""Parts of networks that several families share: dense stacks, normalisation, gated units, and
-linear systems in diagonal form."""
+"""Parts of networks that several families share: weights to start from, dense stacks, output layer,
+normalisation, gated units, and linear systems in diagonal form."""
 
 from __future__ import annotations
 
@@ -9,11 +9,34 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
-from asia.models._networks.network import Float32, dense, zeros
+Float32 = NDArray[np.float32]
 
 # A pole nearer to the unit circle is rounded onto it.
 _SLOWEST_RATE = 1e-6
+
+
+def dense(rng: np.random.Generator, inputs: int, outputs: int, gain: float = 1.0) -> Float32:
+    """Weights (inputs, outputs) with variance gain^2 / inputs (LeCun)."""
+    scale = gain / np.sqrt(max(inputs, 1))
+    return (scale * rng.standard_normal((inputs, outputs))).astype(np.float32)
+
+
+def uniform(rng: np.random.Generator, shape: tuple[int, ...], fan_in: int) -> Float32:
+    """Numbers within 1 / sqrt(fan_in) of zero."""
+    bound = 1.0 / np.sqrt(max(fan_in, 1))
+    return rng.uniform(-bound, bound, shape).astype(np.float32)
+
+
+def zeros(*shape: int) -> Float32:
+    """float32 zeros."""
+    return np.zeros(shape, np.float32)
+
+
+def linear_output(params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    """Output layer out_w (hidden + nu, ny), out_b (ny,)."""
+    return jnp.concatenate([features, u], axis=-1) @ params["out_w"] + params["out_b"]
 
 
 def mlp_params(

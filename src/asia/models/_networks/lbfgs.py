@@ -18,8 +18,8 @@ from asia.models._data.chunks import Simulations, laid, whole
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.network import NetworkStructure, Params, rollout
 from asia.models._networks.objective import objective
+from asia.models._networks.structure import NetworkStructure, Params, rollout
 from asia.models.methods import LBFGS
 
 

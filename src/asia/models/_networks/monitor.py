@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asia.candidate import VALIDATION_SCORES
-from asia.models._networks.network import Params
+from asia.models._networks.structure import Params
+from asia.models._solvers.progress import Progress
 from asia.models.methods import LBFGS, Adam, MultipleShooting, NetworkMethod
 
 _REPORTS = 25
 _FACTOR, _THRESHOLD, _LOWEST = 0.5, 1e-4, 1e-5
 
-Log = Callable[[float, float], None]
 Scorer = Callable[[Params], float]
 """Lower is better; not finite counts as worst."""
 
@@ -62,7 +62,7 @@ class Monitor:
     """
 
     method: NetworkMethod
-    log: Log
+    log: Progress
     score: Scorer | None = None
     patience: int | None = None
     replay: Sequence[float] = ()

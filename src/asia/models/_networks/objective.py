@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from asia.errors import UserError
 from asia.models._data.chunks import Simulations
-from asia.models._networks.network import (
+from asia.models._networks.structure import (
     Cell,
     FeatureMap,
     NetworkStructure,

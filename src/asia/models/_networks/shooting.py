@@ -15,8 +15,8 @@ from asia.models._data.chunks import Simulations, laid
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import finite, joined, merged, optimiser, scheduled, split
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.network import Cell, NetworkStructure, Params, SequenceMap
 from asia.models._networks.objective import objective, scan
+from asia.models._networks.structure import Cell, NetworkStructure, Params, SequenceMap
 from asia.models.methods import MultipleShooting
 
 _MEMORY = 0.98

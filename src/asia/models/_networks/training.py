@@ -19,9 +19,10 @@ from asia.models._data.records import (
     reweighted,
 )
 from asia.models._networks import adam, lbfgs, shooting
-from asia.models._networks.monitor import Log, Monitor, Scorer
-from asia.models._networks.network import NetworkStructure, Params
+from asia.models._networks.monitor import Monitor, Scorer
 from asia.models._networks.objective import error_of
+from asia.models._networks.structure import NetworkStructure, Params
+from asia.models._solvers.progress import Progress
 from asia.models.methods import LBFGS, Adam, NetworkMethod
 
 _error = jax.jit(error_of, static_argnums=(0, 1))
@@ -46,7 +47,7 @@ class FitTask:
     samples: HoldoutSplit | PaddedBatch
     horizon: int | None
     seed: int
-    log: Log
+    log: Progress
     score: Scorer | None = None
 
 

@@ -8,7 +8,7 @@ with the length of the records.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from asia.data import Array
+from asia.models._data.cuts import padded, side_by_side
 from asia.models._data.records import ScaledData
 from asia.models._solvers.levenberg_marquardt import (
     LevenbergMarquardt,
@@ -28,9 +29,8 @@ from asia.models._solvers.levenberg_marquardt import (
     initial_state,
     normal_from_sums,
 )
+from asia.models._solvers.progress import Progress
 from asia.models._state_space.structure import StateSpaceStructure
-
-Log = Callable[[float, float], None]
 
 # Numbers in the derivatives of one chunk of samples.
 _CHUNK_VALUES = 4_000_000
@@ -71,22 +71,12 @@ class StateFit(NamedTuple):
     history: Array
 
 
-def padded(records: ScaledData) -> tuple[Array, Array, Array]:
-    """u, y, weight of all records, padded with zeros to the longest."""
-    longest = max(len(r) for r in records)
-
-    def pad(values: Array) -> Array:
-        return np.pad(values, [(0, longest - len(values))] + [(0, 0)] * (values.ndim - 1))
-
-    u, y, weight = (
-        np.stack([pad(getattr(r, name)) for r in records]) for name in ("u", "y", "weight")
-    )
-    return u, y, weight
-
-
 def of_records(records: ScaledData, x0: Array) -> StateSamples:
     """Whole records, their initial states to be found from x0 (R, n)."""
-    return StateSamples(x0, *padded(records), known=False)
+    u, y, weight = (
+        side_by_side([getattr(r, name) for r in records]) for name in ("u", "y", "weight")
+    )
+    return StateSamples(x0, u, y, weight, known=False)
 
 
 def fit_states(
@@ -95,7 +85,7 @@ def fit_states(
     samples: StateSamples,
     ridge: dict[str, float],
     method: LevenbergMarquardt,
-    log: Log,
+    log: Progress,
 ) -> list[StateFit]:
     """A fit from each start, the least cost first. `ridge` maps each top-level parameter name,
     and "x0", to its ridge. log(iteration, root of the least cost so far) over all starts."""
@@ -138,8 +128,7 @@ def _chunked(
 
     def cut(array: Array) -> Array:
         timed = np.swapaxes(array, 0, 1)
-        missing = [(0, chunks * size - length)] + [(0, 0)] * (timed.ndim - 1)
-        return np.pad(timed, missing).reshape(chunks, size, *timed.shape[1:])
+        return padded(timed, chunks * size).reshape(chunks, size, *timed.shape[1:])
 
     u, y, weight = cut(samples.u), cut(samples.y), cut(samples.weight / np.sqrt(total))
     return SampleChunks(u, y, weight, samples.x0, pull, origin)

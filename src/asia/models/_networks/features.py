@@ -7,8 +7,8 @@ it. The functions act on the input in physical units, because a z-score has lost
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -16,13 +16,22 @@ import numpy as np
 
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._config import owner
 from asia.models._data.scaling import Scaling
-from asia.models._networks.network import NetworkModel
 
 
 def _signed_root(u: Any) -> Any:
     # The slope of the square root has no bound at zero, where an input often rests.
     return u / (jnp.sqrt(jnp.abs(u) + 1e-3))
+
+
+class NetworkConfig(Protocol):
+    """Settings of a family whose network reads functions of the inputs."""
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """Names of these functions."""
+        ...
 
 
 FUNCTIONS: dict[str, Callable[[Any], Any]] = {
@@ -33,12 +42,14 @@ FUNCTIONS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def check_features(names: Sequence[str], where: str) -> None:
-    """Raises UserError for an unknown function; `where` names the configuration."""
-    for name in names:
+def check_features(settings: NetworkConfig) -> None:
+    """Raises UserError where `settings.features` names an unknown function."""
+    for name in settings.features:
         if name not in FUNCTIONS:
             known = ", ".join(FUNCTIONS)
-            raise UserError(f"{where}: feature '{name}' is unknown, expected some of {known}")
+            raise UserError(
+                f"{owner(settings)}: feature '{name}' is unknown, expected some of {known}"
+            )
 
 
 def drive_size(names: Sequence[str], nu: int) -> int:
@@ -51,16 +62,20 @@ class Features:
     """What turns z-scored inputs into those inputs and standardised functions of the physical
     ones, each input in units of its own root mean square.
 
-    offset, gain (nu): from a z-score to those units; centre, spread (functions * nu): mean and
-    standard deviation of the functions over the training data. Hashable, so that a cell may hold
-    it; before `fitted` only one without functions can be called.
+    Hashable, so that a structure may hold it; before `fitted` only one without functions can be
+    called.
     """
 
     names: tuple[str, ...] = ()
+    """Functions, of `FUNCTIONS`."""
     offset: tuple[float, ...] = ()
+    """Of each input, its mean in units of its root mean square."""
     gain: tuple[float, ...] = ()
+    """Of each input, its standard deviation in units of its root mean square."""
     centre: tuple[float, ...] = ()
+    """Mean over the training data of each function of each input."""
     spread: tuple[float, ...] = ()
+    """Standard deviation over the training data of each function of each input."""
 
     def fitted(self, trajectories: Sequence[Trajectory]) -> Features:
         """The same functions, standardised on these records."""
@@ -89,21 +104,6 @@ class Features:
         raw = _applied(self.names, u * jnp.asarray(self.gain) + jnp.asarray(self.offset))
         extra = (raw - jnp.asarray(self.centre)) / jnp.asarray(self.spread)
         return jnp.concatenate([u, extra], axis=-1)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Driven:
-    """A structure that reads its inputs through `drive`."""
-
-    drive: Features = Features()
-
-
-def with_drive(model: NetworkModel, trajectories: Sequence[Trajectory]) -> NetworkModel:
-    """The model with the functions of its inputs standardised on these records."""
-    cell = model.cell
-    if not isinstance(cell, Driven):
-        return model
-    return replace(model, cell=replace(cell, drive=cell.drive.fitted(trajectories)))
 
 
 def _applied(names: Sequence[str], u: jax.Array) -> jax.Array:

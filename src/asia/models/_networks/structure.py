@@ -1,0 +1,107 @@
+"""Structures of networks, and their simulation.
+
+A family writes a structure, a frozen dataclass, as one of
+
+- `Cell`: initial, step, output; the samples are scanned (RNN, LSTM, state space);
+- `FeatureMap`: features, output; all samples at once (convolution, attention, parallel scan);
+- `SequenceMap`: sequence; outputs at once, no output layer to start by regression.
+
+and adds, where it has them, `feed` (`OutputFeedback`: teacher forcing) and `parameters`
+(`Restartable`: fits from several seeds). `params["fixed"]` may hold a mapping of constants, such
+as the scaling that an equation in physical units needs: no method changes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+
+from asia.candidate import Context
+
+Params = Mapping[str, Any]
+"""Arrays by name: weights, and trees of weights of inner layers."""
+
+
+@runtime_checkable
+class Cell(Protocol):
+    """Structure of a recurrent network, hashable; parameters live apart in a mapping.
+
+    Shapes: window (B, d), u (B, nu), a state is any tree of arrays (B, ...).
+    """
+
+    def initial(self, params: Any, window: jax.Array) -> Any:
+        """State before the first sample."""
+        ...
+
+    def step(self, params: Any, state: Any, u: jax.Array) -> tuple[Any, jax.Array]:
+        """Next state, and what the output of this sample is read from, (B, hidden)."""
+        ...
+
+    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+        """features (..., hidden), u (..., nu) -> outputs (..., ny)."""
+        ...
+
+
+@runtime_checkable
+class FeatureMap(Protocol):
+    """A structure that computes the features of all samples at once, causally."""
+
+    def features(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+        """window (B, d), u (B, T, nu) -> (B, T, hidden)."""
+        ...
+
+    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+        """features (..., hidden), u (..., nu) -> outputs (..., ny)."""
+        ...
+
+
+@runtime_checkable
+class SequenceMap(Protocol):
+    """A structure that computes the outputs of all samples at once, causally; it is used in place
+    of stepping where a structure has both."""
+
+    def sequence(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+        """window (B, d), u (B, T, nu) -> outputs (B, T, ny)."""
+        ...
+
+
+NetworkStructure: TypeAlias = Cell | FeatureMap | SequenceMap
+
+
+@runtime_checkable
+class OutputFeedback(Protocol):
+    """A cell whose state holds its own last output, which training may replace by the measured."""
+
+    def feed(self, params: Any, state: Any, y: jax.Array, mask: jax.Array) -> Any:
+        """State after a step with its output replaced by y (B, ny), z-scored, of the same sample
+        where mask (B, 1) is 1, and unchanged where it is 0."""
+        ...
+
+
+@runtime_checkable
+class Restartable(Protocol):
+    """A structure that can draw its untrained parameters again."""
+
+    def parameters(self, context: Context) -> Params:
+        """Untrained parameters drawn from `context.seed`."""
+        ...
+
+
+def rollout(cell: NetworkStructure, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+    """window (B, d), u (B, T, nu) -> outputs (B, T, ny), all z-scored."""
+    if isinstance(cell, SequenceMap):
+        return cell.sequence(params, window, u)
+    return cell.output(params, trace(cell, params, window, u), u)
+
+
+def trace(cell: Cell | FeatureMap, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+    """Features (B, T, hidden) that the outputs are read from."""
+    if isinstance(cell, FeatureMap):
+        return cell.features(params, window, u)
+    inputs = jnp.swapaxes(u, 0, 1)
+    start = cell.initial(params, window)
+    _, features = jax.lax.scan(lambda state, u: cell.step(params, state, u), start, inputs)
+    return jnp.swapaxes(features, 0, 1)
