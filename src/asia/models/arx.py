@@ -41,16 +41,22 @@ _START_RIDGE = 1e-7
 
 @dataclass(frozen=True)
 class Config:
-    """na, nb: numbers of lagged outputs and inputs, None chooses among 1..max_order by the
-    simulation error on stretches left out of the training data; delay: samples before the newest
-    input, 0 lets u[k] act on y[k], None chooses among 0..max_delay."""
+    """Lags of the equation, and the error that its coefficients minimise."""
 
     na: int | None = None
+    """Lagged outputs; None chooses among 1..max_order by the simulation error on stretches left out
+    of the training data."""
     nb: int | None = None
+    """Lagged inputs, chosen alike."""
     delay: int | None = 0
+    """Samples before the newest input that acts: 0 lets u[k] act on y[k], None chooses among
+    0..max_delay."""
     structure: Literal["arx", "oe"] = "oe"
+    """"arx": the error of the prediction one sample ahead; "oe": the simulation error."""
     max_order: int = 6
+    """Greatest number of lags tried where `na` or `nb` is None."""
     max_delay: int = 10
+    """Greatest delay tried where `delay` is None, in samples."""
 
     def __post_init__(self) -> None:
         if self.structure not in ("arx", "oe"):

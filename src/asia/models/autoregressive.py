@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Signal, Trajectory
+from asia.data import Array, Signal, Trajectory
 from asia.models import recurrent
 from asia.models._data.records import ScaledData, window_size
 from asia.models._data.scaling import Scaling
@@ -139,12 +139,16 @@ class AutoregressiveCell(Driven[Config]):
         return inner, mask * y + (1 - mask) * own
 
 
-def _with_increments(params: Params, records: ScaledData, scaling: Scaling) -> Params:
-    del scaling
+def increment_sizes(records: ScaledData) -> Array:
+    """Root mean square (ny,) of the outputs' increments, 1 where they stand still."""
     steps = np.concatenate([np.diff(r.y, axis=0) for r in records])
     size = np.sqrt((steps**2).mean(axis=0))
-    increment = np.where(size > 0, size, 1.0).astype(np.float32)
-    return {**params, "fixed": {"increment": increment}}
+    return np.where(size > 0, size, 1.0)
+
+
+def _with_increments(params: Params, records: ScaledData, scaling: Scaling) -> Params:
+    del scaling
+    return {**params, "fixed": {"increment": increment_sizes(records).astype(np.float32)}}
 
 
 build, train = network_family(Config, AutoregressiveCell)

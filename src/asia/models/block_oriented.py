@@ -11,22 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models import linear, neural_ss
-from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import ScaledData, check, past_length, scaled, windows
+from asia.models import neural_ss
+from asia.models._data.records import check, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.segments import window_pieces
-from asia.models._linear.fit import Refinement
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 from asia.models._solvers.progress import silent
-from asia.models._state_space.fit import StateFit, fit_states, of_records
+from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.structure import Basis, Nonlinearity
 from asia.models._state_space.wiener_hammerstein import (
     WienerHammersteinStructure,
@@ -49,19 +47,28 @@ _WINDOWS = 40
 
 @dataclass(frozen=True)
 class Config:
-    """structure; order: states, of both systems together for "wiener_hammerstein", None takes the
-    order of the best linear model but at least 2; basis, hidden, degree, ridge, linear_ridge,
-    encoder and delay as in `neural_ss.Config`."""
+    """Blocks, and size of the linear systems and static functions in them."""
 
     structure: Blocks = "wiener"
+    """The blocks in series: "hammerstein", "wiener", "hammerstein_wiener", "wiener_hammerstein"."""
     order: int | None = None
+    """States, of both systems together for "wiener_hammerstein"; None takes the order of the best
+    linear model, but at least 2."""
     basis: Basis = "tanh"
+    """A layer of tanh units, or polynomials."""
     hidden: int = 8
+    """Units of that layer."""
     degree: int = 3
+    """Greatest degree of the polynomials."""
     ridge: float = 1e-5
+    """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
+    weights from their start."""
     linear_ridge: float = 1e-7
+    """The same for the linear systems."""
     encoder: int = 30
+    """Units of the tanh layer of the map from the past window to the initial state."""
     delay: int | None = 0
+    """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
 
     def __post_init__(self) -> None:
         known = (*_PLACES, "wiener_hammerstein")
@@ -126,11 +133,7 @@ def _wiener_hammerstein(
 ) -> FittedStateSpace:
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
-    choice = linear.Config(order=config.order, delay=config.delay)
-    found, delay, late = linear.fit_records(records, context, choice, Refinement())
-    if config.order is None and found.system.order < 2:
-        choice = replace(choice, order=2, delay=delay)
-        found, delay, late = linear.fit_records(records, context, choice, Refinement())
+    found, delay, late = neural_ss.linear_start(records, context, config.order, config.delay)
     template = WienerHammersteinStructure(
         found.system.order, context.nu, context.ny, "state", config.basis, config.hidden,
         config.degree, None,
@@ -152,22 +155,5 @@ def _wiener_hammerstein(
     structure, best = min(fits, key=lambda f: f[1].cost)
     for i, loss in enumerate(best.history):
         context.log(i, float(loss))
-    member = best.params, _encoder(structure, best, late, context, config)
+    member = best.params, state_encoder(structure, best, late, context, config.encoder)
     return FittedStateSpace(structure, (member,), delay, scaling)
-
-
-def _encoder(
-    structure: WienerHammersteinStructure,
-    fit: StateFit,
-    records: ScaledData,
-    context: Context,
-    config: Config,
-) -> Encoder:
-    skip = past_length(context)
-    long = [i for i, r in enumerate(records) if len(r) > skip]
-    states: list[Any] = [
-        structure.simulate(fit.params, fit.x0[i, None], records[i].u[None])[0][0, skip:]
-        for i in long
-    ]
-    features = [windows(records[i], context) for i in long]
-    return fit_encoder(features, states, config.encoder, context.seed)

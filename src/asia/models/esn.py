@@ -30,21 +30,26 @@ _MOST_SAMPLES = 40_000
 
 @dataclass(frozen=True)
 class Config:
-    """units of the reservoir; density: share of its connections that are there; radius: largest
-    modulus of its eigenvalues; input_scale: size of the input weights; bias: of the shifts;
-    shortest, longest: time constants of the units in samples, log-spaced; washout: samples at the
-    start of a record whose reservoir states are not used; members: reservoirs with readouts of
-    their own, whose outputs are averaged."""
+    """Size and dynamics of the reservoirs."""
 
     units: int = 100
+    """Units of a reservoir."""
     density: float = 0.1
+    """Share of the possible connections between them that are there."""
     radius: float = 0.9
+    """Largest modulus of the eigenvalues of these connections."""
     input_scale: float = 1.0
+    """Greatest input weight."""
     bias: float = 0.5
+    """Greatest shift of a unit."""
     shortest: float = 1.0
+    """Least time constant of a unit, in samples; they are log-spaced."""
     longest: float = 50.0
+    """Greatest time constant of a unit, in samples."""
     washout: int = 50
+    """Samples at the start of a record whose reservoir states are not used."""
     members: int = 8
+    """Reservoirs with readouts of their own, whose outputs are averaged."""
 
     def __post_init__(self) -> None:
         if min(self.units, self.members) < 1 or self.washout < 0 or not 0 < self.density <= 1:

@@ -47,18 +47,24 @@ _SHORTEST, _LONGEST = 0.1, 300.0
 
 @dataclass(frozen=True)
 class Config:
-    """na, nb, delay: as in `arx.Config`, where None chooses one number for all lags left open;
-    mean: what the process is added to, the best ARX model or the last output held; points:
-    training samples kept; margin: outputs in free run leave the training range by at most so many
-    times its width."""
+    """Lags of the regressors, and size and mean of the Gaussian process."""
 
     na: int | None = None
+    """Lagged outputs; None chooses among 1..max_order by the simulation error on stretches left out
+    of the training data, one number for all lags left open."""
     nb: int | None = None
+    """Lagged inputs, chosen alike."""
     delay: int | None = 0
+    """Samples before the newest input that acts: 0 lets u[k] act on y[k], None chooses among 0..10
+    by a linear model."""
     mean: Literal["linear", "hold"] = "linear"
+    """What the process is added to: the best ARX model, or the last output held."""
     points: int = 800
+    """Training samples kept; the cost of a fit grows with their cube."""
     max_order: int = 4
+    """Greatest number of lags tried where `na` or `nb` is None."""
     margin: float = 0.1
+    """By how many times the width of the training range outputs in free run may leave it."""
 
     def __post_init__(self) -> None:
         if self.mean not in ("linear", "hold"):

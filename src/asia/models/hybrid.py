@@ -25,12 +25,14 @@ __all__ = ["Config", "build", "train"]
 
 @dataclass(frozen=True)
 class Config:
-    """base: the grey-box under the network; units: hidden tanh units; ridge: weight of the
-    network's squared coefficients beside the mean squared normalised error."""
+    """The grey-box, and the network added to its dynamics."""
 
     base: greybox.Config = field(default_factory=greybox.Config)
+    """The grey-box under the network."""
     units: int = 4
+    """Hidden tanh units of the network."""
     ridge: float = 1e-2
+    """Weight of the network's squared coefficients beside the mean squared normalised error."""
 
     def __post_init__(self) -> None:
         if self.units < 1 or self.ridge < 0:

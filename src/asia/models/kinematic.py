@@ -32,7 +32,7 @@ from asia.models._networks.features import Features
 from asia.models._networks.layers import zeros
 from asia.models._networks.network import NetworkModel, Prepare
 from asia.models._networks.structure import Params
-from asia.models.autoregressive import AutoregressiveCell, FeedbackState
+from asia.models.autoregressive import AutoregressiveCell, FeedbackState, increment_sizes
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -141,10 +141,9 @@ def _with_kinematics(
     sampling_time: float,
 ) -> Params:
     """The parameters with the kinematics in z-scores and the size of the other increments."""
-    steps = np.concatenate([np.diff(r.y, axis=0) for r in records])
-    size = np.sqrt((steps**2).mean(axis=0))
-    increment = np.where(size > 0, size, 1.0)
-    rate, drift = np.zeros((len(size), len(size))), np.zeros(len(size))
+    increment = increment_sizes(records)
+    ny = len(increment)
+    rate, drift = np.zeros((ny, ny)), np.zeros(ny)
     for r in rates:
         increment[r.output] = 0.0
         moved = r.gain * sampling_time / scaling.y_std[r.output]

@@ -46,16 +46,20 @@ _JACOBIAN_NUMBERS = 60_000_000
 
 @dataclass(frozen=True)
 class Config:
-    """order: number of states, None chooses among 1..max_order by the simulation error on blocks
-    inside the training data, preferring the smallest within `tolerance` of the best. delay:
-    samples by which every input is delayed beyond what the states can express, None estimates it
-    among 0..max_delay."""
+    """Order and delay of the system, or how they are chosen."""
 
     order: int | None = None
+    """States; None chooses among 1..max_order by the simulation error on blocks inside the training
+    data."""
     max_order: int = 6
+    """Greatest order tried where `order` is None."""
     tolerance: float = 0.03
+    """The smallest order whose error is within this share of the least is taken."""
     delay: int | None = 0
+    """Samples by which every input is delayed beyond what the states can express; None estimates
+    it among 0..max_delay."""
     max_delay: int = 10
+    """Greatest delay tried where `delay` is None, in samples."""
 
     def __post_init__(self) -> None:
         if self.order is not None and self.order < 1:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 from asia.errors import UserError
+from asia.models._config import check_at_least, check_choice, demand, owner
 from asia.models._solvers.least_squares import LeastSquares, MarginalLikelihood
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 
@@ -32,35 +33,10 @@ Schedule = Literal["cosine", "constant", "plateau"]
 class Adam:
     """First-order training on the simulation error in z-scores.
 
-    The optimiser. steps: updates, at learning_rate; weight_decay: apart from the gradient (AdamW),
-    or with coupled part of it (plain Adam with an L2 penalty); schedule: that rate lowered to zero
-    along a half cosine, held, or halved (`plateau`, down to 1e-5) when more than plateau_patience
-    checks in a row have not improved the score by a factor of 1 - 1e-4; clip: largest norm of the
-    gradient; average: decay of an exponential moving average of the weights that is returned in
-    their place, 0 for none.
-
-    What a step sees. truncation: None simulates whole records, or windows of the problem's
-    horizon where it has one; a number cuts chunks of so many samples. A chunk starts at a random
-    place from its own past window; batch: chunks a step, None for as many as cover the records
-    once, but at most 128. full_batch: every step sees all chunks, laid end to end. carry: chunks
-    in time order, the state carried over and the gradient cut between them (truncated
-    back-propagation through time); batch is then the number of stretches read in parallel, None
-    for one a record.
-
-    The loss. loss: mean of squares, of absolute values, or Huber's with its bend at 1; washout:
-    samples at the start of a simulation that do not count; horizons: the mean of the losses over
-    the first h samples for each h, to weigh early samples more; noise: standard deviation of white
-    noise added to the z-scored inputs; dropout: share of the features set to zero, the same ones
-    for a whole simulation; teacher, teacher_end: probability, at the first step and linearly to
-    the last, that a cell which feeds back its own output is fed the measured one (scheduled
-    sampling; 1 and 1 for teacher forcing).
-
-    When to stop. holdout: fraction of the training samples, blocks from all over the records or,
-    of four records or more, whole ones, that picks the number of steps before a refit on
-    everything; stop: "validation" asks `context.validation_score` every `every` steps, stops after
-    `patience` checks without improvement and keeps the best parameters. Where there is no such
-    score it takes the held-out part with the same patience, and without one runs all steps.
-    members: networks from different seeds whose simulations are averaged.
+    A step sees whole records, windows of the problem's horizon, or chunks of `truncation` samples.
+    A chunk starts at a random place from its own past window; with `carry` the chunks of a record
+    follow each other, the state carried over and the gradient cut between them (truncated
+    back-propagation through time).
 
     Sources: Kingma and Ba, ICLR 2015; Loshchilov and Hutter, ICLR 2019 (weight decay); Beintema et
     al., Automatica 156, 2023 (chunks); Bengio et al., NeurIPS 2015 (scheduled sampling); Gal and
@@ -68,41 +44,74 @@ class Adam:
     """
 
     steps: int = 2000
+    """Updates."""
     learning_rate: float = 1e-3
+    """Learning rate at the first step."""
     weight_decay: float = 1e-4
+    """Decay of the weights at each step, times the learning rate; see `coupled`."""
     schedule: Schedule = "cosine"
+    """The learning rate is lowered to zero along a half cosine, held ("constant"), or halved down
+    to 1e-5 when the score no longer improves ("plateau")."""
     clip: float = 1.0
+    """Largest norm of the gradient; a larger one is scaled down."""
     noise: float = 0.0
+    """Standard deviation of white noise added to the z-scored inputs."""
     truncation: int | None = None
+    """Samples of a chunk; None simulates whole records, or windows of the problem's horizon."""
     washout: int = 0
+    """Samples at the start of a simulation that do not count."""
     holdout: float = 0.0
+    """Share of the training samples, in [0, 0.9), that picks the number of steps before a refit on
+    everything: blocks from all over the records or, of four records or more, whole ones."""
     batch: int | None = None
+    """Chunks of a step; None: as many as cover the records once, but at most 128. With `carry`, the
+    stretches read side by side; None: one a record."""
     full_batch: bool = False
+    """Whether every step sees all chunks, laid end to end."""
     carry: bool = False
+    """Whether chunks are read in time order and the state is carried over."""
     loss: Loss = "mse"
+    """Mean of squares, "mse", of absolute values, "mae", or Huber's with its bend at 1, "huber"."""
     horizons: tuple[int, ...] | None = None
+    """The loss is the mean, over these numbers h, of that of the first h samples, which weighs
+    early samples more; None: that of all samples."""
     dropout: float = 0.0
+    """Share of the features set to zero, the same ones for a whole simulation."""
     teacher: float = 0.0
+    """Probability at the first step that a cell which feeds back its own output is fed the measured
+    one (scheduled sampling); 1, with `teacher_end` 1, is teacher forcing."""
     teacher_end: float = 0.0
+    """The same at the last step; between them it changes linearly."""
     average: float = 0.0
+    """Decay of an exponential moving average of the weights that is returned in their place; 0:
+    none."""
     members: int = 1
+    """Networks from different seeds, whose simulations are averaged."""
     stop: Literal["validation"] | None = None
+    """"validation" keeps the parameters with the least `context.validation_score`; without such a
+    score it takes the held-out part, and without one all steps run."""
     every: int = 25
+    """Steps between two such checks."""
     patience: int = 20
+    """Checks in a row without improvement after which the fit stops."""
     plateau_patience: int = 2
+    """With schedule "plateau", checks in a row that may fail to improve the score by a factor of
+    1 - 1e-4 before the rate is halved."""
     coupled: bool = False
+    """Whether the decay is part of the gradient (Adam with an L2 penalty) or apart from it
+    (AdamW)."""
 
     def __post_init__(self) -> None:
         _check_optimiser(self)
         _check_fit(self)
-        _check_loss(self.loss, self.truncation, self.washout, "Adam")
+        _check_loss(self, self.truncation, self.washout)
         _check_horizons(self.horizons, self.washout)
-        _demand("Adam", "noise", self.noise, self.noise >= 0, "0 or more")
-        _demand("Adam", "dropout", self.dropout, 0 <= self.dropout < 1, "a share in [0, 1)")
-        _demand("Adam", "average", self.average, 0 <= self.average < 1, "a decay in [0, 1)")
-        for name, value in (("teacher", self.teacher), ("teacher_end", self.teacher_end)):
-            _demand("Adam", name, value, 0 <= value <= 1, "a probability")
-        _demand("Adam", "batch", self.batch, _at_least_1(self.batch), "None or at least 1")
+        demand(self, "noise", self.noise >= 0, "0 or more")
+        demand(self, "dropout", 0 <= self.dropout < 1, "a share in [0, 1)")
+        demand(self, "average", 0 <= self.average < 1, "a decay in [0, 1)")
+        demand(self, "teacher", 0 <= self.teacher <= 1, "a probability")
+        demand(self, "teacher_end", 0 <= self.teacher_end <= 1, "a probability")
+        demand(self, "batch", _at_least_1(self.batch), "None or at least 1")
         if self.carry and (self.full_batch or self.truncation is None):
             raise UserError(
                 "Adam: carry reads the records in chunks of `truncation` samples; give truncation "
@@ -117,30 +126,41 @@ class LBFGS:
     """Limited-memory BFGS on all samples at once, in double precision: many digits for small
     networks and short records, where Adam crawls along narrow valleys.
 
-    steps: iterations; memory: pairs of vectors kept; ridge: weight, against the loss, of the sum
-    of squares of all weight matrices; truncation: None simulates whole records, or windows of the
-    problem's horizon, a number cuts chunks laid end to end; loss ("mse" or "huber", which have a
-    gradient everywhere), washout, holdout, members, stop, every and patience as in `Adam`.
     Source: Byrd et al., SIAM Journal on Scientific Computing 16(5), 1995.
     """
 
     steps: int = 500
+    """Iterations."""
     memory: int = 20
+    """Pairs of vectors kept."""
     ridge: float = 1e-6
+    """Weight, against the loss, of the sum of squares of all weight matrices."""
     truncation: int | None = None
+    """Samples of a chunk, laid end to end; None simulates whole records, or windows of the
+    problem's horizon."""
     loss: Loss = "mse"
+    """Mean of squares, "mse", or Huber's with its bend at 1, "huber": those with a gradient
+    everywhere."""
     washout: int = 0
+    """Samples at the start of a simulation that do not count."""
     holdout: float = 0.0
+    """Share of the training samples, in [0, 0.9), that picks the number of steps before a refit on
+    everything: blocks from all over the records or, of four records or more, whole ones."""
     members: int = 1
+    """Networks from different seeds, whose simulations are averaged."""
     stop: Literal["validation"] | None = None
+    """"validation" keeps the parameters with the least `context.validation_score`; without such a
+    score it takes the held-out part, and without one all steps run."""
     every: int = 25
+    """Steps between two such checks."""
     patience: int = 20
+    """Checks in a row without improvement after which the fit stops."""
 
     def __post_init__(self) -> None:
         _check_fit(self)
-        _check_loss(self.loss, self.truncation, self.washout, "LBFGS")
-        _demand("LBFGS", "memory", self.memory, self.memory >= 1, "at least 1")
-        _demand("LBFGS", "ridge", self.ridge, self.ridge >= 0, "0 or more")
+        _check_loss(self, self.truncation, self.washout)
+        demand(self, "memory", self.memory >= 1, "at least 1")
+        demand(self, "ridge", self.ridge >= 0, "0 or more")
         if self.loss == "mae":
             raise UserError("LBFGS: loss 'mae' has no gradient at zero; take 'mse' or 'huber'")
 
@@ -151,40 +171,55 @@ class MultipleShooting:
 
     Each record is cut into segments of `length` samples. A segment's initial state is free and
     starts from what the network makes of its past window; the squared distance between the end of
-    a segment and the start of the next is added to the loss with a weight that grows from
-    penalty_start to penalty in equal ratios. Short segments keep gradients from exploding, so that
-    systems are learned whose simulation from a bad start diverges or says nothing. The map from
-    the past window to the initial state is fitted to the free states on the way. steps,
-    learning_rate, weight_decay, schedule, clip, loss, holdout, members, stop, every, patience and
-    plateau_patience as in `Adam`.
+    a segment and the start of the next is added to the loss with a weight that grows in equal
+    ratios. Short segments keep gradients from exploding, so that systems are learned whose
+    simulation from a bad start diverges or says nothing. The map from the past window to the
+    initial state is fitted to the free states on the way.
     Sources: Bock, 1981; Ribeiro et al., Automatica 121, 2020; Turan and Jaeschke, IEEE Control
     Systems Letters 6, 2022.
     """
 
     steps: int = 2000
+    """Updates."""
     learning_rate: float = 3e-3
+    """Learning rate at the first step."""
     weight_decay: float = 0.0
+    """Decay of the weights at each step, times the learning rate."""
     schedule: Schedule = "cosine"
+    """How the learning rate changes, as in `Adam`."""
     clip: float = 1.0
+    """Largest norm of a gradient; a larger one is scaled down."""
     length: int = 30
+    """Samples of a segment, at least 2."""
     penalty: float = 10.0
+    """Weight of the squared distances at the last step."""
     penalty_start: float = 0.1
+    """The same at the first step."""
     loss: Loss = "mse"
+    """Mean of squares, "mse", of absolute values, "mae", or Huber's with its bend at 1, "huber"."""
     holdout: float = 0.0
+    """Share of the training samples, in [0, 0.9), that picks the number of steps before a refit on
+    everything: blocks from all over the records or, of four records or more, whole ones."""
     members: int = 1
+    """Networks from different seeds, whose simulations are averaged."""
     stop: Literal["validation"] | None = None
+    """"validation" keeps the parameters with the least `context.validation_score`; without such a
+    score it takes the held-out part, and without one all steps run."""
     every: int = 25
+    """Steps between two such checks."""
     patience: int = 20
+    """Checks in a row without improvement after which the fit stops."""
     plateau_patience: int = 2
+    """With schedule "plateau", checks in a row that may fail to improve the score by a factor of
+    1 - 1e-4 before the rate is halved."""
 
     def __post_init__(self) -> None:
-        name = "MultipleShooting"
         _check_optimiser(self)
         _check_fit(self)
-        _check_loss(self.loss, None, 0, name)
-        _demand(name, "length", self.length, self.length >= 2, "at least 2 samples")
-        for field, value in (("penalty", self.penalty), ("penalty_start", self.penalty_start)):
-            _demand(name, field, value, value > 0, "a positive weight")
+        _check_loss(self, None, 0)
+        demand(self, "length", self.length >= 2, "at least 2 samples")
+        demand(self, "penalty", self.penalty > 0, "a positive weight")
+        demand(self, "penalty_start", self.penalty_start > 0, "a positive weight")
 
     @property
     def optimiser(self) -> Adam:
@@ -198,47 +233,33 @@ class MultipleShooting:
 NetworkMethod: TypeAlias = Adam | LBFGS | MultipleShooting
 
 
-def _demand(method: str, field: str, value: object, holds: bool, expected: str) -> None:
-    if not holds:
-        raise UserError(f"{method}: {field} is {value!r}, expected {expected}")
-
-
 def _at_least_1(value: int | None) -> bool:
     return value is None or value >= 1
 
 
 def _check_optimiser(m: Adam | MultipleShooting) -> None:
-    name = type(m).__name__
-    _demand(name, "learning_rate", m.learning_rate, m.learning_rate > 0, "a positive number")
-    _demand(name, "weight_decay", m.weight_decay, m.weight_decay >= 0, "0 or more")
-    _demand(name, "clip", m.clip, m.clip > 0, "a positive number")
-    known = get_args(Schedule)
-    _demand(name, "schedule", m.schedule, m.schedule in known, f"one of {', '.join(known)}")
-    waits = m.plateau_patience
-    _demand(name, "plateau_patience", waits, waits >= 0, "0 checks or more")
+    demand(m, "learning_rate", m.learning_rate > 0, "a positive number")
+    demand(m, "weight_decay", m.weight_decay >= 0, "0 or more")
+    demand(m, "clip", m.clip > 0, "a positive number")
+    check_choice(m, "schedule", get_args(Schedule))
+    demand(m, "plateau_patience", m.plateau_patience >= 0, "0 checks or more")
 
 
 def _check_fit(m: NetworkMethod) -> None:
-    name = type(m).__name__
-    for field, value in (
-        ("steps", m.steps),
-        ("members", m.members),
-        ("every", m.every),
-        ("patience", m.patience),
-    ):
-        _demand(name, field, value, value >= 1, "at least 1")
-    _demand(name, "holdout", m.holdout, 0 <= m.holdout < 0.9, "a fraction in [0, 0.9)")
-    _demand(name, "stop", m.stop, m.stop in (None, "validation"), "None or 'validation'")
+    check_at_least(1, m, "steps", "members", "every", "patience")
+    demand(m, "holdout", 0 <= m.holdout < 0.9, "a fraction in [0, 0.9)")
+    demand(m, "stop", m.stop in (None, "validation"), "None or 'validation'")
 
 
-def _check_loss(loss: Loss, truncation: int | None, washout: int, name: str) -> None:
-    known = get_args(Loss)
-    _demand(name, "loss", loss, loss in known, f"one of {', '.join(known)}")
-    _demand(name, "truncation", truncation, _at_least_1(truncation), "None or at least 1")
-    _demand(name, "washout", washout, washout >= 0, "0 samples or more")
+def _check_loss(m: NetworkMethod, truncation: int | None, washout: int) -> None:
+    check_choice(m, "loss", get_args(Loss))
+    if truncation is not None:
+        demand(m, "truncation", truncation >= 1, "None or at least 1")
+    if washout:
+        demand(m, "washout", washout >= 0, "0 samples or more")
     if truncation is not None and washout >= truncation:
         raise UserError(
-            f"{name}: washout is {washout}, expected less than truncation ({truncation}): "
+            f"{owner(m)}: washout is {washout}, expected less than truncation ({truncation}): "
             "no sample of a chunk would count"
         )
 

@@ -53,21 +53,30 @@ _START_RIDGE = 1e-7
 
 @dataclass(frozen=True)
 class Config:
-    """na, nb, delay: as in `arx.Config`, where None chooses one number for all lags left open;
-    degree: of the products; terms: of each output, None chooses up to max_terms; margin: outputs
-    in free run leave the training range by at most so many times its width; coefficient_ridge:
-    with Levenberg-Marquardt, weight of the squared distance of the coefficients from least
-    squares."""
+    """Lags and terms of the polynomial, and what holds it."""
 
     na: int | None = None
+    """Lagged outputs; None chooses among 1..max_order by the simulation error on stretches left out
+    of the training data, one number for all lags left open."""
     nb: int | None = None
+    """Lagged inputs, chosen alike."""
     delay: int | None = 0
+    """Samples before the newest input that acts: 0 lets u[k] act on y[k], None chooses among 0..10
+    by a linear model."""
     degree: int = 2
+    """Greatest degree of the products."""
     terms: int | None = None
+    """Terms of each output; None chooses up to max_terms by the simulation error on what was left
+    out."""
     max_terms: int = 30
+    """Greatest number of terms tried where `terms` is None."""
     max_order: int = 4
+    """Greatest number of lags tried where `na` or `nb` is None."""
     margin: float = 0.1
+    """By how many times the width of the training range outputs in free run may leave it."""
     coefficient_ridge: float = 1e-5
+    """With Levenberg-Marquardt, weight of the squared distance of the coefficients from those of
+    least squares, against the mean squared error in z-scores."""
 
     def __post_init__(self) -> None:
         given = [self.na, self.nb, self.degree, self.terms, self.max_terms, self.max_order]

@@ -22,23 +22,21 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._data.encoder import Encoder, affine, fit_encoder
+from asia.models._data.encoder import Encoder, affine
 from asia.models._data.records import (
     ScaledData,
     ScaledTrajectory,
     check,
-    past_length,
     scaled,
     window,
     window_size,
-    windows,
 )
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import LinearFit, Refinement, encoder_of
 from asia.models._linear.windows import WindowPredictor
 from asia.models._networks.training import fit as fit_network
-from asia.models._state_space.fit import StateSamples, fit_states, of_records
+from asia.models._state_space.fit import StateSamples, fit_states, of_records, state_encoder
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
@@ -51,25 +49,34 @@ _WORK, _WINDOWS = 2e10, (24, 1000)
 
 @dataclass(frozen=True)
 class Config:
-    """order: states, None takes the order of the best linear model but at least 2; nonlinearity:
-    where the static functions are; channels: None, or through how many signals f and g act;
-    basis, hidden (units of the tanh layer), degree (of the polynomial); ridge: weight, against
-    the mean squared error in z-scores, of the squared distance of the nonlinear weights from
-    their start; linear_ridge: the same for A, B, C, D; encoder: tanh units of the map from the
-    past window to the initial state; members: with Levenberg-Marquardt, how many of the fits from
-    its starts are kept, the median of their outputs taken; delay: as in `linear.Config`."""
+    """Size of the state and of its static functions, and what holds these."""
 
     order: int | None = None
+    """States; None takes the order of the best linear model, but at least 2."""
     nonlinearity: Nonlinearity = "state"
+    """Where the static functions are: in the "state" equation and the output, at the "input", at
+    the "output", or at "both" ends."""
     channels: int | None = None
+    """Signals through which f and g act, with nonlinearity "state"; None: on all states and
+    outputs directly."""
     basis: Basis = "tanh"
+    """A layer of tanh units, or polynomials."""
     hidden: int = 8
+    """Units of that layer."""
     degree: int = 3
+    """Greatest degree of the polynomials."""
     ridge: float = 1e-5
+    """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
+    weights from their start."""
     linear_ridge: float = 1e-7
+    """The same for A, B, C, D and the offset."""
     encoder: int = 30
+    """Units of the tanh layer of the map from the past window to the initial state."""
     members: int = 1
+    """With Levenberg-Marquardt, how many of the fits from its starts are kept; the median of their
+    outputs is taken."""
     delay: int | None = 0
+    """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
 
     def __post_init__(self) -> None:
         if min(self.hidden, self.members) < 1 or self.degree < 2 or (self.order or 1) < 1:
@@ -166,7 +173,7 @@ def train(
     predictor = _windowed_start(records, context, c)
     if predictor is not None:
         return _train_windowed(model, predictor, records, scaling, context, method)
-    found, delay, used = _linear_start(records, context, c)
+    found, delay, used = linear_start(records, context, c.order, c.delay)
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels,
@@ -228,12 +235,13 @@ def _random(context: Context) -> np.random.Generator:
     return np.random.default_rng(context.seed)
 
 
-def _linear_start(
-    records: ScaledData, context: Context, config: Config
+def linear_start(
+    records: ScaledData, context: Context, order: int | None, delay: int | None
 ) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
-    choice = linear.Config(order=config.order, delay=config.delay)
+    """`linear.fit_records`; where the order is open, at least 2 states."""
+    choice = linear.Config(order=order, delay=delay)
     found, delay, used = linear.fit_records(records, context, choice, Refinement())
-    if config.order is None and found.system.order < 2:
+    if order is None and found.system.order < 2:
         choice = replace(choice, order=2, delay=delay)
         return linear.fit_records(records, context, choice, Refinement())
     return found, delay, used
@@ -258,18 +266,10 @@ def _by_lm(
     ridge = {**_ridges(config), "x0": found.error / sum(len(r) for r in records)}
     samples = of_records(records, found.x0)
     fits = fit_states(structure, starts, samples, ridge, method, context.log)
-    skip = past_length(context)
-    long = [i for i, r in enumerate(records) if len(r) > skip]
-    features = [windows(records[i], context) for i in long]
-    members: list[tuple[dict[str, Any], Encoder]] = []
-    for one in fits[: config.members]:
-        states = [
-            structure.simulate(one.params, one.x0[i, None], records[i].u[None])[0][0, skip:]
-            for i in long
-        ]
-        encoder = fit_encoder(features, states, config.encoder, context.seed)
-        members.append((one.params, encoder))
-    return members
+    return [
+        (one.params, state_encoder(structure, one, records, context, config.encoder))
+        for one in fits[: config.members]
+    ]
 
 
 def _encoded(

@@ -49,32 +49,36 @@ _RESERVED = 100
 
 @dataclass(frozen=True)
 class Config:
-    """What is added to the equations.
-
-    linear: linear terms in the states and parameter-free definitions that the equations read, and
-    an offset, in every equation with free parameters; sparsity: how much a term must bring to
-    stay, 0 keeps all; ridge: weight of squared terms before that. lag: a first-order lag of the
-    inputs, with a learned time constant. gain: a learned factor on known kinematics. disturbance: a
-    bounded slow disturbance that opposes the acceleration. network: "mlp", "rnn", "gru" or "lstm"
-    of `hidden` units and `layers` layers; size: its largest effect, as a share of the rates
-    measured. robust: where the loss on windows turns from square to linear, in standard deviations
-    of the output; None is least squares. equations: iterations on the equations before Adam.
-    windows: how many training windows at most.
-    """
+    """What is added to the equations of [physics]."""
 
     linear: bool = False
+    """Whether every equation with free parameters gets an offset and linear terms in the states and
+    parameter-free definitions that the equations read."""
     sparsity: float = 3e-4
+    """How much a linear term must bring to stay; 0 keeps all."""
     ridge: float = 1e-3
+    """Weight of the squared linear terms before that, against the loss."""
     lag: bool = True
+    """Whether the inputs act through a first-order lag with a learned time constant."""
     gain: bool = True
+    """Whether known kinematics get a learned factor."""
     disturbance: bool = False
+    """Whether a bounded slow disturbance opposes the acceleration."""
     network: NetworkKind | None = None
+    """Network for what is left: "mlp", "rnn", "gru", "lstm", or None for none."""
     hidden: int = 32
+    """Units of a layer of the network."""
     layers: int = 1
+    """Layers of a recurrent network."""
     size: float = 1.0
+    """Largest effect of the network, as a share of the rates measured."""
     robust: float | None = 0.3
+    """Where the loss on windows turns from square to linear, in standard deviations of the output;
+    None is least squares."""
     equations: int = 15
+    """Iterations on the equations before a network method."""
     windows: int = 240
+    """Training windows at most."""
 
     def __post_init__(self) -> None:
         if self.network not in (None, "mlp", "rnn", "gru", "lstm"):

@@ -20,33 +20,34 @@ class Config:
     Every addition has no effect at its prior mean. A ridge holds it there: `residual_ridge` the
     network; `ridge` linear term, offsets and delay; limits and spilled fractions, being physical,
     are held as weakly as the parameters of the equations.
-
-    saturation: states with a learned upper limit (a full tank). spill: what a full state cannot
-    hold goes, by a learned fraction, into the next state of the physics. linear: a linear term in
-    states and inputs added to the dynamics. offset: outputs that get a constant bias, and states
-    whose derivative gets one. input_delay: greatest input delay searched, in samples; 0 is none.
-    residual: hidden tanh units of a small network of states and inputs added to the dynamics; 0 is
-    none.
-    ridge: the cost is the mean squared normalised simulation error plus `ridge` times the sum of
-    squared effects; an effect of 1 is as large as the signal it acts on.
-    robust: Huber threshold in standard deviations of the output; None is least squares.
-    substeps: Runge-Kutta steps a sample.
-    initial: how a simulation starts: "measured" at the last measured outputs, where every state is
-    an output; "estimated" from the whole past window; None is measured with a horizon, where that
-    is possible, and else estimated.
     """
 
     saturation: tuple[str, ...] = ()
+    """States with a learned upper limit, such as the level of a tank that can be full."""
     spill: bool = False
+    """Whether a learned fraction of what a full state cannot hold goes into the next state of the
+    physics."""
     linear: bool = False
+    """Whether a linear term in states and inputs is added to the dynamics."""
     offset: tuple[str, ...] = ()
+    """Outputs that get a constant bias, and states whose derivative gets one."""
     input_delay: float = 0.0
+    """Greatest input delay searched, in samples; 0 is none."""
     residual: int = 0
+    """Hidden tanh units of a network of states and inputs added to the dynamics; 0 is none."""
     ridge: float = 1e-3
+    """Weight of the sum of squared effects beside the mean squared normalised simulation error; an
+    effect of 1 is as large as the signal it acts on."""
     residual_ridge: float = 1e-2
+    """The same for the network."""
     robust: float | None = None
+    """Huber threshold in standard deviations of the output; None is least squares."""
     substeps: int = 2
+    """Runge-Kutta steps a sample."""
     initial: Initial | None = None
+    """How a simulation starts: "measured" at the last measured outputs, where every state is an
+    output; "estimated" from the whole past window; None is measured with a horizon, where that is
+    possible, and else estimated."""
 
     def __post_init__(self) -> None:
         if self.spill and not self.saturation:

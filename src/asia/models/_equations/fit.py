@@ -29,6 +29,7 @@ from asia.models._solvers.levenberg_marquardt import (
     LevenbergMarquardt,
     LMResult,
     levenberg_marquardt,
+    value_and_jacobian,
 )
 
 _INITIAL_RIDGE = 1e-6
@@ -148,12 +149,10 @@ def _linearised(
         z, shift = theta[:size], theta[size:].reshape(count, nx)
 
         def one(i: jax.Array) -> tuple[jax.Array, jax.Array]:
-            def both(own: jax.Array) -> tuple[jax.Array, jax.Array]:
-                value = _segment_residual(structure, start, segments, own, i)
-                return value, value
+            def errors(own: jax.Array) -> jax.Array:
+                return _segment_residual(structure, start, segments, own, i)
 
-            jacobian, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([z, shift[i]]))
-            return value, jacobian
+            return value_and_jacobian(errors, jnp.concatenate([z, shift[i]]))
 
         values, jacobians = jax.vmap(one)(jnp.arange(count))
         blocks = jnp.eye(count)[:, None, :, None] * jacobians[:, :, None, size:]

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from asia.models import recurrent
 from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations
+from asia.models._equations.simulate import physical_parameters
 
 NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 
@@ -74,14 +75,7 @@ class MeasuredCell:
 
     def physical(self, z: jax.Array) -> jax.Array:
         """Physical parameters (np,) from coordinates in which [-1, 1] spans their ranges."""
-        values: list[jax.Array] = []
-        for i, span in enumerate(self.ranges):
-            low, high = jnp.asarray(span.min), jnp.asarray(span.max)
-            if span.min > 0:
-                low, high = jnp.log(low), jnp.log(high)
-            value = 0.5 * (low + high) + 0.5 * (high - low) * z[i]
-            values.append(jnp.exp(value) if span.min > 0 else value)
-        return jnp.stack(values) if values else jnp.zeros(0)
+        return physical_parameters(self.ranges, z)
 
     def initial(self, params: Any, window: jax.Array) -> MeasuredState:
         """From the last measured outputs, and the last measured inputs where there are any."""

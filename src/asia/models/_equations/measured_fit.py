@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from asia.models._data.windows import HorizonWindows
 from asia.models._equations.measured import MeasuredCell
 from asia.models._networks.structure import Params, rollout
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt, value_and_jacobian
 from asia.models._solvers.progress import Progress
 
 Judge = Callable[[Params], float]
@@ -168,11 +168,7 @@ class _Program:
         def normal(
             theta: jax.Array, theta0: jax.Array, ridge: jax.Array
         ) -> tuple[jax.Array, jax.Array]:
-            def both(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-                e = residual(t)
-                return e, e
-
-            jacobian, e = jax.jacfwd(both, has_aux=True)(theta)
+            e, jacobian = value_and_jacobian(residual, theta)
             weighted = jacobian * weights(e)[:, None]
             gram = weighted.T @ jacobian / e.size + jnp.diag(ridge)
             return gram, weighted.T @ e / e.size + ridge * (theta - theta0)

@@ -21,6 +21,7 @@ from asia.models._solvers.levenberg_marquardt import (
     finite_cost,
     initial_state,
     normal_from_sums,
+    value_and_jacobian,
 )
 
 # Numbers in the derivatives of one chunk of segments.
@@ -57,11 +58,7 @@ def measured_fitter(structure: GreyBoxStructure, method: LevenbergMarquardt, res
 
         def normal(z: jax.Array) -> Normal:
             def sums(function: Any) -> Any:
-                def both(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-                    value = function(z)
-                    return value, value
-
-                jacobian, e = jax.jacfwd(both, has_aux=True)(z)
+                e, jacobian = value_and_jacobian(function, z)
                 jacobian = jacobian * active
                 return e @ e, jacobian.T @ jacobian, jacobian.T @ e
 

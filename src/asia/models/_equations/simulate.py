@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from asia.models._equations.config import GreyBoxStructure
+from asia.models._equations.config import GreyBoxStructure, Range
 from asia.models._equations.ode import runge_kutta
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt, levenberg_marquardt
 
@@ -64,10 +65,10 @@ class Effects(NamedTuple):
     readout: jax.Array
 
 
-def physical_parameters(structure: GreyBoxStructure, z: jax.Array) -> jax.Array:
+def physical_parameters(ranges: Sequence[Range], z: jax.Array) -> jax.Array:
     """Parameters (np,) in physical units from their coordinates; [-1, 1] spans the range."""
     values: list[jax.Array] = []
-    for i, span in enumerate(structure.ranges):
+    for i, span in enumerate(ranges):
         low, high = jnp.asarray(span.min), jnp.asarray(span.max)
         if span.min > 0:
             low, high = jnp.log(low), jnp.log(high)
@@ -94,7 +95,7 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: jax.Array) -> Effect
     delay = config.input_delay * jnp.clip(z[layout.delay], 0.0, 1.0)
     units = config.residual
     return Effects(
-        parameters=physical_parameters(structure, z[layout.parameters]),
+        parameters=physical_parameters(structure.ranges, z[layout.parameters]),
         limits=limits,
         spill=spill,
         linear=z[layout.linear].reshape(nx, nx + nu) if config.linear else jnp.zeros((nx, nx + nu)),

@@ -9,11 +9,11 @@ from asia.errors import UserError
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """Linear least squares, for families that are linear in their parameters. ridge: weight of the
-    squared parameters against the mean squared error in z-scores, None chooses it inside the
-    training data by the simulation error on stretches left out."""
+    """Linear least squares, for families that are linear in their parameters."""
 
     ridge: float | None = None
+    """Weight of the squared parameters against the mean squared error in z-scores; None chooses it
+    inside the training data by the simulation error on stretches left out."""
 
     def __post_init__(self) -> None:
         if self.ridge is not None and self.ridge < 0:
@@ -24,13 +24,14 @@ class LeastSquares:
 class MarginalLikelihood:
     """Hyper-parameters of a Gaussian process by the evidence of its training data, with L-BFGS.
 
-    iterations: greatest number of steps for each output; points: training points, spread over the
-    records, that the evidence is computed on (its cost grows with their cube).
     Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, section 5.4.
     """
 
     iterations: int = 60
+    """Greatest number of steps for each output."""
     points: int = 400
+    """Training points, spread over the records, that the evidence is computed on; its cost grows
+    with their cube."""
 
     def __post_init__(self) -> None:
         if self.iterations < 0 or self.points < 2:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
@@ -23,19 +24,21 @@ _TRIALS = (0.1, 1.0, 10.0, 100.0)
 class LevenbergMarquardt:
     """Training method: damped Gauss-Newton on the simulation error.
 
-    iterations: greatest number of Jacobians; starts: number of starting points of a family that
-    can be started from several; damping: first damping, relative to the scaled normal matrix;
-    tolerance: relative decrease of the cost below which it stops; stop: "validation" asks
-    `context.validation_score` after every iteration and keeps the best parameters, in families that
-    can (physics_net); without such a score, or elsewhere, the last ones are kept.
     Source: Marquardt, SIAM J. Appl. Math. 11 (1963).
     """
 
     iterations: int = 50
+    """Greatest number of Jacobians."""
     starts: int = 1
+    """Starting points, in families that can be started from several."""
     damping: float = 1e-2
+    """First damping, relative to the scaled normal matrix."""
     tolerance: float = 1e-9
+    """Relative decrease of the cost below which it stops."""
     stop: Literal["validation"] | None = None
+    """"validation" keeps the parameters with the least `context.validation_score`, asked for after
+    every iteration, in families that can (physics_net); without such a score, or elsewhere, the
+    last ones are kept."""
 
     def __post_init__(self) -> None:
         if self.iterations < 0 or self.starts < 1:
@@ -105,6 +108,17 @@ def normal_from_sums(cost: jax.Array, gram: jax.Array, gradient: jax.Array) -> N
     return Normal(finite_cost(cost), scale, gram / jnp.outer(scale, scale), gradient / scale)
 
 
+def value_and_jacobian(function: Residual, theta: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Value (m,) and Jacobian (m, n) at theta (n,), in one forward pass."""
+
+    def both(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
+        value = function(theta)
+        return value, value
+
+    jacobian, value = jax.jacfwd(both, has_aux=True)(theta)
+    return value, jacobian
+
+
 def levenberg_marquardt(
     residual: Residual,
     theta0: jax.Array,
@@ -120,19 +134,11 @@ def levenberg_marquardt(
     cost never rises. `method.starts` is the caller's affair.
     """
 
-    def forward(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def both(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-            value = residual(t)
-            return value, value
-
-        jacobian, value = jax.jacfwd(both, has_aux=True)(theta)
-        return value, jacobian
-
     def cost(theta: jax.Array) -> jax.Array:
         return finite_cost(jnp.sum(residual(theta) ** 2))
 
     def normal(theta: jax.Array) -> Normal:
-        return normal_of(*(linearised or forward)(theta))
+        return normal_of(*(linearised or partial(value_and_jacobian, residual))(theta))
 
     with jax.enable_x64(True):
         theta = jnp.asarray(theta0, dtype=jnp.float64)

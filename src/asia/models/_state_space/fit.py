@@ -17,9 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.cuts import padded, side_by_side
-from asia.models._data.records import ScaledData
+from asia.models._data.encoder import Encoder, fit_encoder
+from asia.models._data.records import ScaledData, past_length, windows
 from asia.models._solvers.levenberg_marquardt import (
     LevenbergMarquardt,
     LMState,
@@ -111,6 +113,23 @@ def fit_states(
         x0 = best.pop("x0", samples.x0)
         results.append(StateFit(x0, best, float(state.cost), history))
     return sorted(results, key=lambda r: r.cost)
+
+
+def state_encoder(
+    structure: StateSpaceStructure,
+    fit: StateFit,
+    records: ScaledData,
+    context: Context,
+    hidden: int,
+) -> Encoder:
+    """Map from the past window to the state, from the fitted model's own states on the records."""
+    skip = past_length(context)
+    long = [i for i, r in enumerate(records) if len(r) > skip]
+    states = [
+        structure.simulate(fit.params, fit.x0[i, None], records[i].u[None])[0][0, skip:]
+        for i in long
+    ]
+    return fit_encoder([windows(records[i], context) for i in long], states, hidden, context.seed)
 
 
 def _stops(iterations: int) -> list[int]:
