@@ -4,14 +4,13 @@ on the two-tank simulation and on windows of a small made-up drone."""
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asia.agents import Facts
 from asia.agents.library.family import Family
-from asia.agents.library.table import FAMILIES
+from asia.agents.library.table import all_families
 from asia.candidate import Context, check_source, executed_source
 from asia.data import Signal, Trajectory
 from asia.errors import CandidateError, Reason
@@ -27,12 +26,6 @@ from asia.search import problem_facts
 TWO_TANKS, SMALL_DRONE = "two_tanks_sim", "small drone"
 _TANK_SAMPLES = 160
 _SECONDS, _MEMORY_MB = 120.0, 4096
-# The smallest of what costs time; a family takes those it has.
-SMALL_CONFIG = {
-    "order": 1, "hidden": 3, "units": 4, "states": 2, "width": 4, "layers": 1, "slow": 2, "fast": 2,
-    "levels": 2, "lift": 2, "receptive_field": 8, "span": 8, "points": 60,
-}  # fmt: skip
-SMALL_METHOD = {"iterations": 3, "starts": 1, "steps": 5}
 _ALARMS = (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
 
 
@@ -65,14 +58,11 @@ class HonestProblem:
     @property
     def families(self) -> tuple[Family, ...]:
         """Those that can be used on it."""
-        return tuple(row for row in FAMILIES if row.suits(self.facts))
+        return tuple(row for row in all_families() if row.suits(self.facts))
 
     def source(self, row: Family) -> str:
         """The family's first candidate."""
-        recipe = row.trial(self.facts)
-        if self.tiny:
-            recipe = recipe.configured(**_known(recipe.config, SMALL_CONFIG))
-            recipe = recipe.trained(**_known(recipe.options, SMALL_METHOD))
+        recipe = row.smallest(self.facts) if self.tiny else row.trial(self.facts)
         return recipe.source(row.label)
 
 
@@ -142,7 +132,3 @@ def try_honest(problem: HonestProblem, row: Family, level: Isolation, ending: En
         return Honest(row.name, problem.name, False, words, seconds, error.reason)
     words = ", ".join(one.kind for one in found)
     return Honest(row.name, problem.name, bool(found), words, time.monotonic() - begin)
-
-
-def _known(settings: tuple[tuple[str, object], ...], values: Mapping[str, int]) -> dict[str, int]:
-    return {name: values[name] for name, _ in settings if name in values}

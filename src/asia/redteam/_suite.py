@@ -12,7 +12,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from asia.agents.library.family import Family
-from asia.agents.library.table import FAMILIES
+from asia.agents.library.table import all_families
 from asia.redteam._arena import attack_candidate
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
 from asia.redteam._stopping import Ending
@@ -140,9 +140,9 @@ def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]
     if not quick:
         return tuple((p, row) for p in (tanks, drone) for row in p.families)
     chosen: list[tuple[HonestProblem, Family]] = []
-    for place, row in enumerate(FAMILIES):
+    for place, row in enumerate(all_families()):
         wanted = (tanks, drone) if place % 2 else (drone, tanks)
-        chosen.append((next(p for p in wanted if row in p.families), row))
+        chosen += [(p, row) for p in wanted if row in p.families][:1]
     return tuple(chosen)
 
 

@@ -3,6 +3,7 @@
 from asia.testing._agent import check_agent
 from asia.testing._candidate import check_candidate
 from asia.testing._executor import check_executor
+from asia.testing._family import check_family
 from asia.testing._ledger import Journal, check_ledger
 from asia.testing._metric import check_metric
 from asia.testing._sandbox import OpenWorker, check_sandbox
@@ -14,6 +15,7 @@ __all__ = [
     "check_agent",
     "check_candidate",
     "check_executor",
+    "check_family",
     "check_ledger",
     "check_metric",
     "check_sandbox",

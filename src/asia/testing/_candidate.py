@@ -32,8 +32,8 @@ def check_candidate(
     the metamorphic checks of `asia.evaluation.suspicions` find nothing: it is causal, continuous,
     without memory, and does not know its neighbours in a request.
     """
-    records = list(trajectories) or [_tank()]
-    context = context or _tank_context()
+    records = list(trajectories) or [tank()]
+    context = context or tank_context()
     level = level or probe().level
     try:
         _check(source, records, context, level)
@@ -87,7 +87,8 @@ def _rule(context: Context) -> ProtocolRule:
     )
 
 
-def _tank() -> Trajectory:
+def tank() -> Trajectory:
+    """A leaking tank with a pump, slightly noisy."""
     rng = np.random.default_rng(3)
     u = np.repeat(rng.uniform(0.5, 1.5, size=20), 10)
     x = np.ones(len(u))
@@ -96,7 +97,8 @@ def _tank() -> Trajectory:
     return Trajectory(u, x + 0.002 * rng.normal(size=len(x)), 0.1, "tank")
 
 
-def _tank_context() -> Context:
+def tank_context() -> Context:
+    """The tank's problem, with its equation."""
     physics = Physics(
         states=("level",),
         dynamics={"level": "-k1*sqrt(level) + k2*flow"},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asia.agents import ExpertAgent, Facts, Proposal, Trial
-from asia.agents.expert.evidence import overfit, plateau_share
+from asia.agents.library.evidence import overfit, plateau_share
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.table import families
 from asia.data import Trajectory

@@ -9,13 +9,14 @@ import pytest
 from asia.agents import ExpertAgent, Facts, Trial
 from asia.agents.controls.paper import paper_families
 from asia.agents.controls.random import _drawn
-from asia.agents.expert.move import Case
-from asia.agents.expert.moves import MOVES
-from asia.agents.library.cost import FEWEST_STEPS, METHODS, under_protocol
+from asia.agents.expert.moves import all_moves
+from asia.agents.library.cost import FEWEST_STEPS
 from asia.agents.library.family import Family
-from asia.agents.library.recipe import Recipe, read_recipe
-from asia.agents.library.table import FAMILIES, families
+from asia.agents.library.move import Situation
+from asia.agents.library.protocol import under_protocol
+from asia.agents.library.table import all_families, families
 from asia.models import methods
+from asia.testing._family import check_recipe
 from tests.unit.agents.searches import (
     CLEAN,
     body,
@@ -35,33 +36,25 @@ PROBLEMS = {
 }
 
 
-def accept(recipe: Recipe) -> None:
-    """Raises what the family or the method raises for a setting it does not take."""
-    module = importlib.import_module(f"asia.models.{recipe.family}")
-    module.Config(**dict(recipe.config))
-    getattr(methods, recipe.method)(**dict(recipe.options))
-    assert read_recipe(recipe.source("Anything.")) == recipe
-
-
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
-@pytest.mark.parametrize("row", FAMILIES, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", all_families(), ids=lambda row: row.name)
 def test_what_a_row_gives_is_accepted(row: Family, known: Facts) -> None:
     if not row.suits(known):
         return
     trial, full = row.trial(known), row.full(known)
     assert trial.family == full.family == row.name
-    for recipe in (trial, full, *(METHODS[name](known, trial) for name in row.methods)):
-        accept(under_protocol(recipe, known))
+    for recipe in (trial, full, *(change(known, trial) for change in row.methods)):
+        check_recipe(under_protocol(recipe, row, known))
     rng = np.random.default_rng(0)
     for _ in range(30):
-        accept(under_protocol(_drawn(rng, row, known), known))
+        check_recipe(under_protocol(_drawn(rng, row, known), row, known))
 
 
-@pytest.mark.parametrize("row", FAMILIES, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", all_families(), ids=lambda row: row.name)
 def test_a_row_varies_settings_that_exist(row: Family) -> None:
     known = PROBLEMS["body" if row.name == "physics_net" else "physics"]
     space = row.space(known)
-    module = importlib.import_module(f"asia.models.{row.name}")
+    module = importlib.import_module(f"{row.package}.{row.name}")
     of_methods = {f.name for f in fields(getattr(methods, row.trial(known).method))}
     if "network" in {need.needs for need in space.options}:
         of_methods |= {f.name for f in fields(methods.Adam)}
@@ -74,7 +67,7 @@ def test_a_row_varies_settings_that_exist(row: Family) -> None:
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
 def test_what_the_expert_proposes_is_accepted(known: Facts) -> None:
     for done in search(ExpertAgent, known, 60):
-        accept(recipe_of(done))
+        check_recipe(recipe_of(done))
 
 
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
@@ -84,15 +77,15 @@ def test_what_a_move_sets_random_draws_too(known: Facts) -> None:
     made = 0
     for row in families(known):
         drawn = {p.name for p in (*row.space(known).config, *row.space(known).options)}
-        starts = [row.full(known), *(METHODS[m](known, row.full(known)) for m in row.methods)]
+        starts = [row.full(known), *(change(known, row.full(known)) for change in row.methods)]
         for recipe in starts:
             now = view(known, (), "refine")
             trial = Trial(
                 1, None, "explore", row.name, "", "", "", recipe.source(""), "keep", 0.3,
                 (0.3, 0.3), None, (CLEAN, CLEAN),
             )  # fmt: skip
-            case = Case(replace(now, trials=(trial,)), trial, recipe, row, 0, 1)
-            for move in MOVES:
+            case = Situation(replace(now, trials=(trial,)), trial, recipe, row, 0, 1)
+            for move in all_moves():
                 if move.applies(case) and move.weight(case) > 0:
                     changed = move.change(case)
                     made += 1
@@ -124,7 +117,7 @@ def test_the_papers_space_is_the_papers() -> None:
     for row in rows:
         for _ in range(20):
             recipe = _drawn(rng, row, known)
-            accept(recipe)
+            check_recipe(recipe)
             assert recipe.method == "Adam"
             assert recipe.get("network" if row.name == "physics_net" else "cell") == "lstm"
             assert 0 <= recipe.number("dropout", -1) <= 0.3

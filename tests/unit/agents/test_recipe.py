@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.agents.library.recipe import Recipe, read_recipe
-from asia.agents.library.table import FAMILIES
+from asia.agents.library.table import all_families
 from asia.candidate import check_source, source_digest
 from asia.evaluation import LINEAR
 
@@ -24,10 +24,11 @@ settings = st.dictionaries(st.sampled_from(["a", "hidden", "ridge", "offset"]), 
 )
 recipes = st.builds(
     Recipe,
-    family=st.sampled_from([row.name for row in FAMILIES]),
+    family=st.sampled_from([row.name for row in all_families()]),
     config=settings,
     method=st.sampled_from(METHODS),
     options=settings,
+    package=st.sampled_from(["asia.models", "other_package", "other.package"]),
 )
 
 
@@ -55,7 +56,7 @@ def test_a_source_that_says_more_is_no_recipe(source: str) -> None:
 
 
 def test_the_linear_rung_and_the_linear_row_are_the_same_candidate() -> None:
-    row = next(row for row in FAMILIES if row.name == "linear")
+    row = next(row for row in all_families() if row.name == "linear")
     recipe = read_recipe(LINEAR)
     assert recipe is not None
     assert recipe.config == (("order", None), ("delay", None))

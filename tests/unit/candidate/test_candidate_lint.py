@@ -13,8 +13,8 @@ import asia
 from asia.agents import ExpertAgent, Facts
 from asia.agents.controls.paper import paper_families
 from asia.agents.controls.random import _drawn
-from asia.agents.library.cost import under_protocol
-from asia.agents.library.table import FAMILIES
+from asia.agents.library.protocol import under_protocol
+from asia.agents.library.table import all_families
 from asia.agents.llm.problem import EXAMPLE
 from asia.candidate import check_source, executed_source, source_digest
 from asia.candidate._lint import MOST_ALIKE, MOST_CODE, MOST_LITERALS, MOST_NAMES, content
@@ -47,9 +47,9 @@ def library_sources() -> list[str]:
 
 
 def drawn(rng: np.random.Generator, facts: Facts) -> list[str]:
-    rows = [row for row in (*FAMILIES, *paper_families(facts)) if row.suits(facts)]
+    rows = [row for row in (*all_families(), *paper_families(facts)) if row.suits(facts)]
     return [
-        under_protocol(_drawn(rng, row, facts), facts).source(row.label)
+        under_protocol(_drawn(rng, row, facts), row, facts).source(row.label)
         for row in rows
         for _ in range(10)
     ]

@@ -5,23 +5,22 @@ import types
 
 import pytest
 
-from asia.agents.library.table import FAMILIES
+from asia.agents.library.table import all_families
 from asia.protocol import ProtocolRule, make_folds
-from tests.contract.test_models import context, quick_source, record, suited
+from asia.testing._family import family_problem, smallest_source
 from tests.unit.evaluation.relations import Model, suspicions_of
-
-__all__ = ["context", "record"]
-
 
 CHOSEN = {"linear", "narx", "gp_narx", "esn", "recurrent", "cnn", "transformer"}
 
 
-@pytest.mark.parametrize("row", [r for r in FAMILIES if r.name in CHOSEN], ids=lambda row: row.name)
-def test_a_family_is_not_suspected(row, record, context):
-    record, context = suited(row, record, context)
+@pytest.mark.parametrize(
+    "row", [r for r in all_families() if r.name in CHOSEN], ids=lambda row: row.name
+)
+def test_a_family_is_not_suspected(row):
+    record, context = family_problem(row)
     rule = ProtocolRule(past_inputs=5, past_outputs=5)
     held = make_folds([record], rule)[1]
     module = types.ModuleType(row.name)
-    exec(quick_source(row, record, context), module.__dict__)
+    exec(smallest_source(row, record, context), module.__dict__)
     model = Model(module.fit(held.train, context).simulate)
     assert suspicions_of(model, held.validation, held.scale, None) == ()

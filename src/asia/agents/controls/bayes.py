@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 from asia.agents._view import AgentView, Facts, Proposal, Trial
-from asia.agents.library.cost import METHODS, is_new, under_protocol
 from asia.agents.library.family import Family
+from asia.agents.library.protocol import is_new, under_protocol
 from asia.agents.library.recipe import Recipe, Value, read_recipe
-from asia.agents.library.space import Choice, Parameter, Space, Span, applies
+from asia.agents.library.space import OneOf, Parameter, Space, Span, applies
 from asia.agents.library.table import families
 
 if TYPE_CHECKING:
@@ -46,9 +46,9 @@ class BayesAgent:
         for attempt in range(_TRIES):
             study = _study(view, rows, attempt)
             recipe, row = _asked(study, view.facts, rows)
-            if is_new(view, recipe):
+            if is_new(view, row, recipe):
                 return Proposal(
-                    source=under_protocol(recipe, view.facts).source(
+                    source=under_protocol(recipe, row, view.facts).source(
                         f"{row.label}, chosen by a Parzen estimator."
                     ),
                     family=row.name,
@@ -135,7 +135,7 @@ def _built(row: Family, facts: Facts, pick: Pick) -> Recipe:
     if row.methods:
         method = int(pick(f"{row.name}.{_METHOD}", _choices(1 + len(row.methods))))
         if method > 0:
-            changed = METHODS[row.methods[method - 1]](facts, recipe)
+            changed = row.methods[method - 1](facts, recipe)
             recipe = _picked(row, changed, space.opened(recipe, changed), pick)
     return recipe if row.settle is None else row.settle(facts, recipe)
 
@@ -154,8 +154,8 @@ def _method(row: Family, facts: Facts, recipe: Recipe) -> int:
     own = row.trial(facts)
     if recipe.method == own.method and not recipe.get("network"):
         return 0
-    for i, name in enumerate(row.methods):
-        made = METHODS[name](facts, own)
+    for i, change in enumerate(row.methods):
+        made = change(facts, own)
         if (made.method, made.get("network")) == (recipe.method, recipe.get("network")):
             return i + 1
     raise ValueError(recipe.method)
@@ -179,7 +179,7 @@ def _distribution(p: Parameter) -> BaseDistribution:
 
 def _number(p: Parameter, value: Value) -> Number:
     """As the estimator counts it. Raises ValueError for a value outside the space."""
-    if isinstance(p, Choice):
+    if isinstance(p, OneOf):
         return p.values.index(value)
     if not isinstance(value, int | float) or not p.low <= value <= p.high:
         raise ValueError(p.name)
@@ -187,4 +187,4 @@ def _number(p: Parameter, value: Value) -> Number:
 
 
 def _value(p: Parameter, number: Number) -> Value:
-    return p.values[int(number)] if isinstance(p, Choice) else p.tidy(float(number))
+    return p.values[int(number)] if isinstance(p, OneOf) else p.tidy(float(number))

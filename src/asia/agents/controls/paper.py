@@ -8,10 +8,11 @@ from dataclasses import replace
 from functools import partial
 
 from asia.agents._view import Facts
-from asia.agents.library.cost import FEWEST_STEPS, adam
+from asia.agents.library.cost import FEWEST_STEPS
 from asia.agents.library.family import Family
+from asia.agents.library.methods import adam
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.space import Choice, Space, Span
+from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.table import family
 
 _UNITS = 32
@@ -23,7 +24,7 @@ def paper_families(facts: Facts) -> tuple[Family, ...]:
     long ones, by Adam alone."""
     rows = [row for row in map(family, _PAPER) if row is not None and row.suits(facts)]
     return tuple(
-        replace(row, trial=partial(_lstm, row), space=_space, methods=(), settle=_affordable)
+        replace(row, start=partial(_lstm, row), space=_space, methods=(), settle=_affordable)
         for row in rows
     )
 
@@ -45,7 +46,7 @@ def _affordable(_: Facts, recipe: Recipe) -> Recipe:
 
 def _space(_: Facts) -> Space:
     return Space(
-        config=(Span("hidden", 16, 128, whole=True), Choice("layers", (1, 2, 3))),
+        config=(Span("hidden", 16, 128, whole=True), OneOf("layers", (1, 2, 3))),
         options=(
             Span("learning_rate", 1e-4, 1e-2),
             Span("dropout", 0.0, 0.3, log=False),

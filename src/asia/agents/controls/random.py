@@ -10,8 +10,8 @@ import numpy as np
 
 from asia.agents._view import AgentView, Facts, Proposal
 from asia.agents.controls.paper import paper_families
-from asia.agents.library.cost import METHODS, is_new, under_protocol
 from asia.agents.library.family import Family
+from asia.agents.library.protocol import is_new, under_protocol
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import draw
 from asia.agents.library.table import families
@@ -45,9 +45,11 @@ class RandomAgent:
         for _ in range(_TRIES):
             row = rows[int(rng.integers(len(rows)))]
             recipe = _drawn(rng, row, facts)
-            if is_new(view, recipe):
+            if is_new(view, row, recipe):
                 return Proposal(
-                    source=under_protocol(recipe, facts).source(f"{row.label}, drawn at random."),
+                    source=under_protocol(recipe, row, facts).source(
+                        f"{row.label}, drawn at random."
+                    ),
                     family=row.name,
                     title=f"{row.label}, drawn",
                     hypothesis="None: a random draw is the control.",
@@ -61,6 +63,6 @@ def _drawn(rng: np.random.Generator, row: Family, facts: Facts) -> Recipe:
     recipe = draw(rng, row.trial(facts), space)
     other = int(rng.integers(1 + len(row.methods)))
     if other > 0:
-        changed = METHODS[row.methods[other - 1]](facts, recipe)
+        changed = row.methods[other - 1](facts, recipe)
         recipe = draw(rng, changed, space.opened(recipe, changed))
     return recipe if row.settle is None else row.settle(facts, recipe)

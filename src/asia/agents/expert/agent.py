@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from functools import partial
 
 from asia.agents._view import AgentView, Proposal, Trial
-from asia.agents.expert.evidence import overfit
-from asia.agents.expert.move import Case, Move
-from asia.agents.expert.moves import MOVES
-from asia.agents.library.cost import is_new, under_protocol
+from asia.agents.expert.moves import all_moves
+from asia.agents.library.evidence import overfit
 from asia.agents.library.family import Family
+from asia.agents.library.move import Move, Situation
+from asia.agents.library.protocol import is_new, under_protocol
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.table import families, family
 
@@ -75,11 +75,11 @@ def _untried(view: AgentView) -> Iterator[_Option]:
 
 def _first(view: AgentView, row: Family) -> Proposal | None:
     recipe = row.trial(view.facts)
-    if not is_new(view, recipe):
+    if not is_new(view, row, recipe):
         return None
     sentence = f"{_sentence(row.label)}: {row.use}."
     return Proposal(
-        source=under_protocol(recipe, view.facts).source(sentence),
+        source=under_protocol(recipe, row, view.facts).source(sentence),
         family=row.name,
         title=row.label,
         hypothesis=sentence,
@@ -90,37 +90,37 @@ def _first(view: AgentView, row: Family) -> Proposal | None:
 def _refinements(view: AgentView) -> Iterator[_Option]:
     """Every applicable move on the best trial of each family, on the last one of a family that
     only failed. A move that was made before and did not help counts less."""
-    for case in _cases(view):
-        share = _share(case)
-        for move in MOVES:
-            if not move.applies(case):
+    for at in _situations(view):
+        share = _share(at)
+        for move in all_moves():
+            if not move.applies(at):
                 continue
-            weight = move.weight(case) * (share if move.behind_counts else 1.0)
+            weight = move.weight(at) * (share if move.behind_counts else 1.0)
             if weight > 0:
-                weight *= move.fade ** _failures(case, move)
-                yield _Option(weight, partial(_moved, case, move))
+                weight *= move.fade ** _failures(at, move)
+                yield _Option(weight, partial(_moved, at, move))
 
 
-def _failures(case: Case, move: Move) -> int:
-    title = move.title(case)
-    return sum(t.title == title and t.status != "keep" for t in case.view.trials)
+def _failures(at: Situation, move: Move) -> int:
+    title = move.title(at)
+    return sum(t.title == title and t.status != "keep" for t in at.view.trials)
 
 
-def _moved(case: Case, move: Move) -> Proposal | None:
-    recipe = move.change(case)
-    if not is_new(case.view, recipe):
+def _moved(at: Situation, move: Move) -> Proposal | None:
+    recipe = move.change(at)
+    if not is_new(at.view, at.row, recipe):
         return None
     return Proposal(
-        source=under_protocol(recipe, case.facts).source(_summary(case, recipe)),
+        source=under_protocol(recipe, at.row, at.facts).source(_summary(at, recipe)),
         family=recipe.family,
-        title=move.title(case),
+        title=move.title(at),
         hypothesis=move.hypothesis,
         expected=move.expected,
-        parent=case.trial.number,
+        parent=at.trial.number,
     )
 
 
-def _cases(view: AgentView) -> Iterator[Case]:
+def _situations(view: AgentView) -> Iterator[Situation]:
     failed = [trial for trial in reversed(view.trials) if trial.value is None]
     chosen: dict[str, tuple[Trial, Recipe]] = {}
     for trial in (*view.ranked, *failed):
@@ -130,10 +130,10 @@ def _cases(view: AgentView) -> Iterator[Case]:
     for place, (trial, recipe) in enumerate(chosen.values()):
         row = family(recipe.family)
         if row is not None:
-            yield Case(view, trial, recipe, row, place, len(chosen))
+            yield Situation(view, trial, recipe, row, place, len(chosen))
 
 
-def _share(case: Case) -> float:
+def _share(at: Situation) -> float:
     """1 for the leading family, less the further another is behind.
 
     A grey-box within a factor of four of a leader without equations counts as leading: what its
@@ -142,17 +142,17 @@ def _share(case: Case) -> float:
     a leader with equations is seldom caught up with by that. Either way, each move that did not
     bring the family to the lead costs patience with it.
     """
-    trial, best, train = case.trial, case.view.best, case.trial.train_error
-    if case.place == 0 or best is None or best.value is None:
+    trial, best, train = at.trial, at.view.best, at.trial.train_error
+    if at.place == 0 or best is None or best.value is None:
         return 1.0
     if trial.value is None or train is None:
         return BEHIND
     ratio = best.value / trial.value
     leader = family(best.family)
     black_box = leader is None or "physics" not in leader.needs
-    if case.recipe.family == "greybox" and ratio > NEAR and black_box:
+    if at.row.extendable and ratio > NEAR and black_box:
         return 1.0
-    own = (t for t in case.view.trials if t.family == case.recipe.family)
+    own = (t for t in at.view.trials if t.family == at.recipe.family)
     patience = PATIENCE ** sum(t.parent is not None and t.status != "keep" for t in own)
     share = BEHIND * ratio**2
     near = NEAR if black_box else NEAR_EQUATIONS
@@ -160,9 +160,9 @@ def _share(case: Case) -> float:
     return patience * (max(share, PROMISING) if held_back else share)
 
 
-def _summary(case: Case, recipe: Recipe) -> str:
+def _summary(at: Situation, recipe: Recipe) -> str:
     settings = ", ".join(f"{k} {v}" for k, v in recipe.config) or "plain"
-    return f"{_sentence(case.row.label)}: {settings}."
+    return f"{_sentence(at.row.label)}: {settings}."
 
 
 def _sentence(text: str) -> str:

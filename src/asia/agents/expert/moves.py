@@ -7,32 +7,33 @@ before the outcome is known.
 
 from __future__ import annotations
 
-from asia.agents.expert.move import Case, Move
+from functools import cache
+
+from asia.agents.expert.network_moves import NETWORK_MOVES
 from asia.agents.expert.tune import TUNED, may_tune, tuned
-from asia.agents.library.cards.moves_classical import CLASSICAL_MOVES
-from asia.agents.library.cards.moves_greybox import GREYBOX_MOVES
-from asia.agents.library.cards.moves_networks import NETWORK_MOVES
-from asia.agents.library.cards.moves_physics_net import PHYSICS_NET_MOVES
+from asia.agents.library.evidence import coloured
+from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.table import card_moves
 
 _LATE = 0.25
 # A long fit may halve the error of a short one, hardly more.
 _REACH = 2.0
 
 
-def _is_short(case: Case) -> bool:
-    return case.recipe.number("steps", 0) < case.row.full(case.facts).number("steps", 0)
+def _is_short(at: Situation) -> bool:
+    return at.recipe.number("steps", 0) < at.row.full(at.facts).number("steps", 0)
 
 
-def _full_weight(case: Case) -> float:
-    earned = case.in_best_third and case.behind < _REACH and _is_short(case)
-    return (0.85 if case.place == 0 else 0.7) if earned else 0.0
+def _full_weight(at: Situation) -> float:
+    earned = at.in_best_third and at.behind < _REACH and _is_short(at)
+    return (0.85 if at.place == 0 else 0.7) if earned else 0.0
 
 
-def _in_full(case: Case) -> Recipe:
+def _in_full(at: Situation) -> Recipe:
     """What the row's long fit has beyond its trial, on the recipe as it is now."""
-    trial, full = case.row.trial(case.facts), case.row.full(case.facts)
-    recipe = case.recipe
+    trial, full = at.row.trial(at.facts), at.row.full(at.facts)
+    recipe = at.recipe
     for name, value in full.config:
         if trial.get(name) != value:
             recipe = recipe.configured(**{name: value})
@@ -42,36 +43,39 @@ def _in_full(case: Case) -> Recipe:
     return recipe
 
 
-def _tuning_weight(case: Case) -> float:
+def _tuning_weight(at: Situation) -> float:
     """Above what is left of small moves; once the budget runs out, above medium ones."""
-    if case.place > 0 or not may_tune(case):
+    if at.place > 0 or not may_tune(at):
         return 0.0
-    return 0.5 if case.view.remaining <= _LATE * case.view.experiments else 0.3
+    return 0.5 if at.view.remaining <= _LATE * at.view.experiments else 0.3
 
 
-def _fewer(case: Case) -> Recipe:
-    recipe = case.recipe
+def _fewer(at: Situation) -> Recipe:
+    recipe = at.recipe
     for name, share, least in (("steps", 0.25, 50), ("iterations", 0.5, 5), ("starts", 0.5, 1)):
         if recipe.has(name):
             recipe = recipe.trained(**{name: max(least, round(share * recipe.number(name, 1)))})
     return recipe
 
 
-def _calmer(case: Case) -> Recipe:
-    recipe = case.recipe
+def _calmer(at: Situation) -> Recipe:
+    recipe = at.recipe
     if recipe.number("learning_rate", 0) > 0:
         return recipe.times("learning_rate", 0.3, 1e-3)
     return recipe.times("ridge", 30.0, 1e-4)
 
 
-def _can_calm(case: Case) -> bool:
-    return case.recipe.number("learning_rate", 0) > 0 or case.recipe.number("ridge", 0) > 0
+def _can_calm(at: Situation) -> bool:
+    return at.recipe.number("learning_rate", 0) > 0 or at.recipe.number("ridge", 0) > 0
+
+
+def _order(at: Situation) -> int:
+    return round(at.recipe.number("order", 2))
 
 
 GENERAL_MOVES: tuple[Move, ...] = (
     Move(
         name="fitted in full",
-        families=(),
         weight=_full_weight,
         change=_in_full,
         hypothesis="The short trial is among the best third: it has earned a long fit.",
@@ -80,7 +84,6 @@ GENERAL_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name=TUNED,
-        families=(),
         weight=_tuning_weight,
         change=tuned,
         hypothesis="What is left to gain lies in the numbers: within a factor of three of the best "
@@ -90,7 +93,6 @@ GENERAL_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="a shorter fit",
-        families=(),
         weight=lambda c: 0.5 * (c.trial.status == "timeout"),
         change=_fewer,
         hypothesis="The fit did not end in time: with fewer steps it says at least how far the "
@@ -101,7 +103,6 @@ GENERAL_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="a calmer fit",
-        families=(),
         weight=lambda c: 0.4 * (c.trial.status == "invalid") * _can_calm(c),
         change=_calmer,
         hypothesis="The simulation ran away: smaller steps or a firmer prior keep it bounded.",
@@ -111,10 +112,26 @@ GENERAL_MOVES: tuple[Move, ...] = (
     ),
 )
 
-MOVES: tuple[Move, ...] = (
-    *GENERAL_MOVES,
-    *GREYBOX_MOVES,
-    *PHYSICS_NET_MOVES,
-    *CLASSICAL_MOVES,
-    *NETWORK_MOVES,
+SETTING_MOVES: tuple[Move, ...] = (
+    Move(
+        name="more starts",
+        weight=lambda c: 0.25 * (0 < c.recipe.number("starts", 0) <= 16),
+        change=lambda c: c.recipe.trained(starts=round(2 * c.recipe.number("starts", 1))),
+        hypothesis="The best of the starting points may not be the best there is.",
+        expected="The same or a lower training error.",
+    ),
+    Move(
+        name="one state more",
+        weight=lambda c: (0.6 if coloured(c.trial) else 0.3) * c.varies("order") * (_order(c) < 6),
+        change=lambda c: c.recipe.configured(order=_order(c) + 1),
+        hypothesis="The residual is not white: a mode is missing.",
+        expected="A whiter residual and a lower V.",
+    ),
 )
+
+
+@cache
+def all_moves() -> tuple[Move, ...]:
+    """The moves on any family, those of the cards, and those that a family's settings allow. Of
+    two with the same weight the first is made."""
+    return (*GENERAL_MOVES, *card_moves(), *SETTING_MOVES, *NETWORK_MOVES)

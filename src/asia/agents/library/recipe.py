@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -12,12 +12,13 @@ from asia.candidate import source_digest
 from asia.errors import CandidateError
 
 Value = int | float | str | bool | None | tuple[str | int | float, ...]
-Settings = tuple[tuple[str, Value], ...]
+Arguments = tuple[tuple[str, Value], ...]
 
+MODELS = "asia.models"
 _METHODS = "asia.models.methods"
 _TEMPLATE = '''"""{summary}"""
 
-from asia.models import {family}
+from {package} import {family}
 from asia.models.methods import {method}
 
 
@@ -39,18 +40,24 @@ _LINE = 80
 
 @dataclass(frozen=True)
 class Recipe:
-    """A family of `asia.models` with its settings, and a method of `asia.models.methods` with its
-    own."""
+    """A model family with its settings, and a training method with its own."""
 
     family: str
-    config: Settings
+    """Module of the family."""
+    config: Arguments
+    """Settings of the model: keyword arguments of the family's `Config`."""
     method: str
-    options: Settings
+    """Training method, one of `asia.models.methods`."""
+    options: Arguments
+    """Settings of the method."""
+    package: str = MODELS
+    """Package of the family."""
 
     @property
     def key(self) -> Hashable:
         """What tells two recipes apart: the order of settings does not."""
-        return self.family, self.method, frozenset(self.config), frozenset(self.options)
+        settings = frozenset(self.config), frozenset(self.options)
+        return self.package, self.family, self.method, *settings
 
     def get(self, name: str, default: Value = None) -> Value:
         """A setting of the model or of the method."""
@@ -74,6 +81,10 @@ class Recipe:
     def trained(self, **changes: Value) -> Recipe:
         """With settings of the method changed."""
         return replace(self, options=_merge(self.options, changes))
+
+    def fitted_by(self, method: str, options: Arguments) -> Recipe:
+        """With another training method."""
+        return replace(self, method=method, options=options)
 
     def times(self, name: str, factor: float, default: float) -> Recipe:
         """With a number multiplied, two significant digits kept; `default` stands for one that the
@@ -99,6 +110,7 @@ class Recipe:
         """The candidate.py."""
         return _TEMPLATE.format(
             summary=summary.replace('"""', "'''"),
+            package=self.package,
             family=self.family,
             method=self.method,
             config=_call(f"{self.family}.Config", self.config),
@@ -120,23 +132,25 @@ def read_recipe(source: str) -> Recipe | None:
 
 
 def _read(tree: ast.Module) -> Recipe | None:
-    methods = {alias.name for alias in _imported(tree, _METHODS)}
-    families = {alias.name for alias in _imported(tree, "asia.models")}
+    imported = [
+        (node.module, alias.name)
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom) and node.module is not None
+        for alias in node.names
+    ]
+    methods = [name for module, name in imported if module == _METHODS]
+    families = [(module, name) for module, name in imported if module != _METHODS]
     if len(methods) != 1 or len(families) != 1:
         return None
-    (method,), (family,) = methods, families
+    (method,), ((package, family),) = methods, families
     config = _settings(tree, f"{family}.Config")
     options = _settings(tree, method)
-    return None if config is None or options is None else Recipe(family, config, method, options)
+    if config is None or options is None:
+        return None
+    return Recipe(family, config, method, options, package)
 
 
-def _imported(tree: ast.Module, module: str) -> Iterator[ast.alias]:
-    for node in tree.body:
-        if isinstance(node, ast.ImportFrom) and node.module == module:
-            yield from node.names
-
-
-def _settings(tree: ast.Module, function: str) -> Settings | None:
+def _settings(tree: ast.Module, function: str) -> Arguments | None:
     """Keyword arguments of the one call of `function`, which must be literals."""
     calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
     named = [call for call in calls if ast.unparse(call.func) == function]
@@ -145,11 +159,11 @@ def _settings(tree: ast.Module, function: str) -> Settings | None:
     return tuple((k.arg or "", ast.literal_eval(k.value)) for k in named[0].keywords)
 
 
-def _merge(settings: Settings, changes: dict[str, Value]) -> Settings:
+def _merge(settings: Arguments, changes: dict[str, Value]) -> Arguments:
     return tuple({**dict(settings), **changes}.items())
 
 
-def _call(name: str, settings: Settings) -> str:
+def _call(name: str, settings: Arguments) -> str:
     arguments = [f"{key}={_literal(value)}" for key, value in settings]
     flat = f"{name}({', '.join(arguments)})"
     if len(flat) <= _LINE:

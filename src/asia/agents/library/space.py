@@ -13,17 +13,22 @@ from asia.agents.library.recipe import Recipe, Value
 
 @dataclass(frozen=True)
 class Span:
-    """A number between low and high, evenly in the logarithm unless `log` is off; `whole` for
-    integers. It has no meaning while the setting `needs` is absent, false or zero, or another value
-    than `being` where that is given."""
+    """A number between two limits."""
 
     name: str
+    """The setting."""
     low: float
+    """The least value."""
     high: float
+    """The largest value."""
     log: bool = True
+    """Whether it is drawn evenly in the logarithm."""
     whole: bool = False
+    """Whether it is an integer."""
     needs: str = ""
+    """A setting without which it has no meaning: while that is absent, false or zero."""
     being: Value = None
+    """The value that `needs` must have; None for any that is not false."""
 
     def tidy(self, number: float) -> int | float:
         """Two significant digits, or a whole number, inside the range."""
@@ -42,28 +47,34 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Choice:
-    """One of a list of values; needs, being: as in `Span`."""
+class OneOf:
+    """One of a list of values."""
 
     name: str
+    """The setting."""
     values: tuple[Value, ...]
+    """What it may be."""
     needs: str = ""
+    """As in `Span`."""
     being: Value = None
+    """As in `Span`."""
 
     def draw(self, rng: np.random.Generator) -> Value:
         """A value with even chance."""
         return self.values[int(rng.integers(len(self.values)))]
 
 
-Parameter = Span | Choice
+Parameter = Span | OneOf
 
 
 @dataclass(frozen=True)
 class Space:
-    """Parameters of the model and of the training method."""
+    """What may be varied in a recipe."""
 
     config: tuple[Parameter, ...]
+    """Parameters of the model."""
     options: tuple[Parameter, ...]
+    """Parameters of the training method."""
 
     def find(self, name: str) -> Parameter | None:
         """A parameter by name."""

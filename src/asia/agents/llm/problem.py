@@ -9,7 +9,7 @@ import numpy as np
 
 from asia._syntax import syntax_tree
 from asia.agents._view import Facts
-from asia.agents.library.space import Choice, Span
+from asia.agents.library.space import OneOf, Span
 from asia.agents.library.table import families
 from asia.agents.llm.text import bounded, fenced
 from asia.candidate import VALIDATION_SCORES
@@ -252,7 +252,7 @@ def _settings(source: str) -> list[str]:
     return [ast.unparse(node) for node in nodes]
 
 
-def _varied(choice: Choice | Span) -> str:
+def _varied(choice: OneOf | Span) -> str:
     if isinstance(choice, Span):
         return f"{choice.name} {choice.low:g} to {choice.high:g}"
     return f"{choice.name} {'|'.join(str(value) for value in choice.values)}"

@@ -2,76 +2,77 @@
 
 from __future__ import annotations
 
-from asia.agents.expert.evidence import input_left, overfit
-from asia.agents.expert.move import Case, Move
-from asia.agents.library.cost import (
+from asia.agents.library.evidence import input_left, overfit
+from asia.agents.library.methods import (
+    GRADIENT,
     LARGE_BATCH,
     LEAST_HORIZON,
     MANY_SAMPLES,
-    METHODS,
     TRANSIENT,
+    by_lbfgs,
+    by_multiple_shooting,
     several_horizons,
 )
+from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.traits import traits
 
 _SIZES = ("hidden", "width", "units", "states", "slow")
 _WIDEST = 128
-_GRADIENT = ("Adam", "MultipleShooting")
+_DECAYED = ("Adam", "MultipleShooting")
 
 
-def _adam(case: Case) -> bool:
-    return case.recipe.method == "Adam"
+def _adam(at: Situation) -> bool:
+    return at.recipe.method == "Adam"
 
 
-def _network(case: Case) -> bool:
-    return case.recipe.method in ("Adam", *METHODS)
+def _network(at: Situation) -> bool:
+    return at.recipe.method in GRADIENT
 
 
-def _held_back(case: Case, well: float, badly: float) -> float:
+def _held_back(at: Situation, well: float, badly: float) -> float:
     """`badly` where the model knows its own fold far too well, `well` where it does not."""
-    return badly if overfit(case.trial) > 2.0 else well
+    return badly if overfit(at.trial) > 2.0 else well
 
 
-def _sizes(case: Case) -> tuple[str, ...]:
+def _sizes(at: Situation) -> tuple[str, ...]:
     """Settings that hold numbers of units, whichever the family names so."""
-    return tuple(name for name in _SIZES if case.recipe.number(name, 0) > 0)
+    return tuple(name for name in _SIZES if at.recipe.number(name, 0) > 0)
 
 
-def _resized(case: Case, factor: float) -> Recipe:
-    sizes = {name: max(2, round(factor * case.recipe.number(name, 8))) for name in _sizes(case)}
-    return case.recipe.configured(**sizes)
+def _resized(at: Situation, factor: float) -> Recipe:
+    sizes = {name: max(2, round(factor * at.recipe.number(name, 8))) for name in _sizes(at)}
+    return at.recipe.configured(**sizes)
 
 
-def _widest(case: Case) -> float:
-    return max((case.recipe.number(name, 0) for name in _sizes(case)), default=0.0)
+def _widest(at: Situation) -> float:
+    return max((at.recipe.number(name, 0) for name in _sizes(at)), default=0.0)
 
 
-def _depth(case: Case) -> str:
-    return next((n for n in ("layers", "depth") if case.recipe.number(n, 0) > 0), "")
+def _depth(at: Situation) -> str:
+    return next((n for n in ("layers", "depth") if at.recipe.number(n, 0) > 0), "")
 
 
-def _windowed(case: Case) -> bool:
-    return (case.facts.horizon or 0) >= LEAST_HORIZON
+def _windowed(at: Situation) -> bool:
+    return (at.facts.horizon or 0) >= LEAST_HORIZON
 
 
-def _chunked(case: Case) -> bool:
-    return _adam(case) and case.recipe.number("truncation", 0) > 0
+def _chunked(at: Situation) -> bool:
+    return _adam(at) and at.recipe.number("truncation", 0) > 0
 
 
-def _times(case: Case, name: str, factor: float, default: float) -> Recipe:
-    number = factor * case.recipe.number(name, default)
-    return case.recipe.trained(**{name: float(f"{number:.2g}")})
+def _scaled(at: Situation, name: str, factor: float, default: float) -> Recipe:
+    number = factor * at.recipe.number(name, default)
+    return at.recipe.trained(**{name: float(f"{number:.2g}")})
 
 
-def _absent(case: Case, name: str) -> bool:
-    return not case.recipe.get(name)
+def _absent(at: Situation, name: str) -> bool:
+    return not at.recipe.get(name)
 
 
 NETWORK_MOVES: tuple[Move, ...] = (
     Move(
         name="squares of the inputs",
-        families=(),
         weight=lambda c: (
             (0.6 if input_left(c.trial) else 0.4) * c.varies("features") * _absent(c, "features")
         ),
@@ -82,7 +83,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="average of several seeds",
-        families=(),
         weight=lambda c: (
             _held_back(c, 0.4, 0.55) * _network(c) * c.row.seeds * _absent(c, "members")
         ),
@@ -92,7 +92,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="longer training",
-        families=(),
         weight=lambda c: _held_back(c, 0.45, 0.1) * _network(c),
         change=lambda c: c.recipe.trained(steps=round(2 * c.recipe.number("steps", 1000))),
         hypothesis="The training error is not far below V and may still fall.",
@@ -100,7 +99,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="wider network",
-        families=(),
         weight=lambda c: (
             _held_back(c, 0.45, 0.15) * _network(c) * bool(_sizes(c)) * (_widest(c) < _WIDEST)
         ),
@@ -110,7 +108,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="narrower network",
-        families=(),
         weight=lambda c: _held_back(c, 0.2, 0.5) * _network(c) * (_widest(c) >= 8),
         change=lambda c: _resized(c, 0.5),
         hypothesis="V is well above the training error: there are too many weights.",
@@ -118,7 +115,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="deeper network",
-        families=(),
         weight=lambda c: _held_back(c, 0.35, 0.1) * _network(c) * bool(_depth(c)),
         change=lambda c: c.recipe.configured(
             **{_depth(c): round(c.recipe.number(_depth(c), 1)) + 1}
@@ -128,7 +124,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="noise on the inputs in training",
-        families=(),
         weight=lambda c: (0.5 if overfit(c.trial) > 1.5 else 0.2) * _adam(c) * _absent(c, "noise"),
         change=lambda c: c.recipe.trained(noise=0.1),
         hypothesis="The network has learned the input record by heart: noise on it teaches the "
@@ -137,15 +132,13 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="more weight decay",
-        families=(),
-        weight=lambda c: _held_back(c, 0.15, 0.45) * (c.recipe.method in _GRADIENT),
-        change=lambda c: _times(c, "weight_decay", 10.0, 1e-3),
+        weight=lambda c: _held_back(c, 0.15, 0.45) * (c.recipe.method in _DECAYED),
+        change=lambda c: _scaled(c, "weight_decay", 10.0, 1e-3),
         hypothesis="V is well above the training error: the weights follow their own fold.",
         expected="Higher training error, lower V.",
     ),
     Move(
         name="dropout",
-        families=(),
         weight=lambda c: _held_back(c, 0.1, 0.4) * _adam(c) * _absent(c, "dropout"),
         change=lambda c: c.recipe.trained(dropout=0.1),
         hypothesis="V is well above the training error: units lean on each other's quirks.",
@@ -153,7 +146,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="steps picked on a held-out part",
-        families=(),
         weight=lambda c: (
             _held_back(c, 0.1, 0.45)
             * _network(c)
@@ -167,26 +159,23 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="lower learning rate",
-        families=(),
         weight=lambda c: 0.3 * (c.recipe.number("learning_rate", 0) > 2e-4),
-        change=lambda c: _times(c, "learning_rate", 0.4, 1e-3),
+        change=lambda c: _scaled(c, "learning_rate", 0.4, 1e-3),
         hypothesis="The last steps may be too coarse for the narrow valley they end in.",
         expected="A slightly lower training error, V follows.",
     ),
     Move(
         name="higher learning rate",
-        families=(),
         weight=lambda c: (
             (0.35 if overfit(c.trial) < 1.3 else 0.15)
             * (0 < c.recipe.number("learning_rate", 0) < 8e-3)
         ),
-        change=lambda c: _times(c, "learning_rate", 2.5, 1e-3),
+        change=lambda c: _scaled(c, "learning_rate", 2.5, 1e-3),
         hypothesis="The steps are few for this rate: larger ones go further.",
         expected="A lower training error, V follows.",
     ),
     Move(
         name="average of the last weights",
-        families=(),
         weight=lambda c: 0.35 * _adam(c) * _absent(c, "average"),
         change=lambda c: c.recipe.trained(average=0.99),
         hypothesis="Weights wander about their optimum; their moving average lies nearer to it.",
@@ -194,7 +183,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="loss at several horizons",
-        families=(),
         weight=lambda c: 0.4 * _adam(c) * _absent(c, "horizons") * _windowed(c),
         change=lambda c: c.recipe.trained(horizons=several_horizons(c.facts)),
         hypothesis="Late samples hold most of the error and early ones most of the information: "
@@ -203,8 +191,7 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="scheduled sampling",
-        families=("autoregressive", "kinematic"),
-        weight=lambda c: 0.5 * _adam(c) * (c.recipe.number("teacher", 0) < 1),
+        weight=lambda c: 0.5 * _adam(c) * c.varies("teacher") * (c.recipe.number("teacher", 0) < 1),
         change=lambda c: c.recipe.trained(teacher=1.0, teacher_end=0.0),
         hypothesis="A model that feeds on its own output learns faster when it is first fed the "
         "measured one and weaned in steps.",
@@ -212,7 +199,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="longer chunks",
-        families=(),
         weight=lambda c: 0.3 * _adam(c) * (0 < c.recipe.number("truncation", 0) < 512),
         change=lambda c: c.recipe.trained(truncation=round(2 * c.recipe.number("truncation", 128))),
         hypothesis="The slow part of the system does not show within one chunk.",
@@ -220,7 +206,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="state carried between chunks",
-        families=(),
         weight=lambda c: 0.3 * _chunked(c) * _absent(c, "carry") * ("long" in traits(c.facts)),
         change=lambda c: c.recipe.trained(carry=True),
         hypothesis="Chunks that start from their past window never show what the state has "
@@ -230,7 +215,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="transient left out",
-        families=(),
         weight=lambda c: 0.2 * _chunked(c) * _absent(c, "washout"),
         change=lambda c: c.recipe.trained(washout=TRANSIENT),
         hypothesis="The past window says too little of the state: the error of the first samples "
@@ -239,7 +223,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="Huber loss",
-        families=(),
         weight=lambda c: 0.2 * _adam(c) * (c.recipe.get("loss", "mse") != "huber"),
         change=lambda c: c.recipe.trained(loss="huber"),
         hypothesis="Small errors should count as squares and large ones by their size.",
@@ -247,7 +230,6 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="larger batches",
-        families=(),
         weight=lambda c: (
             0.3 * _adam(c) * _absent(c, "batch") * (c.facts.fit_samples > MANY_SAMPLES)
         ),
@@ -257,23 +239,21 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="L-BFGS on all samples",
-        families=(),
         weight=lambda c: (
             (0.4 if overfit(c.trial) < 2.0 else 0.15)
             * _adam(c)
-            * ("LBFGS" in c.row.methods)
+            * (by_lbfgs in c.row.methods)
             * (c.facts.fit_samples <= 5_000)
         ),
-        change=lambda c: METHODS["LBFGS"](c.facts, c.recipe),
+        change=lambda c: by_lbfgs(c.facts, c.recipe),
         hypothesis="On a short record second-order steps in double precision get further down the "
         "same valley than Adam.",
         expected="A markedly lower training error; V follows if the model is small enough.",
     ),
     Move(
         name="multiple shooting",
-        families=(),
-        weight=lambda c: 0.25 * _adam(c) * ("MultipleShooting" in c.row.methods),
-        change=lambda c: METHODS["MultipleShooting"](c.facts, c.recipe),
+        weight=lambda c: 0.25 * _adam(c) * (by_multiple_shooting in c.row.methods),
+        change=lambda c: by_multiple_shooting(c.facts, c.recipe),
         hypothesis="Gradients through long simulations are the trouble: short segments with free "
         "initial states, joined by a penalty, learn the same model.",
         expected="Lower training error where whole simulations were hard to learn.",

@@ -31,6 +31,12 @@ def overfit(trial: Trial) -> float:
     return trial.value / train
 
 
+def by_overfit(trial: Trial, far: float, some: float, none: float) -> float:
+    """A weight by how far V is above the training error."""
+    ratio = overfit(trial)
+    return far if ratio > 2.0 else some if ratio > 1.3 else none
+
+
 def coloured(trial: Trial) -> bool:
     """The residual is far from white: dynamics are missing."""
     return worst(trial, lambda d: d.whiteness) > 0.5

@@ -1,4 +1,4 @@
-"""What a move is: a change to a trial's recipe, when it is worth making, and why."""
+"""A move: a change to a trial's recipe, when it is worth making, and why."""
 
 from __future__ import annotations
 
@@ -12,16 +12,21 @@ from asia.agents.library.recipe import Recipe
 
 
 @dataclass(frozen=True)
-class Case:
-    """What a move decides from: the search, the trial it would start from, that trial's recipe and
-    family, and the place of the family among those tried (0 leads)."""
+class Situation:
+    """What a move decides from."""
 
     view: AgentView
+    """The search so far."""
     trial: Trial
+    """The trial that the move would start from."""
     recipe: Recipe
+    """The configuration of that trial."""
     row: Family
+    """The family of that trial."""
     place: int
+    """The place of the family among those tried; 0 leads."""
     families: int
+    """The number of families tried."""
 
     @property
     def facts(self) -> Facts:
@@ -53,30 +58,34 @@ class Case:
 
 @dataclass(frozen=True)
 class Move:
-    """families: where it can be made, () for all. weight: how promising it is on a case, 0 when it
-    does not apply; 0.9 and more is near certain. `{state}` in the name is the state it acts on.
-
-    after: made on the best trial of a family, or on one of a family that only failed.
-    behind_counts: whether the weight shrinks with the distance to the leading family. fade:
-    what is left of the weight after each time it did not help.
-    """
+    """A change of one kind, with the reasons that are recorded before the outcome is known."""
 
     name: str
-    families: tuple[str, ...]
-    weight: Callable[[Case], float]
-    change: Callable[[Case], Recipe]
+    """What is changed. `{state}` in it is the state that the move acts on."""
+    weight: Callable[[Situation], float]
+    """How promising it is; 0 where it does not apply, 0.9 and more where it is near certain."""
+    change: Callable[[Situation], Recipe]
+    """The new recipe."""
     hypothesis: str
+    """Why it should help."""
     expected: str
-    state: Callable[[Case], str] = lambda _: ""
+    """What should be seen if it does."""
+    families: tuple[str, ...] = ()
+    """Where it can be made. () is all families of the card, or all families when it is on none."""
+    state: Callable[[Situation], str] = lambda _: ""
+    """The state for the name."""
     after: Literal["score", "failure"] = "score"
+    """Made on the best trial of a family, or on one of a family that only failed."""
     behind_counts: bool = True
+    """Whether the weight shrinks with the distance to the leading family."""
     fade: float = 0.4
+    """What is left of the weight after each time that the move did not help."""
 
-    def applies(self, case: Case) -> bool:
+    def applies(self, at: Situation) -> bool:
         """Whether the family and the outcome are of the move's kind."""
-        known = not self.families or case.recipe.family in self.families
-        return known and (case.trial.value is None) == (self.after == "failure")
+        known = not self.families or at.recipe.family in self.families
+        return known and (at.trial.value is None) == (self.after == "failure")
 
-    def title(self, case: Case) -> str:
+    def title(self, at: Situation) -> str:
         """Family and name, with the state filled in."""
-        return f"{case.row.label}: {self.name.format(state=self.state(case))}"
+        return f"{at.row.label}: {self.name.format(state=self.state(at))}"

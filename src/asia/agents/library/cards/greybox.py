@@ -1,8 +1,10 @@
-"""What may be lacking in a person's equations, and how it shows."""
+"""The person's equations, what may be lacking in them, and how it shows."""
 
 from __future__ import annotations
 
-from asia.agents.expert.evidence import (
+from asia.agents._view import Facts
+from asia.agents.library.card import Card
+from asia.agents.library.evidence import (
     biased,
     coloured,
     fails_on_top,
@@ -10,68 +12,114 @@ from asia.agents.expert.evidence import (
     overfit,
     plateau_share,
 )
-from asia.agents.expert.move import Case, Move
-from asia.agents.library.cards.rows_physics import output_offsets
+from asia.agents.library.family import Family
+from asia.agents.library.methods import LM
+from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.ridge import less_ridge, more_ridge
+from asia.agents.library.space import OneOf, Space, Span
 
-GREY = ("greybox",)
+
+def _state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
+    """Single states and all of them together, for settings that name states."""
+    states = facts.physics.states if facts.physics else ()
+    single = tuple((s,) for s in states)
+    return (*single, states) if len(states) > 1 else single
 
 
-def _names(case: Case, setting: str) -> tuple[str, ...]:
-    value = case.recipe.get(setting)
+def _output_offsets(facts: Facts) -> tuple[str, ...]:
+    """Outputs that are not states by name, whose offsets would be confused."""
+    states = facts.physics.states if facts.physics else ()
+    return tuple(s.name for s in facts.outputs if s.name not in states)
+
+
+def _offset_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
+    """None, those of the outputs, those of the states, and both."""
+    outputs = _output_offsets(facts)
+    states = facts.physics.states if facts.physics else ()
+    return tuple(dict.fromkeys(((), outputs, states, (*outputs, *states))))
+
+
+def _greybox(facts: Facts) -> Recipe:
+    """Over windows of measured states the equations need no search for a start."""
+    config = (("ridge", 1e-3), ("residual_ridge", 1e-2))
+    effort = (("iterations", 60), ("starts", 8))
+    if facts.horizon is not None:
+        effort = (("iterations", 15), ("starts", 2))
+    return Recipe("greybox", config, LM, effort)
+
+
+def _space(facts: Facts) -> Space:
+    return Space(
+        config=(
+            OneOf("saturation", ((), *_state_sets(facts))),
+            OneOf("spill", (False, True), needs="saturation"),
+            OneOf("linear", (False, True)),
+            OneOf("offset", _offset_sets(facts)),
+            OneOf("input_delay", (0.0, 3.0)),
+            OneOf("robust", (None, 0.1)),
+            OneOf("residual", (0, 4)),
+            Span("ridge", 1e-5, 1e-1),
+            Span("residual_ridge", 1e-4, 1e-1, needs="residual"),
+        ),
+        options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8, 16))),
+    )
+
+
+def _names(at: Situation, setting: str) -> tuple[str, ...]:
+    value = at.recipe.get(setting)
     return tuple(str(name) for name in value) if isinstance(value, tuple) else ()
 
 
-def _next_state(case: Case) -> tuple[str, ...]:
+def _next_state(at: Situation) -> tuple[str, ...]:
     """The saturated states and one more, the physics' states taken in order."""
-    names = _names(case, "saturation")
-    return (*names, *[s for s in case.states if s not in names][:1])
+    names = _names(at, "saturation")
+    return (*names, *[s for s in at.states if s not in names][:1])
 
 
-def _saturation_weight(case: Case) -> float:
-    full = _names(case, "saturation")
-    if _next_state(case) == full:
+def _saturation_weight(at: Situation) -> float:
+    full = _names(at, "saturation")
+    if _next_state(at) == full:
         return 0.0
-    evidence = fails_on_top(case.trial) or plateau_share(case.facts) > 0.02
+    evidence = fails_on_top(at.trial) or plateau_share(at.facts) > 0.02
     if not full:
         return 0.95 if evidence else 0.6
     return 0.35 if evidence else 0.15
 
 
-def _overflow_weight(case: Case) -> float:
+def _overflow_weight(at: Situation) -> float:
     """A little above saturation alone while a next state exists to take the spill."""
-    chain = len(case.states) > len(_next_state(case))
-    fresh = not _names(case, "saturation")
-    return 1.02 * _saturation_weight(case) if chain and fresh else 0.0
+    chain = len(at.states) > len(_next_state(at))
+    fresh = not _names(at, "saturation")
+    return 1.02 * _saturation_weight(at) if chain and fresh else 0.0
 
 
-def _spill_weight(case: Case) -> float:
-    several = len(case.states) > 1
-    return 0.9 if several and _names(case, "saturation") and not case.recipe.get("spill") else 0.0
+def _spill_weight(at: Situation) -> float:
+    several = len(at.states) > 1
+    return 0.9 if several and _names(at, "saturation") and not at.recipe.get("spill") else 0.0
 
 
-def _outputs(case: Case) -> tuple[str, ...]:
-    return output_offsets(case.facts)
+def _outputs(at: Situation) -> tuple[str, ...]:
+    return _output_offsets(at.facts)
 
 
-def _lacks(case: Case, names: tuple[str, ...]) -> bool:
-    return bool(names) and not set(names) & set(_names(case, "offset"))
+def _lacks(at: Situation, names: tuple[str, ...]) -> bool:
+    return bool(names) and not set(names) & set(_names(at, "offset"))
 
 
-def _with_offset(case: Case, names: tuple[str, ...]) -> Recipe:
-    return case.recipe.configured(offset=(*_names(case, "offset"), *names))
+def _with_offset(at: Situation, names: tuple[str, ...]) -> Recipe:
+    return at.recipe.configured(offset=(*_names(at, "offset"), *names))
 
 
-def _ridge(case: Case, factor: float) -> Recipe:
+def _ridge(at: Situation, factor: float) -> Recipe:
     """The ridge that holds most of the weights: the network's, where there is one."""
-    name, default = ("residual_ridge", 1e-2) if case.recipe.get("residual") else ("ridge", 1e-3)
-    return case.recipe.times(name, factor, default)
+    name, default = ("residual_ridge", 1e-2) if at.recipe.get("residual") else ("ridge", 1e-3)
+    return at.recipe.times(name, factor, default)
 
 
-GREYBOX_MOVES: tuple[Move, ...] = (
+_MOVES: tuple[Move, ...] = (
     Move(
         name="{state} saturates",
-        families=GREY,
         weight=_saturation_weight,
         change=lambda c: c.recipe.configured(saturation=_next_state(c)),
         state=lambda c: _next_state(c)[-1],
@@ -81,7 +129,6 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="{state} runs over",
-        families=GREY,
         weight=_overflow_weight,
         change=lambda c: c.recipe.configured(saturation=_next_state(c), spill=True),
         state=lambda c: _next_state(c)[-1],
@@ -92,7 +139,6 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="a full {state} spills over",
-        families=GREY,
         weight=_spill_weight,
         change=lambda c: c.recipe.configured(spill=True),
         state=lambda c: _names(c, "saturation")[0],
@@ -101,7 +147,6 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="output offset",
-        families=GREY,
         weight=lambda c: (0.8 if biased(c.trial) else 0.4) * _lacks(c, _outputs(c)),
         change=lambda c: _with_offset(c, _outputs(c)),
         hypothesis="The sensor's zero is not the equations' zero.",
@@ -109,7 +154,6 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="constant in and outflow",
-        families=GREY,
         weight=lambda c: (0.75 if coloured(c.trial) else 0.5) * _lacks(c, c.states),
         change=lambda c: _with_offset(c, c.states),
         hypothesis="Each balance lacks a constant: a leak, a dead zone, a level whose zero is not "
@@ -118,7 +162,6 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="linear term",
-        families=GREY,
         weight=lambda c: 0 if c.recipe.get("linear") else 0.5 if coloured(c.trial) else 0.3,
         change=lambda c: c.recipe.configured(linear=True),
         hypothesis="The residual is not white: a small linear term in states and inputs stands for "
@@ -127,7 +170,6 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="residual network",
-        families=GREY,
         weight=lambda c: 0 if c.recipe.get("residual") else 0.65 if coloured(c.trial) else 0.35,
         change=lambda c: c.recipe.configured(residual=4),
         hypothesis="What is left depends on the state in a way the equations do not have: a small "
@@ -136,7 +178,6 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="residual network, held tighter",
-        families=GREY,
         weight=lambda c: 0 if c.recipe.get("residual") else 0.6 if coloured(c.trial) else 0.3,
         change=lambda c: c.recipe.configured(residual=4, residual_ridge=5e-2),
         hypothesis="The equations lack an effect of the state, and a small network finds it only "
@@ -145,7 +186,6 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="wider residual network",
-        families=GREY,
         weight=lambda c: (
             (0.45 if overfit(c.trial) < 1.5 else 0.2) * (0 < c.recipe.number("residual", 0) < 12)
         ),
@@ -153,27 +193,10 @@ GREYBOX_MOVES: tuple[Move, ...] = (
         hypothesis="V is near the training error with the network in: it may carry more.",
         expected="Lower training error, V follows.",
     ),
-    Move(
-        name="more ridge",
-        families=GREY,
-        weight=lambda c: (
-            0.75 if overfit(c.trial) > 2.0 else 0.45 if overfit(c.trial) > 1.3 else 0.1
-        ),
-        change=lambda c: _ridge(c, 10.0),
-        hypothesis="V is well above the training error: the additions follow their own fold.",
-        expected="A slightly higher training error and a lower V.",
-    ),
-    Move(
-        name="less ridge",
-        families=GREY,
-        weight=lambda c: 0.5 if overfit(c.trial) < 1.3 else 0.15,
-        change=lambda c: _ridge(c, 0.1),
-        hypothesis="V is near the training error: the priors hold the model back.",
-        expected="Lower training error, V follows.",
-    ),
+    more_ridge("additions", _ridge),
+    less_ridge(_ridge),
     Move(
         name="robust loss",
-        families=GREY,
         weight=lambda c: 0 if c.recipe.get("robust") else 0.3,
         change=lambda c: c.recipe.configured(robust=0.1),
         hypothesis="A few samples that no parameter can explain pull the rest away.",
@@ -181,10 +204,27 @@ GREYBOX_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="input delay",
-        families=GREY,
         weight=lambda c: 0 if c.recipe.get("input_delay") else 0.5 if input_left(c.trial) else 0.2,
         change=lambda c: c.recipe.configured(input_delay=3.0),
         hypothesis="The input acts later than the equations say.",
         expected="The input no longer explains the residual.",
     ),
+)
+
+CARD = Card(
+    (
+        Family(
+            name="greybox",
+            label="grey-box",
+            use="the person's own equations, fitted in physical units",
+            base=10,
+            points=(("windows", -4), ("measured", -2)),
+            needs=frozenset({"physics"}),
+            start=_greybox,
+            space=_space,
+            small=(("iterations", 3), ("starts", 1)),
+            extendable=True,
+        ),
+    ),
+    _MOVES,
 )

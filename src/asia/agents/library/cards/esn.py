@@ -1,0 +1,52 @@
+"""Echo state networks."""
+
+from __future__ import annotations
+
+from asia.agents._view import Facts
+from asia.agents.library.card import Card
+from asia.agents.library.family import Family
+from asia.agents.library.move import Move
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.space import OneOf, Space, Span
+
+
+def _esn(_: Facts) -> Recipe:
+    config = (("units", 300), ("radius", 0.9), ("input_scale", 0.5), ("longest", 50.0))
+    return Recipe("esn", config, "LeastSquares", (("ridge", None),))
+
+
+def _space(_: Facts) -> Space:
+    return Space(
+        config=(
+            OneOf("units", (100, 300, 600, 1200)),
+            Span("radius", 0.5, 1.2),
+            Span("input_scale", 0.05, 2.0),
+            Span("longest", 10.0, 300.0),
+        ),
+        options=(),
+    )
+
+
+CARD = Card(
+    (
+        Family(
+            name="esn",
+            label="echo state network",
+            use="a random reservoir with a linear readout, fitted in seconds",
+            base=2.5,
+            points=(("long", 1),),
+            start=_esn,
+            space=_space,
+            small=(("units", 4),),
+        ),
+    ),
+    (
+        Move(
+            name="larger reservoir",
+            weight=lambda c: 0.35 * (c.recipe.number("units", 0) < 1000),
+            change=lambda c: c.recipe.configured(units=round(2 * c.recipe.number("units", 300))),
+            hypothesis="A larger reservoir holds more functions of the past for the readout.",
+            expected="Lower training error, V follows.",
+        ),
+    ),
+)

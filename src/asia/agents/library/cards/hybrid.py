@@ -1,0 +1,41 @@
+"""The person's equations with a learned residual."""
+
+from __future__ import annotations
+
+from asia.agents._view import Facts
+from asia.agents.library.card import Card
+from asia.agents.library.family import Family
+from asia.agents.library.methods import LM
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.ridge import less_ridge, more_ridge
+from asia.agents.library.space import OneOf, Space, Span
+
+
+def _hybrid(_: Facts) -> Recipe:
+    config = (("units", 4), ("ridge", 1e-2))
+    return Recipe("hybrid", config, LM, (("iterations", 60), ("starts", 8)))
+
+
+def _space(_: Facts) -> Space:
+    return Space(
+        config=(OneOf("units", (2, 4, 8)), Span("ridge", 1e-4, 1e-1)),
+        options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8))),
+    )
+
+
+CARD = Card(
+    (
+        Family(
+            name="hybrid",
+            label="hybrid",
+            use="the person's equations with a learned residual",
+            base=3,
+            points=(("windows", -2), ("measured", -2)),
+            needs=frozenset({"physics"}),
+            start=_hybrid,
+            space=_space,
+            small=(("units", 4), ("iterations", 3), ("starts", 1)),
+        ),
+    ),
+    (more_ridge(), less_ridge()),
+)

@@ -1,0 +1,50 @@
+"""Linear states between static networks: linear recurrent units and Koopman models."""
+
+from __future__ import annotations
+
+from asia.agents.library.card import Card
+from asia.agents.library.network import WHOLE_RECORD, NetworkStart, network_family
+from asia.agents.library.space import OneOf
+
+CARD = Card((
+    network_family(
+        "lru",
+        "linear recurrent units",
+        "stable linear states between static networks: long memories, long records",
+        3,
+        (("long", 3), ("windows", -1)),
+        NetworkStart(
+            (("layers", 2), ("states", 16), ("width", 16)),
+            3e-3,
+            "heavy",
+            (
+                OneOf("layers", (1, 2, 3)),
+                OneOf("states", (8, 16, 32)),
+                OneOf("width", (8, 16, 32)),
+                OneOf("tau_max", (30.0, 100.0, 300.0)),
+            ),
+        ),
+        WHOLE_RECORD,
+        small=(("layers", 1), ("states", 2), ("width", 4)),
+    ),
+    network_family(
+        "koopman",
+        "Koopman model",
+        "a linear model in lifted coordinates: mild nonlinearities, when a linear core is wanted",
+        2.5,
+        (("windows", 0.5),),
+        NetworkStart(
+            (("levels", 3), ("states", 16), ("lift", 8), ("width", 32)),
+            3e-3,
+            "heavy",
+            (
+                OneOf("levels", (1, 2, 3)),
+                OneOf("states", (8, 16, 32)),
+                OneOf("lift", (4, 8, 16)),
+                OneOf("width", (16, 32)),
+            ),
+        ),
+        WHOLE_RECORD,
+        small=(("levels", 2), ("states", 2), ("lift", 2), ("width", 4)),
+    ),
+))  # fmt: skip

@@ -1,0 +1,103 @@
+"""A linear state-space model with small static networks in it."""
+
+from __future__ import annotations
+
+from asia.agents._view import Facts
+from asia.agents.library.card import Card
+from asia.agents.library.evidence import curved
+from asia.agents.library.family import Family
+from asia.agents.library.methods import LM
+from asia.agents.library.move import Move, Situation
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
+from asia.agents.library.space import OneOf, Space, Span
+
+
+def _neural_ss(_: Facts) -> Recipe:
+    config = (("nonlinearity", "state"), ("hidden", 8), ("ridge", 1e-5), ("delay", None))
+    return Recipe("neural_ss", config, LM, (("iterations", 60), ("starts", 2)))
+
+
+def _neural_ss_space(_: Facts) -> Space:
+    return Space(
+        config=(
+            OneOf("order", (None, 2, 3, 4)),
+            OneOf("nonlinearity", ("state", "input", "output", "both")),
+            OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
+            OneOf("hidden", (4, 8, 12)),
+            Span("ridge", 1e-6, 1e-2),
+            OneOf("delay", (0, None)),
+            OneOf("members", (1, 3)),
+        ),
+        options=(OneOf("iterations", (40, 80)), OneOf("starts", (1, 2, 4))),
+    )
+
+
+def _unless_at(at: Situation, place: str, weight: float) -> float:
+    return 0.0 if at.recipe.get("nonlinearity") == place else weight
+
+
+def _moved_to(at: Situation, place: str) -> Recipe:
+    """The static function elsewhere; channels belong to one in the state equation."""
+    recipe = at.recipe.configured(nonlinearity=place)
+    return recipe.configured(channels=None) if recipe.has("channels") else recipe
+
+
+CARD = Card(
+    (
+        Family(
+            name="neural_ss",
+            label="neural state-space",
+            use="a linear model with small static nonlinearities, for short records",
+            base=6,
+            points=(("short", 1), ("long", -2), ("windows", -2)),
+            start=_neural_ss,
+            space=_neural_ss_space,
+            small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
+        ),
+    ),
+    (
+        more_ridge(),
+        much_more_ridge(),
+        less_ridge(),
+        Move(
+            name="median of several fits",
+            weight=lambda c: 0 if c.recipe.get("members") else 0.55,
+            change=lambda c: c.recipe.configured(members=3).trained(starts=4),
+            hypothesis="Fits from different starts err differently; their median errs less.",
+            expected="A lower and steadier V at the same training error.",
+        ),
+        Move(
+            name="static function at the output",
+            weight=lambda c: _unless_at(c, "output", 0.8 if curved(c.trial) else 0.7),
+            change=lambda c: _moved_to(c, "output"),
+            hypothesis="The system may be linear with a static function after it (Wiener): fewer "
+            "weights say the same.",
+            expected="A lower V at the same training error, if the structure is right.",
+        ),
+        Move(
+            name="static function at the input",
+            weight=lambda c: _unless_at(c, "input", 0.7),
+            change=lambda c: _moved_to(c, "input"),
+            hypothesis="The system may be linear with a static function before it (Hammerstein).",
+            expected="A lower V at the same training error, if the structure is right.",
+        ),
+        Move(
+            name="static functions on both sides",
+            weight=lambda c: _unless_at(c, "both", 0.6),
+            change=lambda c: _moved_to(c, "both"),
+            hypothesis="Static functions before and after a linear system (Hammerstein-Wiener).",
+            expected="A lower V than either alone, if the structure is right.",
+        ),
+        Move(
+            name="static function in feedback",
+            weight=lambda c: (
+                0.5 * (c.recipe.get("nonlinearity") == "state") * (not c.recipe.get("channels"))
+            ),
+            change=lambda c: c.recipe.configured(channels=1),
+            hypothesis="One signal goes through one static function and back into a linear system "
+            "(a hardening spring, a saturating actuator in a loop): fewer weights say the same.",
+            expected="A lower V at the same training error, if the structure is right.",
+        ),
+    ),
+)

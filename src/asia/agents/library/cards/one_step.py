@@ -1,0 +1,111 @@
+"""Nonlinear models that predict one step ahead and are simulated on their own output."""
+
+from __future__ import annotations
+
+from asia.agents._view import Facts
+from asia.agents.library.card import Card
+from asia.agents.library.evidence import by_overfit, curved, plateau_share
+from asia.agents.library.family import Family
+from asia.agents.library.methods import LM
+from asia.agents.library.move import Move
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.space import OneOf, Space, Span
+
+_STANDS_STILL = 0.02
+
+
+def _narx(_: Facts) -> Recipe:
+    config = (("degree", 2), ("delay", 0), ("margin", 0.1), ("coefficient_ridge", 1e-5))
+    return Recipe("narx", config, LM, (("iterations", 40),))
+
+
+def _narx_space(_: Facts) -> Space:
+    return Space(
+        config=(
+            OneOf("na", (None, 1, 2, 3)),
+            OneOf("nb", (None, 1, 2, 3)),
+            OneOf("delay", (0, None)),
+            OneOf("degree", (2, 3)),
+            OneOf("terms", (None, 8, 15, 25)),
+            OneOf("margin", (0.0, 0.05, 0.1, 0.3)),
+            Span("coefficient_ridge", 1e-7, 1e-2),
+        ),
+        options=(OneOf("iterations", (15, 30, 60)),),
+    )
+
+
+def _gp_narx(_: Facts) -> Recipe:
+    config = (("mean", "linear"), ("points", 800), ("delay", 0), ("margin", 0.1))
+    return Recipe("gp_narx", config, "MarginalLikelihood", (("iterations", 60),))
+
+
+def _gp_narx_space(_: Facts) -> Space:
+    return Space(
+        config=(
+            OneOf("na", (None, 1, 2, 3)),
+            OneOf("nb", (None, 1, 2, 3)),
+            OneOf("delay", (0, None)),
+            OneOf("mean", ("linear", "hold")),
+            OneOf("points", (400, 800)),
+            OneOf("margin", (0.0, 0.1, 0.3)),
+        ),
+        options=(OneOf("iterations", (30, 60)),),
+    )
+
+
+CARD = Card(
+    (
+        Family(
+            name="narx",
+            label="polynomial NARX",
+            use="a few products of lagged signals, readable: smooth nonlinearities, low noise",
+            base=4,
+            points=(("short", 0.5), ("windows", -3), ("several", -1)),
+            start=_narx,
+            space=_narx_space,
+            small=(("iterations", 3),),
+        ),
+        Family(
+            name="gp_narx",
+            label="Gaussian-process NARX",
+            use="any smooth nonlinearity from few samples",
+            base=3,
+            points=(("short", 1), ("windows", -2), ("several", -1)),
+            unfit=frozenset({"long"}),
+            start=_gp_narx,
+            space=_gp_narx_space,
+            small=(("points", 60), ("iterations", 3)),
+        ),
+    ),
+    (
+        Move(
+            name="output kept inside its range",
+            weight=lambda c: (
+                (0.7 if plateau_share(c.facts) > _STANDS_STILL else 0.35)
+                * (c.recipe.number("margin", 0.1) > 0)
+            ),
+            change=lambda c: c.recipe.configured(margin=0.0),
+            hypothesis="The output has a limit that it reaches in the records: the model must not "
+            "pass it either.",
+            expected="A lower V where the output stands still.",
+        ),
+        Move(
+            name="terms up to the third degree",
+            families=("narx",),
+            weight=lambda c: (
+                (0.4 if curved(c.trial) else 0.25) * (c.recipe.number("degree", 2) < 3)
+            ),
+            change=lambda c: c.recipe.configured(degree=3),
+            hypothesis="The nonlinearity is not even.",
+            expected="A lower training error, V follows.",
+        ),
+        Move(
+            name="firmer coefficients",
+            families=("narx",),
+            weight=lambda c: by_overfit(c.trial, 0.6, 0.4, 0.2),
+            change=lambda c: c.recipe.times("coefficient_ridge", 30.0, 1e-5),
+            hypothesis="The refinement of the coefficients follows its own fold.",
+            expected="A higher training error and a lower V.",
+        ),
+    ),
+)

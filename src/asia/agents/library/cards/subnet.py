@@ -1,0 +1,41 @@
+"""State-space networks with an encoder."""
+
+from __future__ import annotations
+
+from asia.agents._view import Facts
+from asia.agents.library.card import Card
+from asia.agents.library.network import STEP_BY_STEP, NetworkStart, network_family
+from asia.agents.library.space import OneOf
+
+
+def _start(facts: Facts) -> NetworkStart:
+    """Over windows the state starts from the last outputs and must be large enough to hold them."""
+    least = len(facts.outputs) if facts.horizon is not None else 1
+    sizes = {n for n in (2, 4, 8) if n >= least}
+    if least > 1:
+        sizes |= {least, least + 4}
+    return NetworkStart(
+        (("states", max(4, least)), ("width", 32), ("layers", 1)),
+        2e-3,
+        "medium",
+        (
+            OneOf("states", tuple(sorted(sizes))),
+            OneOf("width", (16, 32, 64)),
+            OneOf("layers", (1, 2)),
+            OneOf("start", ("linear", "random")),
+        ),
+    )
+
+
+CARD = Card((
+    network_family(
+        "subnet",
+        "SUBNET",
+        "state-space networks with an encoder, trained on truncated simulations: long records",
+        4,
+        (("long", 3), ("several", 1), ("windows", -1)),
+        _start,
+        STEP_BY_STEP,
+        small=(("states", 2), ("width", 4), ("layers", 1)),
+    ),
+))  # fmt: skip

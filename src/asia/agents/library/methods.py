@@ -1,0 +1,95 @@
+"""Training methods: the settings of each that suit a problem, and what may be varied in them."""
+
+from __future__ import annotations
+
+from asia.agents._view import Facts
+from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
+from asia.agents.library.recipe import Arguments, Recipe
+from asia.agents.library.space import OneOf, Parameter, Space, Span
+
+LM = "LevenbergMarquardt"
+GRADIENT = ("Adam", "LBFGS", "MultipleShooting")
+LARGE_BATCH = 384
+# So many samples are too many for batches of 128 to give a quiet gradient.
+MANY_SAMPLES = 20_000
+# Samples at the start of a simulation that a wrong initial state may spoil.
+TRANSIENT = 20
+# Windows at least so long are worth a loss at several horizons.
+LEAST_HORIZON = 10
+
+
+def adam(facts: Facts, cost: SampleCost, stage: Stage, learning_rate: float) -> Arguments:
+    """Settings of Adam: all windows in batches, or chunks of whole records; the metric as loss
+    where it is the absolute error."""
+    settings: Arguments = (
+        ("steps", steps(facts, cost, stage)),
+        ("learning_rate", learning_rate),
+        ("weight_decay", 1e-4),
+    )
+    if facts.horizon is None:
+        settings = (*settings, ("truncation", CHUNK))
+    return (*settings, *absolute_loss(facts))
+
+
+def absolute_loss(facts: Facts) -> Arguments:
+    """The absolute error as loss where it is the metric, else the method's own loss."""
+    return (("loss", "mae"),) if facts.metric == "mae" else ()
+
+
+def network_space(facts: Facts, cost: SampleCost, config: tuple[Parameter, ...]) -> Space:
+    """A network's own parameters, functions of the inputs, and Adam's settings."""
+    least, most = steps(facts, cost, "trial") // 2, steps(facts, cost, "full")
+    options: tuple[Parameter, ...] = (
+        Span("steps", least, most, whole=True),
+        *adam_space(facts),
+        OneOf("members", (1, 3)),
+    )
+    return Space((*config, OneOf("features", ((), ("square",)))), options)
+
+
+def adam_space(facts: Facts, needs: str = "") -> tuple[Parameter, ...]:
+    """Adam's settings but the number of steps."""
+    found: list[Parameter] = [
+        Span("learning_rate", 3e-4, 1e-2, needs=needs),
+        Span("weight_decay", 1e-6, 1e-1, needs=needs),
+        OneOf("noise", (0.0, 0.05, 0.1), needs=needs),
+        OneOf("dropout", (0.0, 0.1), needs=needs),
+        OneOf("schedule", ("cosine", "plateau"), needs=needs),
+        OneOf("average", (0.0, 0.99), needs=needs),
+        OneOf("loss", ("mae" if facts.metric == "mae" else "mse", "huber"), needs=needs),
+    ]
+    if facts.early_stopping == "inner":
+        found.append(OneOf("holdout", (0.0, 0.2), needs=needs))
+    if facts.fit_samples > MANY_SAMPLES:
+        found.append(OneOf("batch", (None, LARGE_BATCH), needs=needs))
+    if facts.horizon is None:
+        found.append(OneOf("truncation", (64, 128, 256), needs=needs))
+        found.append(OneOf("carry", (False, True), needs="truncation"))
+        found.append(OneOf("washout", (0, TRANSIENT), needs=needs))
+    elif facts.horizon >= LEAST_HORIZON:
+        found.append(OneOf("horizons", (None, several_horizons(facts)), needs=needs))
+    return tuple(found)
+
+
+def several_horizons(facts: Facts) -> tuple[int, ...]:
+    """A tenth, a third and all of the window, in samples."""
+    horizon = facts.horizon or 0
+    return tuple(sorted({max(1, horizon // 10), max(1, horizon // 3), horizon}))
+
+
+def by_lbfgs(facts: Facts, recipe: Recipe) -> Recipe:
+    """The same model fitted by L-BFGS on all samples at once."""
+    loss = "huber" if facts.metric == "mae" else "mse"
+    updates = max(FEWEST_STEPS, round(recipe.number("steps", 2000)) // 10)
+    return recipe.fitted_by("LBFGS", (("steps", updates), ("ridge", 1e-5), ("loss", loss)))
+
+
+def by_multiple_shooting(facts: Facts, recipe: Recipe) -> Recipe:
+    """The same model fitted by multiple shooting."""
+    options: Arguments = (
+        ("steps", round(recipe.number("steps", 2000))),
+        ("learning_rate", recipe.number("learning_rate", 3e-3)),
+        ("length", 30 if facts.horizon is None else max(2, facts.horizon // 3)),
+        *absolute_loss(facts),
+    )
+    return recipe.fitted_by("MultipleShooting", options)

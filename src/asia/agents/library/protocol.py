@@ -1,0 +1,32 @@
+"""A recipe under the protocol of a search, and whether the search has tried it."""
+
+from __future__ import annotations
+
+from asia.agents._view import AgentView, Facts
+from asia.agents.library.family import Family
+from asia.agents.library.methods import GRADIENT
+from asia.agents.library.recipe import Recipe, read_recipe
+
+# The paper's early stopping: a check every 25 updates, 20 without improvement.
+_EVERY, _PATIENCE = 25, 20
+
+
+def under_protocol(recipe: Recipe, row: Family, facts: Facts) -> Recipe:
+    """With `early_stopping = "validation"` a fit that can stops by the held-out part, as the
+    protocol allows; otherwise the recipe as it is."""
+    if facts.early_stopping != "validation":
+        return recipe
+    if recipe.method in row.stopped_by_score:
+        return recipe.trained(stop="validation")
+    if recipe.method not in GRADIENT:
+        return recipe
+    return recipe.trained(stop="validation", every=_EVERY, patience=_PATIENCE)
+
+
+def is_new(view: AgentView, row: Family, recipe: Recipe) -> bool:
+    """Whether no trial has the configuration, in whatever order its settings stand."""
+    recipe = under_protocol(recipe, row, view.facts)
+    tried = (read_recipe(trial.source) for trial in view.trials)
+    if any(other is not None and other.key == recipe.key for other in tried):
+        return False
+    return not view.is_known(recipe.source(""))
