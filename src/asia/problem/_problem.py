@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+from asia.data._arrays import make_trajectories, name_signals, one_a_record
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.data.sources import Channels, Source
 from asia.problem._budget import Budget
@@ -77,6 +81,60 @@ class Problem:
     """What to try, in plain words, for agents that read."""
     guard_sha256: str | None = None
     """What the records that stand guard must hash to, known once a run has begun."""
+
+    @classmethod
+    def from_arrays(
+        cls,
+        u: Any,
+        y: Any,
+        *,
+        sampling_time: float,
+        directory: Path | str,
+        inputs: Sequence[str | Signal] | None = None,
+        outputs: Sequence[str | Signal] | None = None,
+        test_u: Any = None,
+        test_y: Any = None,
+        name: str | None = None,
+        description: str = "",
+        baseline: str | None = None,
+        groups: Mapping[str, Sequence[str]] | None = None,
+        protocol: ProtocolRule | Mapping[str, Any] | None = None,
+        budget: Budget | Mapping[str, Any] | None = None,
+        physics: Physics | Mapping[str, Any] | None = None,
+    ) -> Problem:
+        """A problem from records in memory, written to `directory` so that runs resume, verify and
+        unseal.
+
+        u, y: inputs (T, nu) and outputs (T, ny) in physical units, arrays or data frames, or lists
+        of them, one a record; sampling_time in seconds; test_u, test_y: the same for the test.
+        inputs, outputs: names or `Signal`s with units; columns of that name are taken out of data
+        frames. name: of the problem, the directory's without one. The records are called train1,
+        train2 and so on, and test1; `groups` names them. protocol, budget, physics: as the tables
+        of problem.toml, or as objects; baseline: source of the first candidate.
+
+        The same call again loads what is there. Raises UserError when the directory holds other
+        data or settings, with nothing overwritten, and for what does not make a problem.
+        """
+        us, ys = one_a_record(u), one_a_record(y)
+        test_us, test_ys = ([] if v is None else one_a_record(v) for v in (test_u, test_y))
+        signals = name_signals(inputs, us[0], "u"), name_signals(outputs, ys[0], "y")
+        # The module makes problems: imported above, it would close a circle.
+        arrays = import_module("asia.problem.new.arrays")
+        given = arrays.ArrayProblem(
+            name=name or Path(directory).resolve().name,
+            train=make_trajectories(us, ys, *signals, sampling_time, "train"),
+            test=make_trajectories(test_us, test_ys, *signals, sampling_time, "test"),
+            inputs=signals[0],
+            outputs=signals[1],
+            sampling_time=sampling_time,
+            description=description,
+            baseline=baseline,
+            groups=groups,
+            protocol=protocol,
+            budget=budget,
+            physics=physics,
+        )
+        return arrays.save_problem(given, Path(directory))
 
     @property
     def channels(self) -> Channels:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from asia.data._store import Content, key_folder, sync_folder
+from asia.data._store import Content, key_folder
 from asia.data._trajectory import Trajectory
 from asia.data.sources.csv import read_csv, split_csv
 from asia.errors import UserError
-from asia.problem._load import load_problem, require_length
+from asia.problem._load import require_length
 from asia.problem._toml import toml_value
+from asia.problem.new.directory import check_directory, write_directory
 from asia.problem.new.sealing import (
     STORE,
     Columns,
@@ -106,7 +105,7 @@ def init_problem(
     UserError.
     """
     directory = directory.resolve()
-    _check_directory(directory)
+    check_directory(directory)
     rule = ProtocolRule()
     columns = Columns(tuple(inputs), tuple(outputs), sampling_time)
     records = _read(train, columns)
@@ -122,13 +121,14 @@ def init_problem(
         ("description.md", _DESCRIPTION.format(name=directory.name)),
         ("problem.toml", _text(directory.name, columns, rule, plan)),
     )
-    folder = key_folder(keys)
-    if plan.sealing is None:
-        _write(directory, files, None, records, folder)
+    sealing = plan.sealing
+    if sealing is None:
+        write_directory(directory, files)
         return NewProblem(directory / "problem.toml")
+    folder = key_folder(keys)
     check_key_folder(folder, directory)
-    key = _write(directory, files, plan.sealing, records, folder)
-    gone = remove_plain(plan.sealing, directory / STORE, folder)
+    key = write_directory(directory, files, lambda draft: sealing.write(draft, records, folder))
+    gone = remove_plain(sealing, directory / STORE, folder)
     notes = (*plan.notes, *gone.notes)
     return NewProblem(directory / "problem.toml", directory / STORE, key, gone.removed, notes)
 
@@ -144,17 +144,6 @@ def _text(name: str, columns: Columns, rule: ProtocolRule, plan: _Plan) -> str:
         past_inputs=rule.past_inputs,
         past_outputs=rule.past_outputs,
     )
-
-
-def _check_directory(directory: Path) -> None:
-    if not directory.exists():
-        return
-    if not directory.is_dir():
-        raise UserError(f"{directory} is a file: choose another name for the problem")
-    if any(directory.iterdir()):
-        raise UserError(
-            f"{directory} exists and is not empty: choose another name, nothing is overwritten"
-        )
 
 
 def _read(paths: Sequence[Path], columns: Columns) -> list[Trajectory]:
@@ -214,39 +203,3 @@ def _data_lines(plan: _Plan) -> str:
     if plan.test:
         return lines + f"test = {toml_value(plan.test)}\n"
     return lines + '# test = ["run2.csv"]             # opened once, at the end\n'
-
-
-def _write(
-    directory: Path,
-    files: Sequence[tuple[str, str]],
-    sealing: Sealing | None,
-    train: Sequence[Trajectory],
-    keys: Path,
-) -> Path | None:
-    """All or nothing: a directory beside the final one is filled, loaded, then renamed. The path
-    of the key."""
-    above = [p for p in directory.parents if not p.exists()]
-    key: Path | None = None
-    try:
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=f".{directory.name}-", dir=directory.parent))
-    except OSError as error:
-        raise UserError(f"cannot write to {directory.parent}: {error.strerror}") from error
-    try:
-        for name, text in files:
-            (draft / name).write_text(text, encoding="utf-8")
-        load_problem(draft)
-        key = sealing.write(draft, train, keys) if sealing else None
-        draft.chmod(0o755)
-        draft.rename(directory)
-        sync_folder(directory.parent)
-    except OSError as error:
-        raise UserError(f"cannot write {directory}: {error.strerror}") from error
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-        if not directory.exists():
-            if key is not None:
-                key.unlink(missing_ok=True)
-            for made in above:
-                made.rmdir()
-    return key

@@ -1,0 +1,127 @@
+"""A new problem directory from records in memory."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from asia.data import Signal, Trajectory
+from asia.errors import UserError
+from asia.problem._budget import Budget
+from asia.problem._load import load_problem
+from asia.problem._problem import Problem
+from asia.problem._protocol import groups_table, protocol_table
+from asia.problem._toml import toml_text
+from asia.problem.new.directory import check_directory, write_directory
+from asia.problem.physics.types import Physics
+from asia.protocol._rules import ProtocolRule
+
+Table = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ArrayProblem:
+    """A problem in memory. Tables have the keys of problem.toml."""
+
+    name: str
+    """Part of the run's name."""
+    train: tuple[Trajectory, ...]
+    """Records to train on; each becomes a CSV file of its name."""
+    test: tuple[Trajectory, ...]
+    """Records of the test; () for none."""
+    inputs: tuple[Signal, ...]
+    """The inputs."""
+    outputs: tuple[Signal, ...]
+    """The outputs."""
+    sampling_time: float
+    """s."""
+    description: str
+    """The system in plain English; "" for none."""
+    baseline: str | None
+    """Source of the first candidate; None for the best linear model."""
+    groups: Mapping[str, Sequence[str]] | None
+    """Names of records that folds hold out together."""
+    protocol: ProtocolRule | Table | None
+    """How V is computed; None for the defaults."""
+    budget: Budget | Table | None
+    """What the search may spend; None for the defaults."""
+    physics: Physics | Table | None
+    """Equations; None for none."""
+
+
+def save_problem(given: ArrayProblem, directory: Path) -> Problem:
+    """Write the directory, or find the same files there, and load it. Raises UserError for other
+    files there, with nothing overwritten, and for what does not make a problem."""
+    directory = directory.resolve()
+    files = _files(given)
+    if (directory / "problem.toml").is_file():
+        for name, text in files:
+            path = directory / name
+            if not path.is_file() or path.read_bytes() != text.encode():
+                raise UserError(
+                    f"{directory} holds another problem ({name} differs), and nothing is "
+                    "overwritten: name another directory, or remove this one"
+                )
+    else:
+        check_directory(directory)
+        write_directory(directory, files)
+    return load_problem(directory)
+
+
+def _files(given: ArrayProblem) -> list[tuple[str, str]]:
+    records = (*given.train, *given.test)
+    files = [(f"{t.name}.csv", _csv(t, given)) for t in records]
+    if given.description:
+        files.append(("description.md", given.description))
+    if given.baseline is not None:
+        files.append(("baseline.py", given.baseline))
+    return [*files, ("problem.toml", toml_text(_tables(given)))]
+
+
+def _csv(record: Trajectory, given: ArrayProblem) -> str:
+    header = io.StringIO()
+    names = [signal.name for signal in (*given.inputs, *given.outputs)]
+    csv.writer(header, lineterminator="\n").writerow(names)
+    rows = zip(record.u.tolist(), record.y.tolist(), strict=True)
+    # repr gives the shortest text that reads back as the same number.
+    return header.getvalue() + "".join(",".join(map(repr, [*u, *y])) + "\n" for u, y in rows)
+
+
+def _tables(given: ArrayProblem) -> Table:
+    groups = given.groups
+    if groups is None and isinstance(given.protocol, ProtocolRule):
+        groups = groups_table(given.protocol)
+    return {
+        "name": given.name,
+        "description": "description.md" if given.description else None,
+        "sampling_time": float(given.sampling_time),
+        "inputs": [asdict(signal) for signal in given.inputs],
+        "outputs": [asdict(signal) for signal in given.outputs],
+        "data": {
+            "train": [f"{t.name}.csv" for t in given.train],
+            "test": [f"{t.name}.csv" for t in given.test],
+            "groups": groups,
+        },
+        "protocol": _plain(
+            protocol_table(given.protocol)
+            if isinstance(given.protocol, ProtocolRule)
+            else given.protocol
+        ),
+        "budget": _plain(given.budget),
+        "physics": _plain(given.physics),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Tables and lists of Python's own numbers, at any depth."""
+    if isinstance(value, (Budget, Physics)):
+        return asdict(value)
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return value.item() if hasattr(value, "item") else value
