@@ -6,12 +6,12 @@ import os
 from unittest import mock
 
 import numpy as np
+from asia.sandbox.worker.cell import Cell, Pipes
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.sandbox import Limits, Worker
 from asia.sandbox.worker import channel as channel
-from asia.sandbox.worker.cell import Cell, Pipes
 
 _TOKEN = b"\xa5sesame\x5a"
 _SOURCE = "def fit(trajectories, context):\n    return None\n"

@@ -18,8 +18,7 @@ from collections.abc import Callable
 from functools import partial
 from statistics import median, quantiles
 
-from asia.sandbox import Isolation, Limits, Worker, machine, open_worker, why_not
-from asia.sandbox.levels.landlock import open_cell
+from asia.sandbox import LEVELS, Isolation, Limits, Worker, machine, open_worker, why_not
 
 LIMIT_MS = 30.0
 LIMITS = Limits(60.0, 60.0, 4096)
@@ -57,7 +56,7 @@ def main() -> int:
 
 def bare() -> Worker:
     """The worker's program as a plain child."""
-    return Worker(open_cell(LIMITS, ()), LIMITS)
+    return Worker(LEVELS[Isolation.LANDLOCK].open(LIMITS, ()), LIMITS)
 
 
 def start(way: Callable[[], Worker]) -> float:

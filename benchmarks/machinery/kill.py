@@ -2,6 +2,7 @@
 
 python benchmarks/machinery/kill.py [--kills 200] [--experiments 15] [--seed 0] [--agent cheap]
     [--isolation process] [--out DIR]
+python benchmarks/kill.py --starts 300 [--seed 0]
 
 One search runs undisturbed. The same search then runs again elsewhere, its whole process group
 is killed (SIGKILL) at a random moment, and it is started again, until the kills are used up; a
@@ -14,6 +15,10 @@ outlive its kill. Prints a table; exits with 1 on any difference.
 The agent `cheap` proposes NumPy models that fit in milliseconds, with a crash, an exit and a twin
 among them, so that most kills fall between and into the steps of the search; any other name is
 an agent of `asia run`.
+
+With --starts, processes that do nothing but start workers behind namespaces are killed instead, 0
+to 30 ms after the first order: the moments in which bubblewrap sets up. Prints how many processes
+are left; exits with 1 on any.
 """
 
 from __future__ import annotations
@@ -21,6 +26,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import secrets
 import shutil
 import signal
 import subprocess
@@ -34,6 +40,8 @@ from typing import Any
 
 import numpy as np
 
+from asia.sandbox import Isolation, Limits, open_worker
+from asia.sandbox.worker import orphans
 from kill_cheap import NAME, arx
 
 CHEAP = "cheap"
@@ -45,6 +53,7 @@ SAMPLES = {"train": 240, "test": 120}
 DIE_SECONDS = 5.0
 # Kills fall into this share of an undisturbed search, so that most searches meet several.
 SHARE = 0.6
+LONGEST_START_SECONDS = 0.03
 
 
 @dataclass
@@ -88,6 +97,8 @@ class Kill:
 def main() -> int:
     """Run, compare, print; 1 when anything differs."""
     options = _options()
+    if options.starts:
+        return _kill_starts(options.starts, np.random.default_rng(options.seed))
     out = Path(options.out or tempfile.mkdtemp(prefix="asia-kill-"))
     problem = _write_problem(out / "problem")
     if options.agent == CHEAP:
@@ -135,6 +146,7 @@ def _print_table(kills: list[Kill]) -> None:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--starts", type=int, default=0, help="kill starts of workers instead")
     parser.add_argument("--experiments", type=int, default=15)
     parser.add_argument("--seed", type=int, default=0, help="of the search and of the moments")
     parser.add_argument("--agent", default=CHEAP)
@@ -191,6 +203,46 @@ def _kill_once(bench: Bench, runs: Path, after: float) -> Kill | None:
         bench.fault(runs, f"ended with exit code {code}: see {runs.name}.log")
     _check_prefix(bench, runs, before)
     return None
+
+
+def _kill_starts(count: int, random: np.random.Generator) -> int:
+    """Kill processes that start workers; 1 when a process outlives its kill."""
+    mark = f"kill-{secrets.token_hex(8)}"
+    for after in random.uniform(0.0, LONGEST_START_SECONDS, size=count):
+        _kill_start(mark, float(after))
+    left = _bearing(mark)
+    end = time.monotonic() + DIE_SECONDS
+    while left and time.monotonic() < end:
+        time.sleep(0.05)
+        left = _bearing(mark)
+    for pid in left:
+        os.kill(pid, signal.SIGKILL)
+    print(f"{count} kills of processes that start workers: {len(left)} processes left")
+    return 1 if left else 0
+
+
+def _kill_start(mark: str, after: float) -> None:
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            # The first word of bubblewrap's command line, by which its halves are found again.
+            orphans.secrets.token_hex = lambda nbytes=None: mark
+            os.write(write, b"x")
+            while True:
+                open_worker(Isolation.NAMESPACE, Limits(10.0, 10.0, 1024)).close()
+        finally:
+            os._exit(1)
+    os.read(read, 1)
+    for fd in (read, write):
+        os.close(fd)
+    time.sleep(after)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+
+
+def _bearing(mark: str) -> list[int]:
+    return [pid for pid, (_, _, line) in _processes().items() if mark in line]
 
 
 def _finish(bench: Bench, runs: Path) -> None:

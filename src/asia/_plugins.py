@@ -99,18 +99,35 @@ def parts_of(group: str) -> tuple[Part, ...]:
     return tuple(part for part in parts() if part.group == group)
 
 
-def plugin_folders() -> tuple[Path, ...]:
-    """Folders on the import path that hold the packages of parts, for workers to read. Raises
-    UserError as `parts` does."""
-    found: dict[Path, None] = {}
-    for part in parts():
-        top = part.target.partition(":")[0].partition(".")[0]
-        spec = find_spec(top)
-        if spec is not None and spec.origin is not None:
-            file = Path(spec.origin)
-            folder = file.parent.parent if file.name == "__init__.py" else file.parent
-            found[folder.resolve()] = None
-    return tuple(found)
+@dataclass(frozen=True)
+class PluginPackage:
+    """An importable package, or a single module, that brings parts."""
+
+    name: str
+    """What it is imported as."""
+    places: tuple[Path, ...]
+    """Its own folder or file, and not the folder that holds it; the folders of a package without
+    `__init__.py`, which can be more than one."""
+
+
+def plugin_packages() -> tuple[PluginPackage, ...]:
+    """The packages that bring parts, for workers to read: candidates import from them. One that
+    cannot be found is left out: to use its part says so. Raises UserError as `parts` does."""
+    names = dict.fromkeys(part.target.partition(":")[0].partition(".")[0] for part in parts())
+    found = [PluginPackage(name, _places(name)) for name in names]
+    return tuple(package for package in found if package.places)
+
+
+def _places(name: str) -> tuple[Path, ...]:
+    try:
+        spec = find_spec(name)
+    except (ImportError, ValueError):
+        return ()
+    if spec is None:
+        return ()
+    if spec.submodule_search_locations is not None:
+        return tuple(Path(place).absolute() for place in spec.submodule_search_locations)
+    return (Path(spec.origin).absolute(),) if spec.has_location and spec.origin else ()
 
 
 def _points(distribution: Distribution) -> tuple[EntryPoint, ...]:

@@ -125,13 +125,13 @@ def _show_without(
     json: bool,
 ) -> None:
     from asia.redteam import each_layer, without_layers, without_table
-    from asia.sandbox import LAYERS
+    from asia.sandbox import LEVELS
 
     if words == [EACH]:
         settings = each_layer(levels)
     else:
         layers = _layers(words)
-        settings = tuple((at, layers) for at in levels if {*layers} <= {*LAYERS[at]})
+        settings = tuple((at, layers) for at in levels if {*layers} <= {*LEVELS[at].layers})
     if not settings:
         raise UserError(f"--without {' '.join(words)}: no level asked for has these layers")
     open_field = ", ".join(str(attack.number) for attack in attacks if not attack.walled)
@@ -191,12 +191,11 @@ def _attacks(numbers: list[int] | None) -> tuple[Attack, ...]:
 
 
 def _levels(words: list[str] | None) -> tuple[Isolation, ...]:
-    from asia.sandbox import Isolation, why_not
+    from asia.sandbox import fitting_levels, why_not
 
-    # What attacks leave behind is looked for in /proc, which the system of this one has not.
-    known = {str(x): x for x in Isolation if x is not Isolation.SANDBOX_EXEC}
+    known = {str(level.isolation): level.isolation for level in fitting_levels()}
     if words is None:
-        walled = [level for level in known.values() if level is not Isolation.PROCESS]
+        walled = [level.isolation for level in fitting_levels() if level.confined]
         found = tuple(level for level in walled if why_not(level) is None)
         if not found:
             raise UserError(

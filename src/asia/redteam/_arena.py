@@ -14,7 +14,7 @@ from asia.redteam._types import CandidateAttack, Finding, Seen
 from asia.redteam.attacks.source import HONEST, fill_in
 from asia.redteam.evidence.targets import Targets, targets
 from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
-from asia.sandbox import LAYERS, Isolation, Layer, Worker, absent_layers, open_worker
+from asia.sandbox import Isolation, Layer, Worker, layers_in_force, open_worker
 from asia.scoring import Failure, Score
 
 _HONEST_SECONDS = 60.0
@@ -37,8 +37,7 @@ def attack_candidate(
 ) -> Finding:
     """All variants of an attack at one level; it is through if one of them is. Layers may be left
     out in an outer sandbox only."""
-    absent = absent_layers(level)
-    layers = [layer for layer in LAYERS[level] if layer not in absent and layer not in without]
+    layers = layers_in_force(level, without)
     found = [
         conclude(attack, name, _see(attack, name, level, without), layers, attack.won)
         for name in attack.sources

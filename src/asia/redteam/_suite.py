@@ -29,7 +29,7 @@ from asia.redteam.attacks.searches import Scene
 from asia.redteam.attacks.table import ATTACKS
 from asia.redteam.outside.off import OFF
 from asia.redteam.outside.outer_sandbox import inside
-from asia.sandbox import LAYERS, Isolation, Layer
+from asia.sandbox import LEVELS, Isolation, Layer
 
 _MOST_AT_ONCE = 2
 
@@ -99,8 +99,8 @@ class Report:
 def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
     """Run the plan, two jobs at a time; on_result hears of each finding as it is made.
 
-    Attacks without protection run in an outer sandbox, and so does level `process`. Raises
-    SandboxError where a worker or the outer sandbox cannot be started.
+    Attacks without protection run in an outer sandbox, and so do levels that confine nothing.
+    Raises SandboxError where a worker or the outer sandbox cannot be started.
     """
     ending = Ending()
     results = _run(list(_jobs(plan, ending)), on_result, ending)
@@ -116,8 +116,8 @@ def each_layer(levels: Sequence[Isolation]) -> tuple[tuple[Isolation, tuple[Laye
     return tuple(
         (level, (layer,))
         for level in levels
-        for layer in LAYERS[level]
-        if layer is not Layer.NAMESPACES and level is not Isolation.PROCESS
+        for layer in LEVELS[level].layers
+        if layer is not Layer.NAMESPACES and LEVELS[level].confined
     )
 
 
@@ -157,10 +157,10 @@ def _jobs(plan: Plan, ending: Ending) -> Iterator[Job]:
         first.append(partial(_played, searches, plan.levels[0]))
     candidates = [a for a in plan.attacks if isinstance(a, CandidateAttack)]
     for level in plan.levels:
-        if level is Isolation.PROCESS:
-            first.append(partial(_outside, level, (), candidates))
-        else:
+        if LEVELS[level].confined:
             first += [partial(_attack, attack, level) for attack in candidates]
+        else:
+            first.append(partial(_outside, level, (), candidates))
     for pair in zip_longest(first, honest):
         yield from (job for job in pair if job is not None)
 
@@ -171,7 +171,8 @@ def _attack(attack: CandidateAttack, level: Isolation) -> Iterator[Result]:
 
 def _outside(level: str, layers: Sequence[Layer], attacks: Sequence[Attack]) -> Iterator[Result]:
     numbers = [str(attack.number) for attack in attacks]
-    return inside([str(level), ",".join(layers), *numbers], nested=level == Isolation.NAMESPACE)
+    nested = level != OFF and Layer.NAMESPACES in LEVELS[Isolation(level)].layers
+    return inside([level, ",".join(layers), *numbers], nested=nested)
 
 
 def _honest(

@@ -2,9 +2,9 @@
 
 from asia.sandbox._doctor import Lack, LevelState, Machine, machine, survey
 from asia.sandbox._jail import INSIDE, SOCKET_FOLDER, Jail, jail_environment
-from asia.sandbox._open import absent_layers, open_worker, probe, why_not
+from asia.sandbox._level import Level
+from asia.sandbox._open import fitting_levels, layers_in_force, open_worker, probe, why_not
 from asia.sandbox._types import (
-    LAYERS,
     FitReply,
     Isolation,
     Layer,
@@ -14,18 +14,20 @@ from asia.sandbox._types import (
     ScoreRefusedError,
     WorkerKilledError,
 )
+from asia.sandbox.levels import LEVELS
 from asia.sandbox.walls.surroundings import shown_in
 from asia.sandbox.worker.worker import Worker
 
 __all__ = [
     "INSIDE",
-    "LAYERS",
+    "LEVELS",
     "SOCKET_FOLDER",
     "FitReply",
     "Isolation",
     "Jail",
     "Lack",
     "Layer",
+    "Level",
     "LevelState",
     "Limits",
     "Machine",
@@ -34,8 +36,9 @@ __all__ = [
     "ScoreRefusedError",
     "Worker",
     "WorkerKilledError",
-    "absent_layers",
+    "fitting_levels",
     "jail_environment",
+    "layers_in_force",
     "machine",
     "open_worker",
     "probe",

@@ -7,32 +7,37 @@ import platform
 import shutil
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
-from asia.sandbox._open import absent_layers, known_levels, why_not
-from asia.sandbox._types import LAYERS, Isolation, Layer
+from asia.sandbox._level import Level
+from asia.sandbox._open import fitting_levels, layers_in_force
+from asia.sandbox._types import Isolation, Layer
 from asia.sandbox.walls import landlock
-
-_APPARMOR = Path("/proc/sys/kernel/apparmor_restrict_unprivileged_userns")
-_CLONE = Path("/proc/sys/kernel/unprivileged_userns_clone")
-_MOST = Path("/proc/sys/user/max_user_namespaces")
-_CONTAINERS = (Path("/.dockerenv"), Path("/run/.containerenv"))
+from asia.sandbox.walls.own_layers import layer_remedy
+from asia.sandbox.walls.surroundings import in_container
 
 
 @dataclass(frozen=True)
 class Machine:
-    """Facts that decide about isolation. `landlock` is the kernel's version of it, 0 for none;
-    `bubblewrap` where the program lies; memory_mb None where it cannot be told."""
+    """Facts that decide about isolation."""
 
     system: str
+    """The kernel's name and release."""
     architecture: str
+    """Of the processor."""
     python: str
+    """Version of the running one."""
     cores: int
+    """How many the machine has."""
     memory_mb: int | None
+    """Physical memory, None where the system does not say."""
     user: str
+    """`root` or `ordinary`."""
     container: bool
+    """Whether this is a container."""
     landlock: int
+    """The kernel's version of it, 0 for none."""
     bubblewrap: str | None
+    """Where the program lies."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +45,25 @@ class Lack:
     """Something that does not work here: a level, or one layer of a level that works."""
 
     what: str
+    """The level or the layer."""
     reason: str
+    """Why it does not work."""
     remedy: str
+    """What to do about it."""
 
 
 @dataclass(frozen=True)
 class LevelState:
-    """One level here; `layers` are those it would really have, none where it does not work."""
+    """One level, tried out here."""
 
     level: Isolation
+    """The level."""
     works: bool
+    """Whether a worker starts at it."""
     layers: tuple[Layer, ...]
+    """Those it would really have, none where it does not work."""
     lacks: tuple[Lack, ...]
+    """What keeps it from working, or from being complete."""
 
 
 def machine() -> Machine:
@@ -63,7 +75,7 @@ def machine() -> Machine:
         cores=os.cpu_count() or 1,
         memory_mb=_memory_mb(),
         user="root" if os.geteuid() == 0 else "ordinary",
-        container=any(place.exists() for place in _CONTAINERS),
+        container=in_container(),
         landlock=_landlock_version(),
         bubblewrap=shutil.which("bwrap"),
     )
@@ -71,70 +83,16 @@ def machine() -> Machine:
 
 def survey() -> tuple[LevelState, ...]:
     """Every level tried out here, strongest first."""
-    return tuple(_state(level) for level in known_levels())
+    return tuple(_state(level) for level in fitting_levels())
 
 
-def _state(level: Isolation) -> LevelState:
-    reason = why_not(level)
+def _state(level: Level) -> LevelState:
+    name, reason = level.isolation, level.why_not()
     if reason is not None:
-        return LevelState(level, False, (), (Lack(level.value, reason, _level_remedy(level)),))
-    absent = absent_layers(level)
-    lacks = tuple(Lack(layer.value, why, _layer_remedy(layer)) for layer, why in absent.items())
-    return LevelState(level, True, tuple(x for x in LAYERS[level] if x not in absent), lacks)
-
-
-def _level_remedy(level: Isolation) -> str:
-    match level:
-        case Isolation.NAMESPACE:
-            return _namespace_remedy()
-        case Isolation.LANDLOCK:
-            absent = absent_layers(level)
-            steps = [_layer_remedy(layer) for layer in absent]
-            return "; ".join(steps) or "run a Python and a package that this user may read"
-        case Isolation.SANDBOX_EXEC:
-            return "use the sandbox-exec that macOS ships in /usr/bin"
-        case Isolation.PROCESS:
-            return "nothing to do: it works everywhere"
-
-
-def _namespace_remedy() -> str:
-    if sys.platform != "linux":
-        return "use a Linux machine, or a Linux virtual machine on this one"
-    if shutil.which("bwrap") is None:
-        return (
-            "install bubblewrap: apt install bubblewrap (Debian, Ubuntu), dnf install bubblewrap "
-            "(Fedora, RHEL), pacman -S bubblewrap (Arch)"
-        )
-    if _number(_APPARMOR) == 1:
-        return (
-            "this system keeps user namespaces from programs without an AppArmor profile: give "
-            "bwrap one that holds the rule `userns,` (docs/isolation.md has it)"
-        )
-    if _number(_CLONE) == 0:
-        return "as root: sysctl -w kernel.unprivileged_userns_clone=1"
-    if _number(_MOST) == 0:
-        return "as root: sysctl -w user.max_user_namespaces=15000"
-    if any(place.exists() for place in _CONTAINERS):
-        return (
-            "this is a container, which keeps namespaces to itself: use level landlock, or start "
-            "the container with a seccomp profile that allows user namespaces"
-        )
-    return "use bubblewrap 0.8 or newer, and a system where `bwrap --unshare-user true` works"
-
-
-def _layer_remedy(layer: Layer) -> str:
-    if layer is Layer.SECCOMP:
-        return "use a kernel with seccomp, on x86-64 or aarch64"
-    if sys.platform != "linux":
-        return "use a Linux machine, or a Linux virtual machine on this one"
-    reason = landlock.why_not() or ""
-    if "boot" in reason:
-        return (
-            "add landlock to the boot parameter lsm= (what it holds now: /sys/kernel/security/lsm)"
-        )
-    if "refused" in reason:
-        return "allow the landlock_ system calls in the container's seccomp profile"
-    return "use Linux 5.13 or newer, built with Landlock"
+        return LevelState(name, False, (), (Lack(name.value, reason, level.remedy()),))
+    absent = level.missing().items()
+    lacks = tuple(Lack(layer.value, why, layer_remedy(layer)) for layer, why in absent)
+    return LevelState(name, True, layers_in_force(name), lacks)
 
 
 def _landlock_version() -> int:
@@ -150,11 +108,4 @@ def _memory_mb() -> int | None:
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // (1024 * 1024)
     except (ValueError, OSError):
-        return None
-
-
-def _number(place: Path) -> int | None:
-    try:
-        return int(place.read_text())
-    except (OSError, ValueError):
         return None

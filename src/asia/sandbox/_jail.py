@@ -8,7 +8,9 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from asia.sandbox.levels.namespace import walls
+from asia.sandbox._types import Isolation
+from asia.sandbox.levels import LEVELS
+from asia.sandbox.walls.bubblewrap import walls
 from asia.sandbox.walls.surroundings import code_folders, interpreter
 
 INSIDE = "/workspace"
@@ -32,15 +34,24 @@ _NET = ("resolv.conf", "hosts", "nsswitch.conf", "services", "protocols", "gai.c
 
 @dataclass(frozen=True)
 class Jail:
-    """workspace: folder the agent writes in; socket: folder that holds the search's socket; mounts:
-    shown read-only at their own places; configs: folders of the agent, writable, below its home;
-    network: whether it has the machine's. Numbers of processes and sizes of files are bounded."""
+    """What an agent that runs as a command can reach. Numbers of processes and sizes of files are
+    bounded."""
 
     workspace: Path
+    """The folder that the agent writes in."""
     socket: Path
+    """The folder that holds the search's socket."""
     mounts: tuple[Path, ...] = ()
+    """What is shown read-only, each at its own place."""
     configs: tuple[Path, ...] = ()
+    """Folders of the agent, writable, below its home."""
     network: bool = False
+    """Whether it has the machine's network."""
+
+    @staticmethod
+    def why_not() -> str | None:
+        """None if there can be a jail here, else the reason in plain words."""
+        return LEVELS[Isolation.NAMESPACE].why_not()
 
     def command(self, arguments: list[str]) -> list[str]:
         """The command line that runs `arguments` inside."""

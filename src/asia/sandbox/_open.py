@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import compileall
-import sys
 from collections.abc import Collection, Sequence
 
 from asia.errors import SandboxError
-from asia.sandbox._types import LAYERS, Isolation, Layer, Limits, Probe
-from asia.sandbox.levels import landlock, namespace, process, sandbox_exec
+from asia.sandbox._level import Level
+from asia.sandbox._types import Isolation, Layer, Limits, Probe
+from asia.sandbox.levels import LEVELS
 from asia.sandbox.walls.surroundings import package_folder
 from asia.sandbox.worker.worker import Worker
 
@@ -24,48 +24,37 @@ def probe(wanted: Isolation | None = None) -> Probe:
         reason = why_not(wanted)
         if reason is not None:
             raise SandboxError(f"isolation level '{wanted}' cannot run here: {reason}")
-        return _found(wanted, ("asked for by the user",))
+        return _found(LEVELS[wanted], ("asked for by the user",))
     notes: list[str] = []
-    for level in known_levels():
-        reason = why_not(level)
+    for level in fitting_levels():
+        reason = level.why_not()
         if reason is None:
             return _found(level, notes)
-        notes.append(f"{level}: {reason}")
-    raise AssertionError("the process level works everywhere")
+        notes.append(f"{level.isolation}: {reason}")
+    raise SandboxError("no level of isolation works here")
 
 
-def _found(level: Isolation, notes: Sequence[str]) -> Probe:
-    absent = absent_layers(level)
-    layers = tuple(layer for layer in LAYERS[level] if layer not in absent)
-    said = [f"{level} without {layer}: {why}" for layer, why in absent.items()]
-    if level is Isolation.SANDBOX_EXEC:
-        said.append(f"{level}: written to its documentation, not tested")
-    return Probe(level, (*notes, *said), layers)
+def _found(level: Level, notes: Sequence[str]) -> Probe:
+    name, absent = level.isolation, level.missing()
+    said = [f"{name} without {layer}: {why}" for layer, why in absent.items()]
+    said += [f"{name}: {level.caveat}"] if level.caveat else []
+    return Probe(name, (*notes, *said), layers_in_force(name))
 
 
-def known_levels() -> tuple[Isolation, ...]:
+def fitting_levels() -> tuple[Level, ...]:
     """The levels worth a word on this system, strongest first."""
-    foreign = () if sys.platform == "darwin" else (Isolation.SANDBOX_EXEC,)
-    return tuple(level for level in Isolation if level not in foreign)
+    return tuple(level for level in LEVELS.values() if level.fits)
 
 
 def why_not(level: Isolation) -> str | None:
     """None if a worker can be started at `level` here, else the reason in plain words."""
-    match level:
-        case Isolation.NAMESPACE:
-            return namespace.why_not()
-        case Isolation.LANDLOCK:
-            return landlock.why_not()
-        case Isolation.SANDBOX_EXEC:
-            return sandbox_exec.why_not()
-        case Isolation.PROCESS:
-            return None
+    return LEVELS[level].why_not()
 
 
-def absent_layers(level: Isolation) -> dict[Layer, str]:
-    """Layers of a level that works here which the kernel does not give, and why."""
-    missing = landlock.missing()
-    return {layer: why for layer, why in missing.items() if layer in LAYERS[level]}
+def layers_in_force(level: Isolation, without: Collection[Layer] = ()) -> tuple[Layer, ...]:
+    """The layers that a worker at `level` has here, where these are left out."""
+    absent = {*LEVELS[level].missing(), *without}
+    return tuple(layer for layer in LEVELS[level].layers if layer not in absent)
 
 
 def open_worker(
@@ -76,19 +65,4 @@ def open_worker(
     `without` leaves out layers, to show in an outer sandbox what each of them stops. No search
     uses it.
     """
-    absent = absent_layers(level)
-    if level is Isolation.LANDLOCK and absent:
-        raise SandboxError(
-            f"isolation level '{level}' cannot run here: {'; '.join(absent.values())}"
-        )
-    layers = [layer for layer in LAYERS[level] if layer not in absent and layer not in without]
-    match level:
-        case Isolation.NAMESPACE:
-            cell = namespace.open_cell(limits, layers)
-        case Isolation.LANDLOCK:
-            cell = landlock.open_cell(limits, layers)
-        case Isolation.SANDBOX_EXEC:
-            cell = sandbox_exec.open_cell(limits, layers)
-        case Isolation.PROCESS:
-            cell = process.open_cell(limits, layers)
-    return Worker(cell, limits)
+    return Worker(LEVELS[level].open(limits, layers_in_force(level, without)), limits)

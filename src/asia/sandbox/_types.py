@@ -29,37 +29,30 @@ class Layer(StrEnum):
     RLIMITS = "rlimits"
 
 
-LAYERS = {
-    Isolation.NAMESPACE: (Layer.NAMESPACES, Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS),
-    Isolation.LANDLOCK: (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS),
-    Isolation.SANDBOX_EXEC: (Layer.PROFILE, Layer.RLIMITS),
-    Isolation.PROCESS: (Layer.RLIMITS,),
-}
-
-
 @dataclass(frozen=True)
 class Probe:
-    """The strongest level that works here, the layers really in force, and in plain words why not
-    a stronger level, or all layers of this one."""
+    """The strongest level that works here."""
 
     level: Isolation
+    """The level."""
     notes: tuple[str, ...] = ()
+    """In plain words why not a stronger level, or not all layers of this one."""
     layers: tuple[Layer, ...] = ()
+    """The layers really in force."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What one worker may use.
-
-    fit_seconds: wall clock for executing the source and fitting, the same again for loading a
-    model; simulate_seconds: for each simulate request; memory_mb: address space of the worker
-    process; model_mb: largest fitted model that is kept.
-    """
+    """What one worker may use."""
 
     fit_seconds: float
+    """Wall clock for executing the source and fitting; the same again for loading a model."""
     simulate_seconds: float
+    """Wall clock for each simulate request."""
     memory_mb: int
+    """Address space of the worker process."""
     model_mb: int = 64
+    """Largest fitted model that is kept."""
 
 
 class WorkerKilledError(SandboxError):
@@ -77,12 +70,11 @@ ScoreRefusedError, and CandidateError where the model makes the candidate fail."
 
 @dataclass(frozen=True)
 class FitReply:
-    """What a fit leaves behind beside the model, all of it the candidate's own word.
-
-    curve: (n, 2) step and loss given to `context.log`, at most 2000 rows, may hold NaN; output:
-    the first 64 KB of stdout and stderr; seconds: wall time of the `fit` call, measured outside.
-    """
+    """What a fit leaves behind beside the model, all of it the candidate's own word."""
 
     curve: Array
+    """(n, 2) step and loss given to `context.log`, at most 2000 rows, may hold NaN."""
     output: str
+    """The first 64 KB of stdout and stderr."""
     seconds: float
+    """Wall time of the `fit` call, measured outside."""

@@ -38,7 +38,7 @@ from asia.ledger import (
     replay,
 )
 from asia.problem.load import Problem, load_lock
-from asia.sandbox import Isolation, probe
+from asia.sandbox import LEVELS, Isolation, probe
 from asia.scoring import Failure, Outcome, Score
 from asia.search._agent_view import agent_view, as_bytes, problem_facts
 from asia.search._loop import judge
@@ -293,7 +293,7 @@ def _agent(started: Started) -> Agent | None:
 def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
     """The isolation to evaluate at, and what is not as it was."""
     wanted, found = Isolation(started.isolation), probe().level
-    level = wanted if wanted in (found, Isolation.PROCESS) else found
+    level = wanted if wanted is found or not LEVELS[wanted].confined else found
     notes = () if level is wanted else (f"isolation {level.value} here, {wanted.value} then",)
     changes = environment_changes(started.environment, environment(started.agent))
     return level, (*notes, *changes)

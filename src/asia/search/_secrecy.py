@@ -7,13 +7,14 @@ from pathlib import Path
 
 from asia.errors import UserError
 from asia.problem.load import Problem, kept_places, record_places
-from asia.sandbox import Isolation, shown_in
+from asia.sandbox import LEVELS, Isolation, shown_in
 
 
 def check_run_is_hidden(problem: Problem, directory: Path, level: Isolation) -> None:
     """Raises UserError when the run directory, a record or the key of the test lies in a folder
-    that every worker can read. Level `process` hides nothing, and nothing is checked there."""
-    if level is Isolation.PROCESS:
+    that every worker can read. A level that confines nothing hides nothing, and nothing is checked
+    there."""
+    if not LEVELS[level].confined:
         return
     for path in (directory, *record_places(problem), *kept_places(problem)):
         check_hidden_from_workers(path)
@@ -25,7 +26,8 @@ def check_hidden_from_workers(path: Path) -> None:
     if folder is not None:
         raise UserError(
             f"{path} lies in {folder}, which every candidate can read, for it holds the "
-            "interpreter or its libraries: keep runs, data and keys elsewhere"
+            "interpreter, its libraries or the package of a part: keep runs, data and keys "
+            "elsewhere"
         )
 
 

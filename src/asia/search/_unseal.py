@@ -27,7 +27,7 @@ from asia.ledger import (
 )
 from asia.problem.load import Problem, data_digest, load_lock
 from asia.protocol import MEE, Block, whole
-from asia.sandbox import Isolation
+from asia.sandbox import LEVELS
 from asia.scoring import Failure, mee_table, score_test
 from asia.seal._test import check_openable, open_test
 from asia.search._run import LOCK, make_evaluator
@@ -92,7 +92,8 @@ def needs_consent(view: SearchView) -> bool:
     """Whether only a person can say that the test may be opened: nothing kept the candidates of
     this search from reading it."""
     unopened = view.unsealing is None or not view.unsealing.process_consent
-    return unopened and view.started.isolation == Isolation.PROCESS.value
+    open_levels = {level.isolation.value for level in LEVELS.values() if not level.confined}
+    return unopened and view.started.isolation in open_levels
 
 
 def _check(directory: Path, view: SearchView) -> tuple[Experiment, str]:

@@ -8,8 +8,9 @@ from asia import _plugins
 from asia._plugins import Part
 from asia.cli import app
 from asia.errors import UserError
-from asia.sandbox import Isolation, Layer, _doctor, machine, probe, survey
-from asia.sandbox.levels import landlock as level
+from asia.sandbox import Isolation, Layer, _level, machine, probe, survey
+from asia.sandbox.levels import namespace
+from asia.sandbox.walls import own_layers, surroundings
 from asia.search import _run as search_run
 from asia.search import environment_changes
 from asia.search._run import environment
@@ -93,17 +94,17 @@ def test_the_ledger_names_packages_that_bring_parts(monkeypatch):
     ],
 )
 def test_each_lack_of_landlock_has_its_remedy(monkeypatch, reason, words):
-    monkeypatch.setattr(_doctor.landlock, "why_not", lambda: reason)
-    monkeypatch.setattr(level, "missing", lambda: {Layer.LANDLOCK: reason})
+    monkeypatch.setattr(own_layers.landlock, "why_not", lambda: reason)
+    monkeypatch.setattr(_level, "missing_layers", lambda: {Layer.LANDLOCK: reason})
     states = {state.level: state for state in survey()}
     landlock = states[Isolation.LANDLOCK]
     assert not landlock.works
     assert landlock.lacks[0].reason == reason
     assert words in landlock.lacks[0].remedy
-    namespace = states[Isolation.NAMESPACE]
-    if namespace.works:
-        assert Layer.LANDLOCK not in namespace.layers
-        assert namespace.lacks[0].what == "landlock"
+    walled = states[Isolation.NAMESPACE]
+    if walled.works:
+        assert Layer.LANDLOCK not in walled.layers
+        assert walled.lacks[0].what == "landlock"
 
 
 @pytest.mark.parametrize(
@@ -118,19 +119,19 @@ def test_each_switch_that_stops_namespaces_has_its_remedy(
     monkeypatch, tmp_path: Path, setting, value, words
 ):
     for name in ("_APPARMOR", "_CLONE", "_MOST"):
-        monkeypatch.setattr(_doctor, name, tmp_path / "absent")
+        monkeypatch.setattr(namespace, name, tmp_path / "absent")
     program = tmp_path / "bwrap"
     program.write_text("#!/bin/sh\necho bubblewrap 0.9.0; [ $1 = --version ]\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
     (tmp_path / "value").write_text(value)
-    monkeypatch.setattr(_doctor, setting, tmp_path / "value")
+    monkeypatch.setattr(namespace, setting, tmp_path / "value")
     (state,) = (state for state in survey() if state.level is Isolation.NAMESPACE)
     assert not state.works
     assert words in state.lacks[0].remedy
 
 
 def test_facts_of_this_machine(monkeypatch, tmp_path):
-    monkeypatch.setattr(_doctor, "_CONTAINERS", (tmp_path,))
+    monkeypatch.setattr(surroundings, "_CONTAINERS", (tmp_path,))
     assert machine().container
     assert machine().python.startswith("3.")

@@ -3,7 +3,7 @@ import os
 import pytest
 
 from asia.errors import SandboxError
-from asia.sandbox import LAYERS, Isolation, Layer, Limits, open_worker, probe, why_not
+from asia.sandbox import LEVELS, Isolation, Layer, Limits, _level, open_worker, probe, why_not
 from asia.sandbox.levels import landlock
 from asia.sandbox.levels.sandbox_exec import profile
 from asia.sandbox.worker.channel import printable
@@ -22,7 +22,7 @@ def fake_bwrap(tmp_path, monkeypatch, script: str) -> None:
 
 def no_landlock(monkeypatch, *layers: Layer) -> None:
     reasons = dict.fromkeys(layers, "this kernel has none of it")
-    monkeypatch.setattr(landlock, "missing", lambda: reasons)
+    monkeypatch.setattr(_level, "missing_layers", lambda: reasons)
 
 
 def test_without_bubblewrap_the_next_level_is_taken_and_says_why(tmp_path, monkeypatch):
@@ -30,7 +30,7 @@ def test_without_bubblewrap_the_next_level_is_taken_and_says_why(tmp_path, monke
     found = probe()
     assert found.level is NEXT_BEST
     assert "bubblewrap is not installed" in found.notes[0]
-    assert found.layers == LAYERS[NEXT_BEST]
+    assert found.layers == LEVELS[NEXT_BEST].layers
     with pytest.raises(SandboxError):
         open_worker(Isolation.NAMESPACE, Limits(1.0, 1.0, 1024))
 

@@ -89,7 +89,7 @@ class CommandOptions:
 
     def _rules(self, keys: tuple[str, ...], caps: ModelOptions) -> CommandRules:
         from asia.drive.command import CommandRules
-        from asia.sandbox import Isolation, probe
+        from asia.sandbox import Jail
 
         configs, mounts = self.agent_config or (), self.agent_mount or ()
         _check_given((*configs, *mounts), self.pass_env or ())
@@ -103,7 +103,7 @@ class CommandOptions:
             # Not resolved: a link keeps its own name below the agent's home.
             configs=tuple(Path(os.path.abspath(p.expanduser())) for p in configs),
             variables=(*keys, *(self.pass_env or ())),
-            jail=probe().level is Isolation.NAMESPACE,
+            jail=Jail.why_not() is None,
             model=caps.model,
         )
 

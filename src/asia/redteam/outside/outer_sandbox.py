@@ -12,7 +12,7 @@ from dataclasses import asdict
 from asia.errors import SandboxError
 from asia.redteam._types import Finding, Verdict
 from asia.sandbox import Isolation, why_not
-from asia.sandbox.levels.namespace import worker_walls
+from asia.sandbox.walls.bubblewrap import worker_walls
 from asia.sandbox.walls.surroundings import interpreter
 
 # Numbers of processes that an inner namespace has too would be mistaken for those in it.

@@ -5,49 +5,26 @@ It keeps accidents away, not intent: the candidate reads what the user reads.
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import tempfile
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
-from asia.sandbox._types import Layer, Limits
-from asia.sandbox.walls.surroundings import child_command, environment, interpreter, package_folder
-from asia.sandbox.worker.cell import Cell, PipePairs, kill_quietly, parent_ends, start
-from asia.sandbox.worker.keeper import descendants
+from asia.sandbox._level import Level
+from asia.sandbox._types import Isolation, Layer, Limits
+from asia.sandbox.worker.kept import start_kept
+from asia.sandbox.worker.process import WorkerProcess
 
 
-def open_cell(limits: Limits, layers: Collection[Layer], inside: Sequence[str] = ()) -> Cell:
-    """Start a worker as a plain process; `inside` is put before its command line. Raises
-    SandboxError."""
-    home = tempfile.mkdtemp(prefix="asia-worker-")
-    pipes = PipePairs(os.pipe(), os.pipe())
-    requests, replies = pipes.child_ends
-    keeper = str(package_folder() / "sandbox" / "worker" / "keeper.py")
-    command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
-    command += [*inside, *child_command(requests, replies, limits, layers)]
-    try:
-        process = start(command, pipes, env=environment(home), cwd=home)
-    except BaseException:
-        shutil.rmtree(home, ignore_errors=True)
-        raise
-    return Cell(
-        process=process,
-        pipes=parent_ends(process, pipes),
-        kill=_closing_is_enough,
-        force=lambda: _force(process),
-        tidy=lambda: shutil.rmtree(home, ignore_errors=True),
-        beyond_reach=False,
-    )
+class Process(Level):
+    """A plain process."""
 
+    isolation = Isolation.PROCESS
+    layers = (Layer.RLIMITS,)
+    confined = False
 
-def _closing_is_enough() -> None:
-    """The keeper ends the worker when the request pipe closes, also if this process is killed."""
+    def why_not(self) -> str | None:
+        return None
 
+    def remedy(self) -> str:
+        return "nothing to do: it works everywhere"
 
-def _force(process: subprocess.Popen[bytes]) -> None:
-    """The keeper does not answer: a candidate can stop it, as both have one user."""
-    while process.poll() is None and (offspring := descendants(process.pid, alive=True)):
-        for pid in offspring:
-            kill_quietly(pid)
-    kill_quietly(process.pid)
+    def open(self, limits: Limits, layers: Collection[Layer]) -> WorkerProcess:
+        return start_kept(limits, layers)

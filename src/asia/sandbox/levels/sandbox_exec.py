@@ -1,8 +1,8 @@
 """Isolation on macOS, through sandbox-exec. Written to its documentation, not tested.
 
-The profile denies by default: no network, no new process, reading the system's libraries, the
-interpreter, the environment and this package, writing to devices that keep nothing. Apple calls
-sandbox-exec deprecated and still ships it. The keeper of the process level ends what is left over.
+The profile denies by default: no network, no new process, reading the system's libraries and the
+code that every worker reads, writing to devices that keep nothing. Apple calls sandbox-exec
+deprecated and still ships it. A keeper ends what is left over.
 """
 
 from __future__ import annotations
@@ -14,43 +14,50 @@ import sys
 from collections.abc import Collection, Sequence
 
 from asia.errors import SandboxError
-from asia.sandbox._types import Layer, Limits
-from asia.sandbox.levels import process
+from asia.sandbox._level import Level
+from asia.sandbox._types import Isolation, Layer, Limits
 from asia.sandbox.walls.surroundings import code_folders, interpreter
-from asia.sandbox.worker.cell import Cell
+from asia.sandbox.walls.trial import run_trial
+from asia.sandbox.worker.kept import start_kept
+from asia.sandbox.worker.process import WorkerProcess
 
 _PROGRAM = "sandbox-exec"
 _SYSTEM = ("/usr/lib", "/usr/share", "/System", "/Library/Frameworks", "/private/var/db/dyld")
 _DEVICES = ("/dev/null", "/dev/zero", "/dev/random", "/dev/urandom")
-_START_SECONDS = 20.0
 
 
-def why_not() -> str | None:
-    """None if a Python really starts under the profile here, else the reason in plain words."""
-    if sys.platform != "darwin":
-        return "sandbox-exec needs macOS"
-    program = shutil.which(_PROGRAM)
-    if program is None:
-        return "the program sandbox-exec was not found"
-    command = [program, "-p", profile(), interpreter(), "-I", "-S", "-c", "pass"]
-    try:
-        trial = subprocess.run(
-            command, capture_output=True, timeout=_START_SECONDS, check=False, cwd="/", env={}
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return f"sandbox-exec did not start: {error}"
-    if trial.returncode != 0:
-        return f"sandbox-exec could not start Python: exit code {trial.returncode}"
-    return None
+class SandboxExec(Level):
+    """A process under a profile of macOS."""
 
+    isolation = Isolation.SANDBOX_EXEC
+    layers = (Layer.PROFILE, Layer.RLIMITS)
+    system = "darwin"
+    caveat = "written to its documentation, not tested"
 
-def open_cell(limits: Limits, layers: Collection[Layer]) -> Cell:
-    """Start a worker under the profile. Raises SandboxError."""
-    program = shutil.which(_PROGRAM)
-    if program is None:
-        raise SandboxError("the program sandbox-exec was not found")
-    inside = [program, "-p", profile()] if Layer.PROFILE in layers else []
-    return process.open_cell(limits, layers, inside)
+    def why_not(self) -> str | None:
+        if sys.platform != "darwin":
+            return "sandbox-exec needs macOS"
+        program = shutil.which(_PROGRAM)
+        if program is None:
+            return "the program sandbox-exec was not found"
+        command = [program, "-p", profile(), interpreter(), "-I", "-S", "-c", "pass"]
+        try:
+            trial = run_trial(command)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return f"sandbox-exec did not start: {error}"
+        if trial.returncode != 0:
+            return f"sandbox-exec could not start Python: exit code {trial.returncode}"
+        return None
+
+    def remedy(self) -> str:
+        return "use the sandbox-exec that macOS ships in /usr/bin"
+
+    def open(self, limits: Limits, layers: Collection[Layer]) -> WorkerProcess:
+        program = shutil.which(_PROGRAM)
+        if program is None:
+            raise SandboxError("the program sandbox-exec was not found")
+        inside = [program, "-p", profile()] if Layer.PROFILE in layers else []
+        return start_kept(limits, layers, inside)
 
 
 def profile() -> str:

@@ -9,10 +9,12 @@ from collections.abc import Collection
 from pathlib import Path
 
 import asia
+from asia._plugins import plugin_packages
 from asia.errors import SandboxError
 from asia.sandbox._types import Layer, Limits
 
 SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
+_CONTAINERS = (Path("/.dockerenv"), Path("/run/.containerenv"))
 _SYSTEM_CODE = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64")
 # Not all of /proc/self: `status` counts the signals of all processes of the user, `net` shows the
 # machine's network.
@@ -68,10 +70,12 @@ def child_command(
     -P and -s rather than -I: the environment is ours, and -I would drop PYTHONHASHSEED with it.
     """
     script = package_folder() / "sandbox" / "worker" / "child.py"
-    folders = [str(package_folder().parent), *_user_site()]
-    numbers = [str(requests), str(replies), str(limits.memory_mb)]
-    lists = [",".join(layers), str(len(folders)), *folders, *readable()]
-    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *numbers, *lists]
+    folders, packages = _user_site(), [f"asia={package_folder()}"]
+    packages += [f"{one.name}={place}" for one in plugin_packages() for place in one.places]
+    words = [str(requests), str(replies), str(limits.memory_mb), ",".join(layers)]
+    for part in (folders, packages):
+        words += [str(len(part)), *part]
+    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *words, *readable()]
 
 
 def readable() -> list[str]:
@@ -92,16 +96,24 @@ def shown_in(path: Path) -> str | None:
 
 
 def code_folders() -> list[tuple[str, str]]:
-    """(place on this machine, place in the sandbox) of all code a worker reads outside /usr."""
+    """(place on this machine, place in the sandbox) of all code a worker reads outside /usr: the
+    interpreter, the environment, this package, and the packages of parts, of which nothing that
+    lies beside them."""
     wanted: list[str] = []
     for prefix in (sys.base_prefix, sys.prefix):
         wanted += [os.path.realpath(prefix), os.path.abspath(prefix)]
     wanted += [*_user_site(), str(package_folder())]
+    wanted += [str(place) for package in plugin_packages() for place in package.places]
     folders: list[tuple[str, str]] = []
     for place in wanted:
         if not _within(place, ["/usr", *(inside for _, inside in folders)]):
             folders.append((os.path.realpath(place), place))
     return folders
+
+
+def in_container() -> bool:
+    """Whether this is a container, as far as the usual ones say so."""
+    return any(place.exists() for place in _CONTAINERS)
 
 
 def interpreter_links() -> list[tuple[str, str]]:

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from asia.sandbox.worker.cell import Pipes
-from asia.sandbox.worker.wire import REPLY_HEAD, REQUEST_HEAD, TOKEN_BYTES, Status
+from asia.sandbox.worker.process import Pipes
+from asia.sandbox.worker.wire import REPLY_HEAD, REQUEST_HEAD, TOKEN_BYTES, ReplyKind
 
 _KEPT_OUTPUT = 64 * 1024
 _LARGEST_OUTPUT = 4 * 1024 * 1024
@@ -37,7 +37,7 @@ class UnsolicitedError(Exception):
 class Head:
     """Start of a reply: what it is and how many bytes follow."""
 
-    status: Status
+    status: ReplyKind
     length: int
 
 
@@ -90,7 +90,7 @@ class Channel:
         if token != self._token:
             raise UnsolicitedError
         try:
-            return Head(Status(status), length)
+            return Head(ReplyKind(status), length)
         except ValueError as error:
             raise UnsolicitedError from error
 

@@ -1,14 +1,18 @@
 """The worker's own side of the sandbox, and the only file that runs candidate code.
 
 Run as a script in a fresh process; nothing in the parent imports it.
-Arguments: request fd, reply fd, memory limit in MB, the layers it puts on itself (commas between),
-the number of folders to add to the import path, these, then the places it may read.
+Arguments: request fd, reply fd, memory limit in MB, the layers it puts on itself (commas between);
+how many folders to add to the import path, then these; how many packages to import from a place of
+their own, then these, each as name=place; the places it may read.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
 import linecache
 import os
 import pickle
@@ -57,6 +61,34 @@ def _restrict(memory_mb: int) -> None:
         hard = resource.getrlimit(what)[1]
         value = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
         resource.setrlimit(what, (value, value))
+
+
+class _PackageFinder(importlib.abc.MetaPathFinder):
+    """Finds packages by their own places. The folders that hold them may not be listed: what lies
+    beside a package is nobody's business here."""
+
+    def __init__(self, packages: list[str]) -> None:
+        self._places: dict[str, list[str]] = {}
+        for word in packages:
+            name, _, place = word.partition("=")
+            self._places.setdefault(name, []).append(place)
+
+    def find_spec(
+        self, fullname: str, path: object = None, target: object = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        places = self._places.get(fullname)
+        if places is None:
+            return None
+        if os.path.isfile(places[0]):
+            return importlib.util.spec_from_file_location(fullname, places[0])
+        start = os.path.join(places[0], "__init__.py")
+        if os.path.isfile(start):
+            return importlib.util.spec_from_file_location(
+                fullname, start, submodule_search_locations=places
+            )
+        spec = importlib.machinery.ModuleSpec(fullname, None, is_package=True)
+        spec.submodule_search_locations = places
+        return spec
 
 
 class _RefusedError(Exception):
@@ -124,7 +156,7 @@ class _Session:
         self._asking = threading.Lock()
 
     def serve(self) -> NoReturn:
-        self._reply(wire.Status.STARTED)
+        self._reply(wire.ReplyKind.STARTED)
         handlers: dict[str, Callable[..., bytes]] = {
             "fit": self._fit,
             "load": self._load,
@@ -133,7 +165,7 @@ class _Session:
         }
         while True:
             self._token, name, arguments = pickle.loads(self._request())
-            status = wire.Status.OK
+            status = wire.ReplyKind.OK
             try:
                 body = handlers[name](*arguments)
             except BaseException as error:  # noqa: BLE001 - the border to candidate code
@@ -177,7 +209,7 @@ class _Session:
             raise _RefusedError("the source defines no function fit(trajectories, context)")
         curve = _Curve(wire.CURVE_ROWS)
         context = _context(known, curve.log, self._validation_score if scored else None)
-        self._reply(wire.Status.STARTED)
+        self._reply(wire.ReplyKind.STARTED)
         self._fitting = True
         self._model = _as_model(fit(trajectories, context))
         self._fitting = False
@@ -191,7 +223,7 @@ class _Session:
         with self._asking:
             if not self._fitting:
                 raise RuntimeError("validation_score is there for the time of fit only")
-            self._reply(wire.Status.SCORE, body)
+            self._reply(wire.ReplyKind.SCORE, body)
             self._token, name, (answer,) = pickle.loads(self._request())
         if name == "refuse":
             raise RuntimeError(answer)
@@ -230,8 +262,8 @@ class _Session:
         return cloudpickle.dumps(model, protocol=5)
 
     def _describe(self, error: BaseException, *, private: bool) -> tuple[int, bytes]:
-        """Status and words for an error; `private` gives away the class name only."""
-        status = wire.Status
+        """ReplyKind and words for an error; `private` gives away the class name only."""
+        status = wire.ReplyKind
         if isinstance(error, _WrongShapeError):
             import numpy as np
 
@@ -298,17 +330,26 @@ def _context(
 
 def main(arguments: list[str]) -> NoReturn:
     requests, replies, memory_mb = (int(word) for word in arguments[:3])
-    layers, folders = arguments[3].split(","), int(arguments[4])
+    layers = arguments[3].split(",")
+    folders, rest = _counted(arguments[4:])
+    packages, readable = _counted(rest)
     if lockdown.RLIMITS in layers:
         _restrict(memory_mb)
     # Before numpy, whose threads Landlock would not bind.
-    lockdown.confine(layers, arguments[5 + folders :])
-    sys.path.extend(folder for folder in arguments[5 : 5 + folders] if folder not in sys.path)
+    lockdown.confine(layers, readable)
+    sys.path.extend(folder for folder in folders if folder not in sys.path)
+    sys.meta_path.insert(0, _PackageFinder(packages))
     for fd in (requests, replies):
         os.set_inheritable(fd, False)
     importlib.import_module("asia.candidate")  # now, off the clock of the first request
 
     _Session(requests, replies).serve()
+
+
+def _counted(words: list[str]) -> tuple[list[str], list[str]]:
+    """A list that its length stands before, and what follows it."""
+    end = 1 + int(words[0])
+    return words[1:end], words[end:]
 
 
 if __name__ == "__main__":

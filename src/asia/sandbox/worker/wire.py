@@ -20,7 +20,7 @@ TEXT_BYTES = 2048
 SHAPE_DIMENSIONS = 8
 
 
-class Status(IntEnum):
+class ReplyKind(IntEnum):
     """First byte of a reply. All but OK, STARTED and SCORE end the worker."""
 
     OK = 0

@@ -17,7 +17,6 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError
 from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError, WorkerKilledError
-from asia.sandbox.worker.cell import Cell
 from asia.sandbox.worker.channel import (
     Channel,
     GoneError,
@@ -26,24 +25,25 @@ from asia.sandbox.worker.channel import (
     UnsolicitedError,
     printable,
 )
+from asia.sandbox.worker.process import WorkerProcess
 from asia.sandbox.worker.wire import (
     CURVE_ROW_BYTES,
     CURVE_ROWS,
     SHAPE_DIMENSIONS,
     TEXT_BYTES,
-    Status,
+    ReplyKind,
 )
 
 _START_SECONDS = 60.0
 _LAST_WORDS = 1500
 _KILLED = 128 + signal.SIGKILL
 _REASONS = {
-    Status.SYNTAX: Reason.SYNTAX,
-    Status.CONTRACT: Reason.CONTRACT,
-    Status.CRASH: Reason.CRASH,
-    Status.EXITED: Reason.EXITED,
-    Status.MEMORY: Reason.MEMORY,
-    Status.SHAPE: Reason.WRONG_LENGTH,
+    ReplyKind.SYNTAX: Reason.SYNTAX,
+    ReplyKind.CONTRACT: Reason.CONTRACT,
+    ReplyKind.CRASH: Reason.CRASH,
+    ReplyKind.EXITED: Reason.EXITED,
+    ReplyKind.MEMORY: Reason.MEMORY,
+    ReplyKind.SHAPE: Reason.WRONG_LENGTH,
 }
 _KNOWN_ERRORS = frozenset(
     name
@@ -62,10 +62,10 @@ class Worker:
     does and SandboxError for what it cannot have caused.
     """
 
-    def __init__(self, cell: Cell, limits: Limits) -> None:
-        self._cell = cell
+    def __init__(self, process: WorkerProcess, limits: Limits) -> None:
+        self._process = process
         self._limits = limits
-        self._channel = Channel(cell.pipes, cell.running)
+        self._channel = Channel(process.pipes, process.running)
         self.left_behind: int | None = None
         self._closed = False
         self._started = False
@@ -97,11 +97,11 @@ class Worker:
         context = replace(context, deadline=min(context.deadline, deadline))
         records = [(t.u, t.y, t.sampling_time, t.name) for t in trajectories]
         self._send("fit", (source, records, _plain(context), score is not None), deadline, late)
-        self._head(deadline, late, (Status.STARTED,))
+        self._head(deadline, late, (ReplyKind.STARTED,))
         begin = time.monotonic()
-        wanted = (Status.OK,) if score is None else (Status.OK, Status.SCORE)
+        wanted = (ReplyKind.OK,) if score is None else (ReplyKind.OK, ReplyKind.SCORE)
         head = self._head(deadline, late, wanted)
-        while score is not None and head.status is Status.SCORE:
+        while score is not None and head.status is ReplyKind.SCORE:
             self._answer(score, self._model_bytes(head, deadline, late), deadline)
             head = self._head(deadline, late, wanted)
         seconds = time.monotonic() - begin
@@ -156,8 +156,8 @@ class Worker:
     def abort(self) -> None:
         """End the process from another thread: the one that uses it then sees it gone."""
         with contextlib.suppress(OSError):
-            self._cell.kill()
-            self._cell.force()
+            self._process.kill()
+            self._process.force()
 
     def close(self) -> None:
         """End the process with everything it started; may be called again. What the kernel does
@@ -165,8 +165,8 @@ class Worker:
         if not self._closed:
             self._closed = True
             self._channel.close()
-            if not self._cell.end():
-                self.left_behind = self._cell.process.pid
+            if not self._process.end():
+                self.left_behind = self._process.process.pid
 
     def _start(self) -> None:
         """Wait for the fresh process to be ready: its start is nobody's fit time."""
@@ -175,7 +175,7 @@ class Worker:
         self._started = True
         try:
             head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
-            ready = head == Head(Status.STARTED, 0)
+            ready = head == Head(ReplyKind.STARTED, 0)
         except (LateError, GoneError, UnsolicitedError):
             ready = False
         if not ready:
@@ -218,7 +218,7 @@ class Worker:
         self,
         deadline: float,
         late: Reason,
-        wanted: tuple[Status, ...] = (Status.OK,),
+        wanted: tuple[ReplyKind, ...] = (ReplyKind.OK,),
         expected: tuple[int, ...] = (),
     ) -> Head:
         """Head of a reply that is no failure; `expected` is the shape to name in one."""
@@ -247,14 +247,14 @@ class Worker:
         except (LateError, GoneError) as error:
             raise self._translated(error, late) from None
 
-    def _words(self, status: Status, body: bytes, expected: tuple[int, ...]) -> str:
+    def _words(self, status: ReplyKind, body: bytes, expected: tuple[int, ...]) -> str:
         """Detail of a failure the worker reported. Once it knows cases it may not speak freely."""
-        if status is Status.SHAPE:
+        if status is ReplyKind.SHAPE:
             return f"got shape {_shape_words(body, expected)}, expected {expected}"
         text = printable(body).strip()
         if not self._cases_seen:
             return text
-        if status is Status.CONTRACT:
+        if status is ReplyKind.CONTRACT:
             return "no array of numbers, or no model with simulate"
         return text if text in _KNOWN_ERRORS else "an exception of its own"
 
@@ -268,8 +268,8 @@ class Worker:
             return self._failure(late, f"no answer within {seconds:g} s")
         if isinstance(error, UnsolicitedError):
             return self._failure(Reason.UNSOLICITED)
-        code = self._cell.exit_code()
-        if code is not None and (code == _KILLED or (self._cell.beyond_reach and code < 0)):
+        code = self._process.exit_code()
+        if code is not None and (code == _KILLED or (self._process.beyond_reach and code < 0)):
             self.close()
             number = -code if code < 0 else code - 128
             return WorkerKilledError(f"the worker was ended from outside by signal {number}")

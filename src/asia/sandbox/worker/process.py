@@ -1,4 +1,4 @@
-"""One started worker process, as every isolation level gives it."""
+"""One started worker process, as every level of isolation gives it."""
 
 from __future__ import annotations
 
@@ -17,28 +17,32 @@ _PATIENCE_SECONDS = (2.0, 5.0)
 
 @dataclass(frozen=True)
 class Pipes:
-    """The parent's ends: requests (write), replies and output (read)."""
+    """The parent's ends."""
 
     requests: int
+    """To write requests to."""
     replies: int
+    """To read replies from."""
     output: int
+    """To read from what the worker prints."""
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A running worker: its pipes, the process to wait for and the way to end it.
-
-    kill ends the candidate with everything it started; force is for when that did not end
-    `process` in time; tidy frees what the level holds beside it. beyond_reach: `process` is a guard
-    of the worker that no candidate can signal.
-    """
+class WorkerProcess:
+    """A running worker: its pipes, the process to wait for and the way to end it."""
 
     process: subprocess.Popen[bytes]
+    """The process to wait for: the worker, or one that ends with it."""
     pipes: Pipes
+    """The way to speak to the worker."""
     kill: Callable[[], None]
+    """Ends the candidate with everything it started."""
     force: Callable[[], None]
+    """For when `kill` did not end `process` in time."""
     tidy: Callable[[], None]
+    """Frees what the level holds beside the worker."""
     beyond_reach: bool
+    """Whether `process` is a guard of the worker that no candidate can signal."""
 
     def running(self) -> bool:
         """Whether the worker is still there."""
@@ -77,7 +81,9 @@ class PipePairs:
     """Both ends of the two pipes of a worker about to start."""
 
     requests: tuple[int, int]
+    """(the child reads, the parent writes)."""
     replies: tuple[int, int]
+    """(the parent reads, the child writes)."""
 
     @property
     def child_ends(self) -> tuple[int, int]:
@@ -102,11 +108,14 @@ def start(
     env: dict[str, str],
     cwd: str,
     also_pass: tuple[int, ...] = (),
+    program: str | None = None,
 ) -> subprocess.Popen[bytes]:
-    """Start `command` in a session of its own, with the child's pipe ends and nothing else."""
+    """Start `command` in a session of its own, with the child's pipe ends and nothing else.
+    program: file to run, where it is not the first word. Raises SandboxError."""
     try:
         return subprocess.Popen(
             command,
+            executable=program,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

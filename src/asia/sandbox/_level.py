@@ -1,0 +1,48 @@
+"""What the rest of the package knows of a level of isolation."""
+
+from __future__ import annotations
+
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Collection
+from typing import ClassVar
+
+from asia.sandbox._types import Isolation, Layer, Limits
+from asia.sandbox.walls.own_layers import missing_layers
+from asia.sandbox.worker.process import WorkerProcess
+
+
+class Level(ABC):
+    """A way to keep candidates in."""
+
+    isolation: ClassVar[Isolation]
+    """Its name."""
+    layers: ClassVar[tuple[Layer, ...]]
+    """What it is made of where the kernel gives everything."""
+    confined: ClassVar[bool] = True
+    """Whether it means to stop a candidate that wants out, and not accidents alone."""
+    system: ClassVar[str | None] = None
+    """The only `sys.platform` on which it is worth a word, None for every one."""
+    caveat: ClassVar[str | None] = None
+    """What a person must know who uses it."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether it is worth a word on this system."""
+        return self.system in (None, sys.platform)
+
+    def missing(self) -> dict[Layer, str]:
+        """Its layers that the kernel does not give, and why."""
+        return {layer: why for layer, why in missing_layers().items() if layer in self.layers}
+
+    @abstractmethod
+    def why_not(self) -> str | None:
+        """None if a worker can be started here, else the reason in plain words."""
+
+    @abstractmethod
+    def remedy(self) -> str:
+        """What to do where it does not work."""
+
+    @abstractmethod
+    def open(self, limits: Limits, layers: Collection[Layer]) -> WorkerProcess:
+        """Start a worker behind these layers. Raises SandboxError."""
