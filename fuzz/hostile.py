@@ -6,12 +6,12 @@ import os
 from unittest import mock
 
 import numpy as np
-from asia.sandbox.worker.cell import Cell, Pipes
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.sandbox import Limits, Worker
 from asia.sandbox.worker import channel as channel
+from asia.sandbox.worker.process import Pipes, WorkerProcess
 
 _TOKEN = b"\xa5sesame\x5a"
 _SOURCE = "def fit(trajectories, context):\n    return None\n"
@@ -91,8 +91,8 @@ class _Hostile:
         def nothing() -> None:
             pass
 
-        cell = Cell(_Ended(), pipes, nothing, nothing, nothing, beyond_reach=True)  # type: ignore[arg-type]
-        self.worker = Worker(cell, Limits(0.5, 0.5, 4096, model_mb=1))
+        started = WorkerProcess(_Ended(), pipes, nothing, nothing, nothing, beyond_reach=True)  # type: ignore[arg-type]
+        self.worker = Worker(started, Limits(0.5, 0.5, 4096, model_mb=1))
         self.worker._channel.send = self._answer  # type: ignore[method-assign]
         # No candidate is there before this: a start that fails is nobody's.
         os.write(self._out, bytes([1]) + bytes(16))

@@ -21,7 +21,7 @@ from asia.executor import LocalExecutor
 from asia.problem import Budget
 from asia.protocol import ProtocolRule, make_folds
 from asia.sandbox import Isolation, Limits, Worker, open_worker, probe, why_not
-from asia.sandbox.worker import cell
+from asia.sandbox.worker import process
 from asia.scoring import Failure, Score
 
 STRONGEST = probe().level
@@ -143,24 +143,24 @@ def test_a_process_that_does_not_die_is_left_behind_and_no_more_than_a_few(
 
     def immortal(level: Isolation, limits: Limits) -> Worker:
         worker = open_worker(level, limits)
-        worker._cell = replace(worker._cell, kill=lambda: None, force=lambda: None)
+        worker._process = replace(worker._process, kill=lambda: None, force=lambda: None)
         workers.append(worker)
         return worker
 
     monkeypatch.setattr(evaluator_module, "open_worker", immortal)
-    monkeypatch.setattr(cell, "_PATIENCE_SECONDS", (0.05, 0.05))
+    monkeypatch.setattr(process, "_PATIENCE_SECONDS", (0.05, 0.05))
     judge = evaluator(STRONGEST, fit_seconds=1.0)
     try:
         outcome = judge.evaluate(STUCK).outcome
         assert isinstance(outcome, Failure)
         assert outcome.reason is Reason.FIT_TIMEOUT
         first = list(judge.left_behind)
-        assert sorted(first) == sorted(w._cell.process.pid for w in workers)
+        assert sorted(first) == sorted(w._process.process.pid for w in workers)
         assert len(first) == 2
         judge.evaluate(STUCK)
         with pytest.raises(UserError, match=f"{first[0]}.* cannot be ended: restart the machine"):
             judge.evaluate(STUCK)
     finally:
         for worker in workers:
-            worker._cell.process.kill()
-            worker._cell.process.wait()
+            worker._process.process.kill()
+            worker._process.process.wait()

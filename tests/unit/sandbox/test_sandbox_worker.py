@@ -213,9 +213,9 @@ def test_a_sandbox_killed_from_outside_is_not_the_candidates_fault(case):
         pytest.skip(reason)
     with open_worker(Isolation.NAMESPACE, Limits(60.0, 30.0, 4096)) as one:
         one.fit(GAIN, case.trajectories, case.context)
-        one._cell.process.kill()
-        one._cell.process.wait()
-        assert _wait_for(lambda: select_one(one._cell.pipes.replies)), "the worker lives on"
+        one._process.process.kill()
+        one._process.process.wait()
+        assert _wait_for(lambda: select_one(one._process.pipes.replies)), "the worker lives on"
         with pytest.raises(SandboxError, match="signal 9"):
             one.simulate(case.past_u, case.past_y, case.u)
 

@@ -7,8 +7,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.problem.load import load_problem
-from asia.sandbox import Isolation, probe
-from asia.sandbox.levels import landlock
+from asia.sandbox import Isolation, _level, probe
 from asia.search import prepare, search
 
 from .toy import Scripted, arx, write_problem
@@ -28,7 +27,7 @@ def test_a_run_that_would_go_on_with_fewer_layers_is_refused(
         return len(view.finished)
 
     assert go(1) == 1
-    monkeypatch.setattr(landlock, "missing", lambda: {"landlock": "taken away"})
+    monkeypatch.setattr(_level, "missing_layers", lambda: {"landlock": "taken away"})
     with pytest.raises(UserError, match=r"a layer .* not there \(landlock\): go on where it began"):
         go(2)
     monkeypatch.undo()
