@@ -2,7 +2,7 @@
 
 python benchmarks/machinery/kill.py [--kills 200] [--experiments 15] [--seed 0] [--agent cheap]
     [--isolation process] [--out DIR]
-python benchmarks/kill.py --starts 300 [--seed 0]
+python benchmarks/machinery/kill.py --starts 300 [--seed 0]
 
 One search runs undisturbed. The same search then runs again elsewhere, its whole process group
 is killed (SIGKILL) at a random moment, and it is started again, until the kills are used up; a
