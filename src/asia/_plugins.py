@@ -112,10 +112,16 @@ class PluginPackage:
 
 def plugin_packages() -> tuple[PluginPackage, ...]:
     """The packages that bring parts, for workers to read: candidates import from them. One that
-    cannot be found is left out: to use its part says so. Raises UserError as `parts` does."""
-    names = dict.fromkeys(part.target.partition(":")[0].partition(".")[0] for part in parts())
-    found = [PluginPackage(name, _places(name)) for name in names]
+    cannot be found is left out: to use its part says so."""
+    found = [PluginPackage(name, _places(name)) for name in _package_names()]
     return tuple(package for package in found if package.places)
+
+
+@cache
+def _package_names() -> tuple[str, ...]:
+    """Top-level names, whether or not the parts' own names clash."""
+    points = [point for distribution in distributions() for point in _points(distribution)]
+    return tuple(dict.fromkeys(point.value.partition(":")[0].partition(".")[0] for point in points))
 
 
 def _places(name: str) -> tuple[Path, ...]:

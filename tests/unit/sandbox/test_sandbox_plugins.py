@@ -9,7 +9,7 @@ import pytest
 from asia import _plugins
 from asia.errors import CandidateError, UserError
 from asia.sandbox import LEVELS, shown_in
-from asia.search._hidden import check_outside
+from asia.search._secrecy import check_hidden_from_workers
 
 ENTRY_POINTS = "[asia.families]\ngain = odd_gain.model:Gain\noffset = odd_offset:Offset\n"
 MODEL = """
@@ -67,9 +67,9 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     monkeypatch.syspath_prepend(str(project))
-    _plugins.parts.cache_clear()
+    _plugins._package_names.cache_clear()
     yield project
-    _plugins.parts.cache_clear()
+    _plugins._package_names.cache_clear()
     for name in [name for name in sys.modules if name.startswith("odd_")]:
         del sys.modules[name]
 
@@ -102,10 +102,10 @@ def test_a_worker_cannot_change_them(project, level, worker, case):
 
 def test_runs_and_data_may_lie_beside_them_and_not_in_them(project):
     assert shown_in(project / "runs") is None
-    check_outside(project / "data" / "test.csv")
+    check_hidden_from_workers(project / "data" / "test.csv")
     assert shown_in(project / "odd_gain" / "runs") == str(project / "odd_gain")
     with pytest.raises(UserError, match="package of a part"):
-        check_outside(project / "odd_gain" / "runs")
+        check_hidden_from_workers(project / "odd_gain" / "runs")
 
 
 def test_a_package_without_init_is_found(project, worker, case):
