@@ -164,7 +164,7 @@ class Lines:
 
     def on_event(self, event: Event, view: SearchView) -> None:
         """A line an experiment."""
-        from asia.cli._format import experiment_line
+        from asia.cli._output.words import experiment_line
         from asia.ledger import Evaluated
 
         if isinstance(event, Evaluated):

@@ -23,7 +23,7 @@ def diff(
     """What changed in the source from experiment N to M, and what it did to V."""
     from rich.text import Text
 
-    from asia.cli._experiment import wide_console
+    from asia.cli._output.experiment import wide_console
     from asia.errors import UserError
     from asia.ledger import describe_result, find_run, open_run
 

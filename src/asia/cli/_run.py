@@ -47,7 +47,7 @@ def run(
 
     Exit code 3: the search is finished and no candidate has a score.
     """
-    from asia.cli._display import make_display
+    from asia.cli._output.display import make_display
     from asia.problem.load import load_problem
     from asia.report import write_report
     from asia.search import prepare

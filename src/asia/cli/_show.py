@@ -39,7 +39,7 @@ def show(
     """An experiment: hypothesis, what happened, evidence, source."""
     from rich.syntax import Syntax
 
-    from asia.cli._experiment import describe, wide_console
+    from asia.cli._output.experiment import describe, wide_console
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
 

@@ -64,7 +64,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
 
 
 def _print(directory: Path, found: Brief) -> None:
-    from asia.cli._format import (
+    from asia.cli._output.words import (
         again_words,
         duration,
         experiment_line,

@@ -29,7 +29,7 @@ def unseal(
     json: Json = False,
 ) -> None:
     """Score the winner on the sealed test. This ends the search and can be done once."""
-    from asia.cli._format import told
+    from asia.cli._output.words import told
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
     from asia.report import write_report

@@ -29,7 +29,7 @@ from asia.ledger import (
 )
 from asia.search._agent_view import digest
 
-SubmissionState = Literal["queued", "running", "done", "unknown"]
+SubmissionState = Literal["queued", "running", "done", "withdrawn", "unknown"]
 
 _POLL = 0.1
 
@@ -41,7 +41,8 @@ class Submission:
     ticket: str
     """What it is called until it is an experiment, and afterwards."""
     state: SubmissionState
-    """`unknown` for a ticket that was never given, or was taken back."""
+    """`withdrawn` only in the answer to taking it back; afterwards, as for a ticket never given,
+    it is `unknown`."""
     ahead: int = 0
     """How many others wait before it."""
     experiment: int | None = None
@@ -257,7 +258,7 @@ class RunDesk:
     def withdraw(self, ticket: str) -> Submission:
         """See `Desk.withdraw`."""
         if self._queue.withdraw(ticket):
-            return Submission(ticket, "unknown")
+            return Submission(ticket, "withdrawn")
         state = self.submission(ticket).state
         words = "about to be judged" if state == "queued" else state
         raise UserError(

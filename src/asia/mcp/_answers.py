@@ -37,30 +37,21 @@ class Best:
     V: float
 
 
-@dataclass(frozen=True)
-class SubmissionAnswer:
-    """Where a submission stands."""
+@dataclass(frozen=True, kw_only=True)
+class SubmissionAnswer(Submission):
+    """Where a submission stands, and what to do next."""
 
-    ticket: str
-    state: str
-    ahead: int
-    experiment: int | None
     next: str
 
 
-@dataclass(frozen=True)
-class WaitAnswer:
+@dataclass(frozen=True, kw_only=True)
+class WaitAnswer(SubmissionAnswer):
     """Where a submission stands, with its result once it is done."""
 
-    ticket: str
-    state: str
-    ahead: int
-    experiment: int | None
     result: ExperimentAnswer | None
     best: Best | None
     remaining: int
     notes: tuple[str, ...]
-    next: str
 
 
 @dataclass(frozen=True)

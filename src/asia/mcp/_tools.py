@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
@@ -154,10 +155,7 @@ class Tools:
                 f"{submission.experiment} and is not interrupted: it ends by itself, a fit within "
                 f"{self._fit_seconds:g} s a fold"
             )
-        await ask(self._desk.withdraw, ticket)
-        return SubmissionAnswer(
-            ticket=ticket, state="withdrawn", ahead=0, experiment=None, next="asia_submit"
-        )
+        return submission_answer(await ask(self._desk.withdraw, ticket), "asia_submit")
 
     async def _known(self, name: str) -> Submission:
         submission = await ask(self._desk.submission, name)
@@ -173,10 +171,7 @@ class Tools:
         done = await ask(self._desk.results) if submission.state == "done" else ()
         found = [experiment_answer(r) for r in done if r.experiment == submission.experiment]
         return WaitAnswer(
-            ticket=submission.ticket,
-            state=submission.state,
-            ahead=submission.ahead,
-            experiment=submission.experiment,
+            **asdict(submission),
             result=found[0] if found else None,
             best=best_of(now),
             remaining=now.remaining,

@@ -3,8 +3,8 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from asia.cli._experiment import describe
-from asia.cli._format import duration, experiment_line
+from asia.cli._output.experiment import describe
+from asia.cli._output.words import duration, experiment_line
 from asia.ledger import error_value, open_run
 from asia.scoring import Score
 

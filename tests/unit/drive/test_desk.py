@@ -142,7 +142,7 @@ def test_a_parent_must_exist(place: Place) -> None:
 def test_withdrawing(served: tuple[Place, str]) -> None:
     place, done = served
     first, second = place.desk.submit(candidate(3)), place.desk.submit(candidate(4))
-    assert place.desk.withdraw(first.ticket).state == "unknown"
+    assert place.desk.withdraw(first.ticket).state == "withdrawn"
     assert place.desk.submission(second.ticket).ahead == 0
     Queue(place.directory).take()
     for ticket, words in (

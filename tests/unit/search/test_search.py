@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from asia.agents import Agent
-from asia.cli._format import again_words
+from asia.cli._output.words import again_words
 from asia.errors import Reason, UserError
 from asia.ledger import Evaluated, SearchView, in_use, open_run, verify
 from asia.problem.load import load_problem

@@ -14,7 +14,8 @@ from rich.status import Status as Spinner
 from rich.text import Text
 
 from asia import __version__
-from asia.cli._format import (
+from asia.cli._options.shared import DEFAULT_RUNS
+from asia.cli._output.words import (
     NOT_LEAK_FREE,
     again_words,
     duration,
@@ -27,7 +28,6 @@ from asia.cli._format import (
     told,
     usage_words,
 )
-from asia.cli._options.shared import DEFAULT_RUNS
 from asia.evaluation import TRUTH
 from asia.ledger import (
     Evaluated,

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from asia.cli._format import again_words
+from asia.cli._output.words import again_words
 from asia.ledger import Experiment, Run, describe_result, error_value
 from asia.scoring import Score
 

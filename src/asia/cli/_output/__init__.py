@@ -1,0 +1,1 @@
+"""What commands print: words and numbers, one experiment, a search that runs."""
