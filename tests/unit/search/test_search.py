@@ -1,4 +1,5 @@
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from asia.agents import Agent
 from asia.cli._output.words import again_words
 from asia.errors import Reason, UserError
+from asia.evaluation import LINEAR
 from asia.ledger import Evaluated, SearchView, in_use, open_run, verify
 from asia.problem.load import load_problem
 from asia.scoring import Failure
@@ -37,6 +39,38 @@ def go(
     return search(ready, agent, lambda event, view: None, lambda view: None)
 
 
+@pytest.fixture(scope="module")
+def whole_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished search of 4 experiments beside its problem, the real linear rung included."""
+    root = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("asia.evaluation._rungs.LINEAR", LINEAR)
+        go(write_problem(root / "toy"), root / "runs")
+    return root
+
+
+@pytest.fixture(scope="module")
+def short_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished search of 2 experiments beside its problem."""
+    root = tmp_path_factory.mktemp("short")
+    go(write_problem(root / "toy"), root / "runs", experiments=2)
+    return root
+
+
+@pytest.fixture
+def whole(whole_once: Path, tmp_path: Path) -> Path:
+    """The run directory of a copy in tmp_path, to change at will."""
+    shutil.copytree(whole_once, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "runs" / "toy-scripted-s0"
+
+
+@pytest.fixture
+def short(short_once: Path, tmp_path: Path) -> Path:
+    """As `whole`, with 2 experiments."""
+    shutil.copytree(short_once, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "runs" / "toy-scripted-s0"
+
+
 def outcomes(view: SearchView) -> list[tuple[object, ...]]:
     """All that must not depend on when or how often the search was run."""
     return [
@@ -47,9 +81,9 @@ def outcomes(view: SearchView) -> list[tuple[object, ...]]:
     ]
 
 
-@pytest.mark.usefixtures("real_linear_rung")
-def test_a_search_end_to_end(problem: Path, tmp_path: Path) -> None:
-    view = go(problem, tmp_path / "runs")
+def test_a_search_end_to_end(whole_once: Path) -> None:
+    directory = whole_once / "runs" / "toy-scripted-s0"
+    view = open_run(directory).view
     statuses = [e.result.status for e in view.finished if e.result]
     assert statuses[:3] == ["keep", "keep", "crash"]
     assert view.stopped is not None
@@ -67,27 +101,24 @@ def test_a_search_end_to_end(problem: Path, tmp_path: Path) -> None:
     assert view.refitted.again is not None
     assert view.refitted.again.ratio == 1.0
     assert again_words(view) == ""
-    directory = tmp_path / "runs" / "toy-scripted-s0"
     verify(directory)
     assert (directory / "results.tsv").read_text().count("\n") == 5
     assert open_run(directory).state == "finished"
 
 
-def test_same_seed_twice_is_bitwise_the_same(problem: Path, tmp_path: Path) -> None:
-    first = go(problem, tmp_path / "a")
-    second = go(problem, tmp_path / "b")
-    assert outcomes(first) == outcomes(second)
+def test_same_seed_twice_is_bitwise_the_same(whole: Path, tmp_path: Path) -> None:
+    again = go(tmp_path / "toy", tmp_path / "again")
+    assert outcomes(open_run(whole).view) == outcomes(again)
 
 
-def test_resume_from_every_record(problem: Path, tmp_path: Path) -> None:
-    whole = go(problem, tmp_path / "runs")
-    directory = tmp_path / "runs" / "toy-scripted-s0"
+def test_resume_from_every_record(whole: Path, tmp_path: Path) -> None:
+    directory, undisturbed = whole, open_run(whole).view
     lines = (directory / "ledger.jsonl").read_bytes().splitlines(keepends=True)
     for kept in range(5, len(lines)):
         torn = lines[kept][: len(lines[kept]) // 2]
         (directory / "ledger.jsonl").write_bytes(b"".join(lines[:kept]) + torn)
-        again = go(problem, tmp_path / "runs")
-        assert outcomes(again) == outcomes(whole)
+        again = go(tmp_path / "toy", tmp_path / "runs")
+        assert outcomes(again) == outcomes(undisturbed)
         evaluated = [
             line.event.experiment
             for line in open_run(directory).lines
@@ -98,20 +129,20 @@ def test_resume_from_every_record(problem: Path, tmp_path: Path) -> None:
 
 
 def test_a_finished_search_returns_at_once_and_a_larger_budget_extends(
-    problem: Path, tmp_path: Path
+    short: Path, whole_once: Path, tmp_path: Path
 ) -> None:
-    runs = tmp_path / "runs"
-    first = go(problem, runs, experiments=2)
+    problem, runs = tmp_path / "toy", tmp_path / "runs"
+    first = open_run(short).view
     assert go(problem, runs, experiments=2) == first
     more = go(problem, runs, experiments=4)
     assert [e.number for e in more.finished] == [1, 2, 3, 4]
     assert outcomes(more)[:2] == outcomes(first)
-    assert outcomes(more) == outcomes(go(problem, tmp_path / "other", experiments=4))
+    at_once = open_run(whole_once / "runs" / "toy-scripted-s0").view
+    assert outcomes(more) == outcomes(at_once)
 
 
-def test_other_settings_are_refused_and_nothing_is_touched(problem: Path, tmp_path: Path) -> None:
-    go(problem, tmp_path / "runs", experiments=2)
-    ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
+def test_other_settings_are_refused_and_nothing_is_touched(short: Path, tmp_path: Path) -> None:
+    problem, ledger = tmp_path / "toy", short / "ledger.jsonl"
     before = ledger.read_bytes()
     text = (problem / "problem.toml").read_text()
     (problem / "problem.toml").write_text(text.replace("past_inputs = 3", "past_inputs = 4"))
@@ -151,9 +182,8 @@ def test_a_winner_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
     assert "V is in part luck" in again_words(view)
 
 
-def test_unseal_once(problem: Path, tmp_path: Path) -> None:
-    go(problem, tmp_path / "runs")
-    directory = tmp_path / "runs" / "toy-scripted-s0"
+def test_unseal_once(whole: Path, tmp_path: Path) -> None:
+    problem, directory = tmp_path / "toy", whole
     first = unseal(directory, process_consent=True)
     assert first.first_time
     measured = open_run(directory).store.get_arrays(
@@ -200,9 +230,8 @@ def test_a_winner_that_runs_away_on_the_test_is_recorded(problem: Path, tmp_path
     verify(directory)
 
 
-def test_a_changed_lock_is_refused_by_resume_and_unseal(problem: Path, tmp_path: Path) -> None:
-    go(problem, tmp_path / "runs", experiments=2)
-    directory = tmp_path / "runs" / "toy-scripted-s0"
+def test_a_changed_lock_is_refused_by_resume_and_unseal(short: Path, tmp_path: Path) -> None:
+    problem, directory = tmp_path / "toy", short
     lock = directory / "problem.lock.toml"
     text = lock.read_text()
     lock.write_text(text + "\n")
@@ -246,17 +275,16 @@ def test_hours_must_be_positive(problem: Path, tmp_path: Path, hours: float) -> 
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_budget_cannot_shrink(problem: Path, tmp_path: Path) -> None:
-    go(problem, tmp_path / "runs", experiments=3)
+@pytest.mark.usefixtures("short")
+def test_a_budget_cannot_shrink(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="can only grow"):
-        go(problem, tmp_path / "runs", experiments=2)
+        go(tmp_path / "toy", tmp_path / "runs", experiments=1)
 
 
 def test_a_killed_refit_is_made_up_for_before_the_test_is_opened(
-    problem: Path, tmp_path: Path
+    short: Path, tmp_path: Path
 ) -> None:
-    go(problem, tmp_path / "runs", experiments=2)
-    ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
+    problem, ledger = tmp_path / "toy", short / "ledger.jsonl"
     lines = ledger.read_bytes().splitlines(keepends=True)
     ledger.write_bytes(b"".join(lines[:-1]))
     assert open_run(ledger.parent).state == "interrupted"
@@ -266,12 +294,11 @@ def test_a_killed_refit_is_made_up_for_before_the_test_is_opened(
     assert unseal(ledger.parent, process_consent=True).record.refit is not None
 
 
-def test_the_winner_simulates(problem: Path, tmp_path: Path) -> None:
-    go(problem, tmp_path / "runs", experiments=2)
-    table = np.loadtxt(problem / "train.csv", delimiter=",", skiprows=1)
+def test_the_winner_simulates(short_once: Path) -> None:
+    directory = short_once / "runs" / "toy-scripted-s0"
+    table = np.loadtxt(short_once / "toy" / "train.csv", delimiter=",", skiprows=1)
     u, y = table[:, :1], table[:, 1:]
     for model in ("ensemble", "refit"):
-        directory = tmp_path / "runs" / "toy-scripted-s0"
         y_hat = simulate(directory, u[:3], y[:3], u[3:], model)
         assert np.sqrt(np.mean((y_hat - y[3:]) ** 2)) < 0.1 * y.std()
     with pytest.raises(UserError, match="past_y has shape"):
