@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+# Not from pydantic, which is too heavy for a worker.
+from annotated_types import Ge, Gt
+
+LEAST_MEMORY_MB = 1600
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What a search may spend. `patience`: experiments in the refine phase without a better
-    model before it counts as saturated; `hours`: wall clock, None is open."""
+    """What a search may spend."""
 
-    experiments: int = 15
-    fit_seconds: float = 120.0
-    memory_mb: int = 4096
-    patience: int = 10
-    hours: float | None = None
+    experiments: Annotated[int, Ge(1)] = 15
+    """Candidates to evaluate, the baseline included."""
+    fit_seconds: Annotated[float, Gt(0)] = 120.0
+    """Seconds that the fit of one fold may take."""
+    memory_mb: Annotated[int, Ge(LEAST_MEMORY_MB)] = 4096
+    """Memory of a worker, MB."""
+    patience: Annotated[int, Ge(1)] = 10
+    """Experiments in the refine phase without a better model before the search counts as
+    saturated."""
+    hours: Annotated[float, Gt(0)] | None = None
+    """Hours of evaluation after which no experiment starts; None is open."""

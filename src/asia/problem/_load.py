@@ -123,18 +123,17 @@ def _assemble(
     guard_sha256: str | None = None,
 ) -> Problem:
     channels = Channels(
-        tuple(s.signal() for s in file.inputs),
-        tuple(s.signal() for s in file.outputs),
+        file.inputs,
+        file.outputs,
         file.sampling_time,
     )
     _check_names(channels)
-    physics = file.physics.physics() if file.physics else None
+    physics = file.physics
     if physics is not None:
         names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
         check_physics(physics, *names)
     check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
-    table = file.data.plain()
-    data = data_source(table, root)
+    data = data_source(file.data, root)
     records = data.records("train", channels)
     names = [t.name for t in records.trajectories]
     rule = with_groups(file.protocol.rule(), file.data.groups, names)
@@ -148,9 +147,9 @@ def _assemble(
         outputs=channels.outputs,
         train=records.trajectories,
         data=data,
-        test=TestSource(test_source(table, data, root), test_sha256),
+        test=TestSource(test_source(file.data, data, root), test_sha256),
         protocol=rule,
-        budget=file.budget.budget(),
+        budget=file.budget,
         physics=physics,
         baseline=texts.baseline,
         notes=texts.notes,

@@ -6,15 +6,16 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, NoReturn, TypeVar, get_args, get_type_hints
 
-from pydantic import BaseModel, ValidationError
+from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from asia._nearest import nearest
 from asia.errors import UserError
-from asia.problem._schema import LEAST_MEMORY_MB
+from asia.problem._budget import LEAST_MEMORY_MB
 
 _SHOWN = 3
 _WANTED = {
@@ -22,14 +23,14 @@ _WANTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "float_type": "a number",
-    "list_type": "a list in [ ]",
+    "tuple_type": "a list in [ ]",
     "dict_type": "a table",
-    "model_type": "a table",
-    "model_attributes_type": "a table",
+    "mapping_type": "a table",
+    "dataclass_type": "a table",
     "finite_number": "a finite number",
 }
 
-T = TypeVar("T", bound=BaseModel)
+T = TypeVar("T")
 
 
 def read_table(path: Path, schema: type[T]) -> T:
@@ -43,7 +44,8 @@ def read_table(path: Path, schema: type[T]) -> T:
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path} is not valid TOML: {error}") from error
     try:
-        return schema.model_validate(raw)
+        # As JSON, where strictness takes a list for a tuple and a table for a dataclass.
+        return TypeAdapter(schema).validate_json(json.dumps(raw, default=_refuse_date))
     except ValidationError as error:
         found = [_sentence(e, schema) for e in error.errors(include_url=False)]
         more = len(found) - _SHOWN
@@ -51,11 +53,11 @@ def read_table(path: Path, schema: type[T]) -> T:
         raise UserError(f"{path.name}: " + "; ".join(found[:_SHOWN] + tail)) from error
 
 
-def _sentence(error: ErrorDetails, schema: type[BaseModel]) -> str:
+def _sentence(error: ErrorDetails, schema: type) -> str:
     *where, key = error["loc"] or ("",)
     table = _table_name(where)
     kind = error["type"]
-    if kind == "extra_forbidden":
+    if kind == "unexpected_keyword_argument":
         known = _known_keys(schema, where)
         return f"unknown key '{key}' in {table}{nearest(str(key), known)}"
     if kind == "missing":
@@ -104,23 +106,30 @@ def _table_name(where: Sequence[int | str]) -> str:
     return f"[{_path(where)}]" if where else "the top level"
 
 
-def _known_keys(schema: type[BaseModel], where: Sequence[int | str]) -> list[str]:
-    model = schema
+def _known_keys(schema: type, where: Sequence[int | str]) -> list[str]:
+    table = schema
     for part in where:
-        if isinstance(part, str) and part in model.model_fields:
-            model = _inner_model(model.model_fields[part].annotation) or model
-    return list(model.model_fields)
+        hints = get_type_hints(table, include_extras=True)
+        if part in hints:
+            table = _table_in(hints[str(part)]) or table
+    return [field.name for field in fields(table)]
 
 
-def _inner_model(annotation: object) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+def _table_in(annotation: object) -> type | None:
+    if isinstance(annotation, type) and is_dataclass(annotation):
         return annotation
-    found = (_inner_model(argument) for argument in get_args(annotation))
-    return next((model for model in found if model), None)
+    found = (_table_in(argument) for argument in get_args(annotation))
+    return next((table for table in found if table), None)
+
+
+def _refuse_date(value: object) -> NoReturn:
+    raise UserError(f"{value} is a date or a time, which no key of a problem file takes")
 
 
 def toml_text(tables: Mapping[str, Any]) -> str:
-    """TOML of nested mappings of str, int, float, bool, lists and mappings; None is left out."""
+    """TOML of nested mappings of str, int, float, bool, lists and mappings, None left out, in their
+    order: that of the output groups is part of the protocol's digest, and writers that put tables
+    behind values lose it."""
     return "\n".join(_lines(tables, ())).lstrip("\n") + "\n"
 
 

@@ -181,6 +181,10 @@ def test_missing_benchmark_says_which_file_to_put_where(
         (('["train.csv"]', '["a\\u0000b"]'), "is not a file name"),
         (("[data]", 'description = "d.md"\n[data]'), "cannot read"),
         (("[data]", "[data"), "is not valid TOML"),
+        (('["u"]', '[""]'), "inputs[0] is a signal without a name"),
+        (("0.1", "2026-01-01"), "2026-01-01 is a date or a time"),
+        (("[data]", "budget = 3\n[data]"), "budget is 3, expected a table"),
+        (('["train.csv"]', '"train.csv"'), 'data.train is "train.csv", expected a list in [ ]'),
     ],
 )
 def test_bad_file_gives_one_sentence(

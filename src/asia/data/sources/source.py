@@ -7,7 +7,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, Field
 
 from asia._nearest import suggestion
 from asia.data._trajectory import Array, Signal, Trajectory
@@ -60,33 +62,43 @@ class Outline:
     """How many of their samples also occur, in runs of ten or more, in the training records."""
 
 
+def _no_empty_name(value: str) -> str:
+    if not value or "\0" in value:
+        raise ValueError(f"{value!r} is not a file name")
+    return value
+
+
+FileName = Annotated[str, AfterValidator(_no_empty_name)]
+"""A file, relative to the problem file."""
+
+
 @dataclass(frozen=True)
 class SealedEntry:
     """`data.sealed` of a problem file."""
 
-    file: str
-    """The encrypted store, relative to the problem file."""
-    sha256: str
+    file: FileName
+    """The encrypted store."""
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
     """Digest of the records in it."""
 
 
 @dataclass(frozen=True)
 class DataTable:
-    """`[data]` of a problem file, its keys and types checked."""
+    """`[data]` of a problem file."""
 
-    train: tuple[str, ...] = ()
-    """CSV files to train on, relative to the problem file."""
-    test: tuple[str, ...] = ()
+    train: tuple[FileName, ...] = ()
+    """CSV files to train on."""
+    test: tuple[FileName, ...] = ()
     """CSV files of the test."""
     sealed: SealedEntry | None = None
     """The encrypted test, instead of `test`."""
     source: str | None = None
     """`name` or `name:argument` of a source, instead of files."""
-    seed: int | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
     """The seed of a simulated source."""
-    groups: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     """Names of the training records that folds hold out together."""
-    guard: tuple[str, ...] | int = ()
+    guard: tuple[FileName, ...] | Annotated[int, Field(ge=1, le=100)] = ()
     """Files, or names of training records, or a number of simulated records that stand guard."""
 
 

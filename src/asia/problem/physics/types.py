@@ -4,33 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from annotated_types import MinLen
 
 
 @dataclass(frozen=True)
 class ParameterRange:
-    """Search range of a physical parameter; `min > 0` is searched on a log scale."""
+    """Search range of a physical parameter."""
 
     min: float
+    """The least starting value; above 0 the range is searched on a log scale."""
     max: float
+    """The largest starting value."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Physical range of a state; None is open."""
+    """Physical range of a state."""
 
     min: float | None = None
+    """The least value; None is open."""
     max: float | None = None
+    """The largest value; None is open."""
 
 
 @dataclass(frozen=True)
 class Physics:
     """The person's equations. Expressions are text in the names of states, inputs, parameters,
-    constants and definitions; `_expressions.py` says what they may hold."""
+    constants and definitions; `expressions.py` says what they may hold."""
 
-    states: tuple[str, ...]
+    states: Annotated[tuple[str, ...], MinLen(1)]
+    """Names of the states."""
     dynamics: Mapping[str, str]
+    """Time derivative of every state."""
     parameters: Mapping[str, ParameterRange] = field(default_factory=dict[str, ParameterRange])
+    """Ranges of the numbers that are fitted."""
     constants: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Known numbers."""
     definitions: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Named intermediate expressions."""
     observation: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Outputs from states; default: the state of the same name."""
     bounds: Mapping[str, Bounds] = field(default_factory=dict[str, Bounds])
+    """Physical ranges of states, which the simulator keeps to."""
