@@ -18,7 +18,7 @@ import asia
 
 run = asia.run("two_tanks_sim", experiments=8)
 print(run.view.best)
-y_hat = asia.simulate(run, past_u, past_y, u)
+y_hat = asia.simulate(run.directory, past_u, past_y, u)
 ```
 """
 

@@ -35,13 +35,20 @@ quick range reached refitted refused reply report reproducible request result re
 running session settings shown side size sizes started state stated status stop stopped store
 stored stream streamed stuck submitted sum summary suspect syntax table text time timeout token
 tokens unsealed unsealing unsolicited usage user value verdict verified wait watcher whole with
-without writer wrong
+without writer wrong training loss set arguments
 """
 ABBREVIATIONS = "llm mae mee rmse mcp"
 
 # Class names that still have two meanings. This list only shrinks.
 TWICE = """
-Part Journal Case Desk _Check Line Place Cell
+Cell
+DataTable
+Desk
+Journal
+Line
+Part
+Place
+_Check
 """
 FAMILY_WORDS = {"Config"}
 """Every family has a class of this name: `linear.Config`, `narx.Config`."""
