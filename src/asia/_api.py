@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from asia.agents import Agent, SpaceName, make_agent, settings_of
+from asia.executor import Executor, make_executor
 from asia.ledger import Event, Run, SearchView, open_run
 from asia.problem.load import Problem, load_problem
 from asia.protocol import EarlyStopping
@@ -22,12 +23,14 @@ def run(
     name: str | None = None,
     early_stopping: EarlyStopping | None = None,
     space: SpaceName | None = None,
+    executor: Executor | str = "local",
 ) -> Run:
     """Search for a model; the finished run, with its view and artifacts.
 
     problem: a loaded problem, a built-in name or a path. The same call again resumes; more
     `experiments` extends. early_stopping: instead of the problem's own setting. space: what the
-    agent "random" draws from. Raises UserError for anything the caller can mend.
+    agent "random" draws from. executor: what runs the evaluations, one of `executor_names()` or one
+    of your own. Raises UserError for anything the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
@@ -43,7 +46,8 @@ def run(
         name=name,
         agent_settings=settings_of(chosen),
     )
-    search(ready, chosen, _silent, _silent_start)
+    runs_on = make_executor(executor) if isinstance(executor, str) else executor
+    search(ready, chosen, _silent, _silent_start, runs_on)
     return open_run(ready.directory)
 
 

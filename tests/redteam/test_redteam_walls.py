@@ -2,6 +2,7 @@
 level, which has none."""
 
 import os
+import secrets
 
 import pytest
 
@@ -83,11 +84,12 @@ def test_the_first_process_of_the_namespace_has_no_environment(namespaces, monke
 
 
 def test_opening_the_sandbox_program_and_places_above(arena):
+    new = f"new-{secrets.token_hex(8)}"  # a folder that leads to code could have a plain name
     attempts = {
         "program": "open('/proc/1/exe', 'rb')",
         "above": "open('/tmp/../../etc/passwd')",
-        "root": "open('/new', 'w')",
-        "up": "open('../new', 'w')",
+        "root": f"open('/{new}', 'w')",
+        "up": f"open('../{new}', 'w')",
     }
     ends = arena.ends(attempts)
     assert len(ends) == len(attempts)

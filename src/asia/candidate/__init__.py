@@ -1,6 +1,7 @@
 """The candidate contract: what a `candidate.py` is given and what it gives back."""
 
 from asia.candidate._contract import VALIDATION_SCORES, Context, Fit, Model
+from asia.candidate._libraries import installed_libraries
 from asia.candidate._source import check_source, executed_source, source_digest
 
 __all__ = [
@@ -10,5 +11,6 @@ __all__ = [
     "Model",
     "check_source",
     "executed_source",
+    "installed_libraries",
     "source_digest",
 ]

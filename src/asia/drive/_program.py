@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 
 from asia.agents import MODEL_RULES, equations, library
+from asia.candidate import installed_libraries
 from asia.data import Signal
 from asia.problem.load import Problem
 from asia.protocol import ProtocolRule
@@ -81,7 +82,7 @@ the one before. `past_u` has {rule.past_inputs} samples and `past_y` {rule.past_
 has inputs, outputs, sampling_time, n_past_u, n_past_y, horizon, metric, physics, seed, deadline,
 threads and `log(step, loss)`. Use `context.seed` for everything random. A fit may take
 {budget.fit_seconds:g} s on one core and {budget.memory_mb} MB, and should end by a number of
-iterations, not by the clock. numpy, scipy, jax, equinox, optax and the model library `asia.models`
+iterations, not by the clock. {", ".join(installed_libraries())} and the model library `asia.models`
 can be imported; `models.md` says which families it has for this problem and how to call them. There
 is no network and nothing else to read.
 

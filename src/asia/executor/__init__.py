@@ -5,9 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, cast
 
-__all__ = ["Executor", "LocalExecutor"]
+from asia._nearest import suggestion
+from asia._plugins import Part, parts_of
+from asia.errors import UserError
+
+__all__ = ["EXECUTORS", "Executor", "LocalExecutor", "executor_names", "make_executor"]
+
+_GROUP = "asia.executors"
 
 T = TypeVar("T")
 
@@ -38,6 +44,40 @@ class LocalExecutor:
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
         return [future.result() for future in futures]
+
+
+EXECUTORS: dict[str, Callable[[], Executor]] = {"local": LocalExecutor}
+"""The built-in executors by name."""
+
+
+def executor_names() -> tuple[str, ...]:
+    """The built-in executors, then those of installed packages."""
+    return (*EXECUTORS, *(part.name for part in parts_of(_GROUP) if part.name not in EXECUTORS))
+
+
+def make_executor(name: str) -> Executor:
+    """The executor of that name, with its own settings. Raises UserError when there is none, or an
+    installed package brings something else by that name."""
+    if name in EXECUTORS:
+        return EXECUTORS[name]()
+    for part in parts_of(_GROUP):
+        if part.name == name:
+            return _made(part)
+    raise UserError(
+        f"there is no executor '{name}'{suggestion(name, executor_names())} (installed are "
+        f"{', '.join(executor_names())}): install the package that brings it"
+    )
+
+
+def _made(part: Part) -> Executor:
+    make = part.load()
+    found = make() if callable(make) else None
+    if not callable(getattr(found, "run", None)):
+        raise UserError(
+            f"{part.target} of package {part.package} {part.version} is {make!r}, expected a class "
+            "or function without arguments that gives an asia.executor.Executor"
+        )
+    return cast("Executor", found)
 
 
 def _cores() -> int:

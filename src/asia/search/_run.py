@@ -14,7 +14,7 @@ from typing import get_args
 
 from asia._plugins import parts
 from asia.agents import Agent
-from asia.candidate import Context, check_source
+from asia.candidate import Context, check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
 from asia.executor import Executor, LocalExecutor
@@ -47,7 +47,7 @@ from asia.search._loop import Loop, OnEvent
 from asia.search._secrecy import check_run_is_hidden
 
 LOCK = "problem.lock.toml"
-PACKAGES = ("numpy", "scipy", "jax", "equinox", "optax", "cloudpickle", "asia-sysid")
+PACKAGES = ("cloudpickle", "asia-sysid")
 AGENT_PACKAGES = {"llm": ("openai", "httpx2")}
 
 
@@ -242,7 +242,7 @@ def _probe(wanted: Isolation | None) -> Probe:
 def environment(agent_name: str) -> dict[str, str]:
     """Python, platform and the versions of the packages that outcomes or prompts may depend on,
     those that bring parts included. Raises UserError as `asia._plugins.parts` does."""
-    names = (*PACKAGES, *AGENT_PACKAGES.get(agent_name, ()))
+    names = (*installed_libraries(), *PACKAGES, *AGENT_PACKAGES.get(agent_name, ()))
     versions = {name: importlib.metadata.version(name) for name in names}
     plugged = {part.package: part.version for part in parts()}
     python = {"python": platform.python_version(), "platform": platform.platform()}

@@ -12,7 +12,7 @@ from asia.agents._view import Facts
 from asia.agents.library.space import OneOf, Span
 from asia.agents.library.table import families
 from asia.agents.llm.text import bounded, fenced
-from asia.candidate import VALIDATION_SCORES
+from asia.candidate import VALIDATION_SCORES, installed_libraries
 from asia.data import Array, Signal
 from asia.ledger import one_line
 from asia.problem import Physics
@@ -74,7 +74,7 @@ context), and fit that calls both.
   one before the first. Inputs are held between samples.
 - context has inputs, outputs, sampling_time, n_past_u, n_past_y, horizon, metric, physics, seed,
   deadline, log(step, loss), nu, ny.
-- Python with numpy, scipy, jax, equinox, optax and asia.models, one CPU thread, no network, no
+- Python with {libraries} and asia.models, one CPU thread, no network, no
   files. A fit has {seconds:g} s a fold; stop by iteration counts, not by the clock. Take random
   numbers from context.seed. Everything that simulate needs belongs in the model, which is pickled.
 - {stopping}
@@ -220,6 +220,7 @@ def _contract(facts: Facts) -> str:
         ny=len(facts.outputs),
         pu=facts.past_inputs,
         py=facts.past_outputs,
+        libraries=", ".join(installed_libraries()),
         seconds=facts.budget.fit_seconds,
         stopping=_INNER if inner else _VALIDATION.format(scores=VALIDATION_SCORES),
         model=MODEL_RULES.replace("\n", "\n  "),

@@ -1,0 +1,12 @@
+"""Libraries that a candidate may import beside the standard one and `asia.models`."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+_LIBRARIES = ("numpy", "scipy", "jax", "equinox", "optax")
+
+
+def installed_libraries() -> tuple[str, ...]:
+    """Those of them that are installed here, as agents and people are told."""
+    return tuple(name for name in _LIBRARIES if find_spec(name) is not None)
