@@ -8,10 +8,9 @@ import pytest
 from asia.errors import UserError
 from asia.models import esn, linear
 from asia.models.methods import LeastSquares
-from tests.unit.models.black_box_systems import case, filtered
-from tests.unit.models.families import (
+from tests.unit.models.systems.black_box import case, filtered
+from tests.unit.models.systems.fitting import (
     against_holding,
-    check_same_bytes,
     fitted,
     from_short_past,
     rectifying,
@@ -53,10 +52,6 @@ def test_given_ridge_shrinks_the_readout() -> None:
         for r in (1e-6, 1.0)
     ]
     assert sizes[1] < 0.5 * sizes[0]
-
-
-def test_reloads_and_repeats_bitwise() -> None:
-    check_same_bytes(esn, SMALL, case(filtered), LeastSquares())
 
 
 def test_bad_settings_are_refused() -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import cloudpickle
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
-from tests.unit.models.black_box_systems import Case
+from tests.unit.models.systems.black_box import Case
 
 
 def rectifying(u: Array) -> Array:
@@ -34,14 +33,6 @@ def short_past(data: Case) -> Case:
 def from_short_past(model: Any, data: Case) -> Array:
     u, y = data.unseen.u, data.unseen.y
     return model.simulate(u[None, :0], y[None, :1], u[None, 1:])[0]
-
-
-def check_same_bytes(module: Any, config: Any, data: Case, method: Any) -> None:
-    """A second fit and a reloaded model answer bitwise the same."""
-    first = fitted(module, config, data, method)
-    expected = data.simulated(first).tobytes()
-    assert data.simulated(cloudpickle.loads(cloudpickle.dumps(first))).tobytes() == expected
-    assert data.simulated(fitted(module, config, data, method)).tobytes() == expected
 
 
 def flight(runs: int = 4, length: int = 300) -> tuple[list[Trajectory], Context]:

@@ -17,8 +17,7 @@ from asia.errors import UserError
 from asia.models import greybox
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics
-
-from .greybox_systems import (
+from tests.unit.models.systems.equations import (
     DUFFING,
     DUFFING_TRUTH,
     TANKS,

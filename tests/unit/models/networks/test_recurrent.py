@@ -12,7 +12,7 @@ from asia.errors import UserError
 from asia.models import recurrent
 from asia.models._networks.network import NetworkModel
 from asia.models.methods import Adam
-from tests.unit.models.black_box_systems import Case, case, filtered, two_by_two
+from tests.unit.models.systems.black_box import Case, case, filtered, two_by_two
 
 
 def fitted(config: recurrent.Config, data: Case, method: Adam) -> NetworkModel:

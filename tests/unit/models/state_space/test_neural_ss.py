@@ -13,7 +13,7 @@ from asia.errors import UserError
 from asia.models import linear, neural_ss
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
-from tests.unit.models.black_box_systems import Case, case, filtered, late, two_by_two, wiener
+from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two, wiener
 
 
 def fitted(

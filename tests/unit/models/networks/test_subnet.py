@@ -11,7 +11,7 @@ import pytest
 from asia.errors import UserError
 from asia.models import linear, subnet
 from asia.models.methods import Adam
-from tests.unit.models.black_box_systems import case, two_by_two, wiener
+from tests.unit.models.systems.black_box import case, two_by_two, wiener
 
 
 def test_training_learns_the_system() -> None:

@@ -16,8 +16,8 @@ from asia.models._state_space.wiener_hammerstein import (
     wiener_hammerstein_starts,
 )
 from asia.models.methods import LevenbergMarquardt
-from tests.unit.models.black_box_systems import case, filtered, two_by_two, wiener
-from tests.unit.models.families import against_holding, check_same_bytes, fitted
+from tests.unit.models.systems.black_box import case, filtered, two_by_two, wiener
+from tests.unit.models.systems.fitting import against_holding, fitted
 
 LAG = np.array([[0.8]]), np.array([[0.4]]), np.array([[1.0]])
 
@@ -72,11 +72,6 @@ def test_two_inputs_and_outputs() -> None:
 def test_windows_from_one_measured_state() -> None:
     config = block_oriented.Config("wiener_hammerstein", order=3, hidden=2)
     assert against_holding(block_oriented, config, LevenbergMarquardt(2), runs=3) < 0.8
-
-
-def test_reloads_and_repeats_bitwise() -> None:
-    config = block_oriented.Config("wiener_hammerstein", order=2, hidden=2)
-    check_same_bytes(block_oriented, config, case(wiener, lengths=(120,)), LevenbergMarquardt(2))
 
 
 def test_unknown_structure_is_refused() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from asia.models import koopman
 from asia.models._networks.layers import mlp
 from asia.models.methods import Adam
-from tests.unit.models.black_box_systems import case, wiener
+from tests.unit.models.systems.black_box import case, wiener
 
 SMALL = koopman.Config(levels=2, states=3, lift=2, width=8)
 

@@ -8,7 +8,7 @@ import numpy as np
 from asia.models import lru
 from asia.models._networks.layers import diagonal_states, poles
 from asia.models.methods import Adam
-from tests.unit.models.black_box_systems import case, wiener
+from tests.unit.models.systems.black_box import case, wiener
 
 
 def test_training_learns_the_system() -> None:

@@ -11,7 +11,7 @@ from asia.errors import UserError
 from asia.models import transformer
 from asia.models._networks.structure import rollout
 from asia.models.methods import Adam
-from tests.unit.models.black_box_systems import case, wiener
+from tests.unit.models.systems.black_box import case, wiener
 
 SMALL = transformer.Config(layers=1, heads=2, width=8, inner=8, span=6)
 

@@ -13,10 +13,9 @@ from asia.models._data.scaling import Scaling
 from asia.models._data.segments import segments, simulation_error
 from asia.models._one_step.polynomial import Polynomial, PolynomialRun, _normal, all_terms
 from asia.models.methods import LeastSquares, LevenbergMarquardt
-from tests.unit.models.black_box_systems import case, filtered, late, two_by_two
-from tests.unit.models.families import (
+from tests.unit.models.systems.black_box import case, filtered, late, two_by_two
+from tests.unit.models.systems.fitting import (
     against_holding,
-    check_same_bytes,
     fitted,
     from_short_past,
     short_past,
@@ -79,10 +78,6 @@ def test_gradient_is_that_of_the_simulation_error() -> None:
 def test_windows_from_one_measured_state() -> None:
     assert against_holding(arx, arx.Config(1, 1), LevenbergMarquardt(10)) < 0.5
     assert against_holding(arx, arx.Config(structure="arx"), LeastSquares()) < 0.5
-
-
-def test_reloads_and_repeats_bitwise() -> None:
-    check_same_bytes(arx, OE, case(filtered), LevenbergMarquardt(5))
 
 
 def test_bad_settings_are_refused() -> None:

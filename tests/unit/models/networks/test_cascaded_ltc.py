@@ -9,7 +9,7 @@ import pytest
 from asia.errors import UserError
 from asia.models import cascaded_ltc
 from asia.models.methods import Adam
-from tests.unit.models.black_box_systems import case, wiener
+from tests.unit.models.systems.black_box import case, wiener
 
 
 def test_training_learns_the_system() -> None:

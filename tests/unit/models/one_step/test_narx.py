@@ -11,10 +11,9 @@ from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear, narx
 from asia.models.methods import LeastSquares, LevenbergMarquardt
-from tests.unit.models.black_box_systems import case, filtered
-from tests.unit.models.families import (
+from tests.unit.models.systems.black_box import case, filtered
+from tests.unit.models.systems.fitting import (
     against_holding,
-    check_same_bytes,
     fitted,
     from_short_past,
     short_past,
@@ -77,10 +76,6 @@ def test_past_window_shorter_than_the_lags() -> None:
 def test_windows_from_one_measured_state() -> None:
     config = narx.Config(1, 1, degree=3)
     assert against_holding(narx, config, LevenbergMarquardt(10)) < 0.3
-
-
-def test_reloads_and_repeats_bitwise() -> None:
-    check_same_bytes(narx, narx.Config(2, 3, max_terms=8), case(bilinear), LevenbergMarquardt(5))
 
 
 def test_bad_settings_are_refused() -> None:

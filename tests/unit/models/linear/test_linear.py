@@ -26,7 +26,7 @@ from asia.models._linear.fit import (
 from asia.models._linear.subspace import spread_poles
 from asia.models._linear.system import LinearSystem, powers, states_of
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
-from tests.unit.models.black_box_systems import Case, case, filtered, late, two_by_two
+from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two
 
 
 def fitted(config: linear.Config, data: Case) -> linear.LinearStateSpace:

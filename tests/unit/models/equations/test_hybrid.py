@@ -10,8 +10,7 @@ import pytest
 from asia.data import Trajectory
 from asia.models import greybox, hybrid
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
-
-from .greybox_systems import DUFFING, context_for, duffing_record
+from tests.unit.models.systems.equations import DUFFING, context_for, duffing_record
 
 METHOD = LevenbergMarquardt(iterations=40, starts=4)
 SPRING_UNKNOWN = replace(

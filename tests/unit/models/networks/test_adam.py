@@ -21,8 +21,8 @@ from asia.models._networks.objective import objective
 from asia.models._networks.structure import Params, rollout
 from asia.models._networks.training import FitTask, HoldoutSplit
 from asia.models.methods import Adam
-from tests.unit.models.black_box_systems import Case, case, filtered
-from tests.unit.models.network_cells import (
+from tests.unit.models.systems.black_box import Case, case, filtered
+from tests.unit.models.systems.networks import (
     Echo,
     Hidden,
     Plain,

@@ -8,7 +8,7 @@ import pytest
 from asia.models._data.records import ScaledTrajectory
 from asia.models._linear.fit import solve_linear_part
 from asia.models._linear.subspace import spread_poles, stabilised, starts
-from tests.unit.models.black_box_systems import A, filtered
+from tests.unit.models.systems.black_box import A, filtered
 
 
 def record(length: int, noise: float = 0.0) -> ScaledTrajectory:

@@ -9,10 +9,9 @@ from scipy.optimize import check_grad
 from asia.errors import UserError
 from asia.models import gp_narx, linear
 from asia.models.methods import MarginalLikelihood
-from tests.unit.models.black_box_systems import case, filtered
-from tests.unit.models.families import (
+from tests.unit.models.systems.black_box import case, filtered
+from tests.unit.models.systems.fitting import (
     against_holding,
-    check_same_bytes,
     fitted,
     from_short_past,
     rectifying,
@@ -60,10 +59,6 @@ def test_past_window_shorter_than_the_lags_and_few_points() -> None:
 def test_windows_from_one_measured_state(mean: str) -> None:
     config = gp_narx.Config(1, 1, mean=mean)  # type: ignore[arg-type]
     assert against_holding(gp_narx, config, QUICK) < 0.3
-
-
-def test_reloads_and_repeats_bitwise() -> None:
-    check_same_bytes(gp_narx, gp_narx.Config(2, 2, points=80), case(filtered), QUICK)
 
 
 def test_bad_settings_are_refused() -> None:

@@ -16,7 +16,7 @@ from asia.models._data.records import holdout_records
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models.methods import LBFGS, Adam, MultipleShooting, NetworkMethod
-from tests.unit.models.network_cells import (
+from tests.unit.models.systems.networks import (
     Echo,
     Hidden,
     Plain,
