@@ -62,12 +62,16 @@ class Config:
 
 @dataclass(frozen=True)
 class Reservoir:
-    """recurrent (n, n) and drive (nu, n) weights, bias (n,), leak (n,)."""
+    """Random recurrent layer."""
 
     recurrent: Array
+    """Weights (n, n)."""
     drive: Array
+    """Input weights (nu, n)."""
     bias: Array
+    """(n,)."""
     leak: Array
+    """(n,), in (0, 1)."""
 
     def run(self, state: Array, u: Array) -> Array:
         """state (B, n), u (B, T, nu) -> states after each input (B, T, n)."""
@@ -81,13 +85,16 @@ class Reservoir:
 
 @dataclass(frozen=True)
 class Member:
-    """One reservoir; start: past window -> its state; readout; span: the horizon of a problem that
-    has one, whose readout sees the past window."""
+    """One reservoir and what is fitted to it."""
 
     reservoir: Reservoir
+    """The random layer."""
     start: Encoder
+    """Past window -> its state."""
     readout: Encoder
+    """Features -> outputs."""
     span: int | None
+    """Horizon of a problem that has one, whose readout sees the past window."""
 
     def __call__(self, past: Array, u: Array) -> Array:
         """past (B, d), u (B, H, nu) -> (B, H, ny), all z-scored."""
@@ -101,7 +108,9 @@ class FittedReservoirs:
     """What training found."""
 
     members: tuple[Member, ...]
+    """Their outputs are averaged."""
     scaling: Scaling
+    """From physical units to z-scores."""
 
 
 @dataclass(frozen=True)

@@ -79,12 +79,14 @@ class Config:
 
 @dataclass(frozen=True)
 class Process:
-    """One output: scaled (N, d), training regressors over the length scales; lengths (d,);
-    weights (N,), with the kernel's variance in them."""
+    """Gaussian process of one output."""
 
     scaled: Array
+    """Training regressors (N, d) over the length scales."""
     lengths: Array
+    """Length scales (d,)."""
     weights: Array
+    """(N,), with the kernel's variance in them."""
 
     def __call__(self, z: Array) -> Array:
         """Predictive mean, (B, d) -> (B,)."""
@@ -93,10 +95,12 @@ class Process:
 
 @dataclass(frozen=True)
 class GaussianPredictor:
-    """mean (1 + d, ny): coefficients of [1, z]; one process an output."""
+    """Prediction of the next outputs."""
 
     mean: Array
+    """Coefficients (1 + d, ny) of [1, z]."""
     processes: tuple[Process, ...]
+    """One an output."""
 
     def __call__(self, z: Array) -> Array:
         """(B, d) -> (B, ny)."""

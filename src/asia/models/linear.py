@@ -70,12 +70,16 @@ class Config:
 
 @dataclass(frozen=True)
 class FittedLinear:
-    """What training found: system in z-scores, encoder of the past window, delay in samples."""
+    """What training found."""
 
     system: LinearSystem
+    """For z-scored signals."""
     encoder: Encoder
+    """Past window -> initial state."""
     delay: int
+    """Of the inputs, in samples."""
     scaling: Scaling
+    """From physical units to z-scores."""
 
 
 @dataclass(frozen=True)

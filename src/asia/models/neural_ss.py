@@ -89,13 +89,17 @@ class Config:
 
 @dataclass(frozen=True)
 class FittedStateSpace:
-    """What training found; members hold parameters as `StateSpaceStructure` reads them, in
-    z-scores, and the map from the past window to the initial state."""
+    """What training found."""
 
     structure: StateSpaceStructure
+    """Equations of the model."""
     members: tuple[tuple[dict[str, Any], Encoder], ...]
+    """Parameters as `StateSpaceStructure` reads them, in z-scores, and the map from the past
+    window to the initial state."""
     delay: int
+    """Of the inputs, in samples."""
     scaling: Scaling
+    """From physical units to z-scores."""
 
 
 @dataclass(frozen=True)

@@ -16,24 +16,31 @@ from asia.models._data.records import PaddedBatch
 
 
 class Simulations(NamedTuple):
-    """Simulations to compare with measurements: window (B, d), u (B, T, nu), y (B, T, ny),
-    weight (B, T), 0 where a sample does not count."""
+    """Simulations to compare with measurements."""
 
     window: jax.Array
+    """Past window of each (B, d)."""
     u: jax.Array
+    """(B, T, nu)."""
     y: jax.Array
+    """Measured outputs (B, T, ny)."""
     weight: jax.Array
+    """(B, T), 0 where a sample does not count."""
 
 
 class Places(NamedTuple):
-    """Records u (R, T, nu), y (R, T, ny), weight (R, T), and where chunks may start in them:
-    starts (S, 2) of (record, sample) and the past windows there (S, d)."""
+    """Trajectories, and where chunks may start in them."""
 
     u: jax.Array
+    """(R, T, nu)."""
     y: jax.Array
+    """(R, T, ny)."""
     weight: jax.Array
+    """(R, T)."""
     windows: jax.Array
+    """Past windows before the starts (S, d)."""
     starts: jax.Array
+    """(trajectory, sample) of each start (S, 2)."""
 
 
 def whole(batch: PaddedBatch) -> Simulations:

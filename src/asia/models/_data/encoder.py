@@ -17,16 +17,18 @@ from asia.data import Array
 
 @dataclass(frozen=True)
 class Encoder:
-    """state = features weights + tanh(features inner + shift) outer + bias.
-
-    weights (d, n), bias (n,), inner (d, m), shift (m,), outer (m, n).
-    """
+    """state = features weights + tanh(features inner + shift) outer + bias."""
 
     weights: Array
+    """(d, n)."""
     bias: Array
+    """(n,)."""
     inner: Array
+    """(d, m)."""
     shift: Array
+    """(m,)."""
     outer: Array
+    """(m, n)."""
 
     def __call__(self, features: Array) -> Array:
         """(B, d) -> (B, n)."""

@@ -22,8 +22,11 @@ class Lags:
     """Regressors y[k-1] .. y[k-outputs] and u[k-delay] .. u[k-delay-inputs+1]."""
 
     outputs: int
+    """Lagged outputs."""
     inputs: int
+    """Lagged inputs."""
     delay: int = 0
+    """Samples before the newest input."""
 
     @property
     def past_inputs(self) -> int:
@@ -60,17 +63,17 @@ def regressors(
 
 @dataclass(frozen=True)
 class History:
-    """Lags before the first simulated sample, from the past window.
-
-    What the window is too short for, the oldest `missing_y` outputs and `missing_u` inputs, comes
-    from a regression on the window and the first input; without an encoder the oldest known value
-    is repeated.
-    """
+    """Lags before the first simulated sample, from the past window."""
 
     lags: Lags
+    """The lags of the model."""
     missing_y: int
+    """Oldest lagged outputs that the window is too short for."""
     missing_u: int
+    """Oldest lagged inputs that it is too short for."""
     encoder: Encoder | None
+    """Regression of the missing lags on the window and the first input; without one the oldest
+    known value is repeated."""
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> tuple[Array, Array]:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> inputs
@@ -129,10 +132,12 @@ def _features(past_u: Array, past_y: Array, first: Array) -> Array:
 
 @dataclass(frozen=True)
 class OutputRange:
-    """Range low (ny,) to high (ny,), z-scored, that outputs in free run are clipped to."""
+    """Range that outputs in free run are clipped to, z-scored."""
 
     low: Array
+    """(ny,)."""
     high: Array
+    """(ny,)."""
 
     @classmethod
     def of(cls, records: ScaledData, margin: float) -> OutputRange:

@@ -18,13 +18,16 @@ from asia.models._data.scaling import Scaling
 
 @dataclass(frozen=True)
 class ScaledTrajectory:
-    """One z-scored record: u (T, nu), y (T, ny); weight (T,), 0 where a sample does not count;
-    measured_u (T, nu): the inputs as past windows show them, where u is delayed."""
+    """One trajectory in z-scores."""
 
     u: Array
+    """(T, nu), as they act."""
     y: Array
+    """(T, ny)."""
     weight: Array
+    """(T,), 0 where a sample does not count."""
     measured_u: Array
+    """(T, nu), the inputs as past windows show them, where u is delayed."""
 
     def __len__(self) -> int:
         return len(self.u)
@@ -159,20 +162,22 @@ def contiguous_splits(
 
 @dataclass(frozen=True)
 class PaddedBatch:
-    """Records padded to one length, without their past windows.
-
-    window (R, d), u (R, T, nu), y (R, T, ny), weight (R, T): zero in the padding; all windows
-    of all records for starts in mid-record: starts (S, 2) of (record, sample), start_windows
-    (S, d).
-    """
+    """Trajectories padded to one length, without their past windows."""
 
     window: Array
+    """Past window of each (R, d)."""
     u: Array
+    """(R, T, nu)."""
     y: Array
+    """(R, T, ny)."""
     weight: Array
+    """(R, T), zero in the padding."""
     lengths: tuple[int, ...]
+    """Samples of each, without the padding."""
     start_windows: Array
+    """The past windows before all samples of all trajectories (S, d)."""
     starts: NDArray[np.int_]
+    """The (trajectory, sample) of each of these (S, 2)."""
 
 
 def batch(records: ScaledData, context: Context) -> PaddedBatch:

@@ -12,12 +12,16 @@ from asia.data import Array, Trajectory
 
 @dataclass(frozen=True)
 class Scaling:
-    """Mean and standard deviation of each channel: u_* (nu,), y_* (ny,), physical units."""
+    """Mean and standard deviation of each channel, in physical units."""
 
     u_mean: Array
+    """(nu,)."""
     u_std: Array
+    """(nu,), 1 for a constant channel."""
     y_mean: Array
+    """(ny,)."""
     y_std: Array
+    """(ny,), 1 for a constant channel."""
 
     @classmethod
     def of(cls, trajectories: Sequence[Trajectory]) -> Scaling:

@@ -24,14 +24,18 @@ _MOST_SAMPLES = 40_000
 
 @dataclass(frozen=True)
 class Stretches:
-    """z-scored: past_u (S, n_past_u, nu), past_y (S, n_past_y, ny), then u (S, H, nu) and
-    y (S, H, ny), padded with zeros where weight (S, H) is zero."""
+    """Stretches side by side, z-scored, padded with zeros where the weight is zero."""
 
     past_u: Array
+    """Inputs before each (S, n_past_u, nu)."""
     past_y: Array
+    """Outputs before each (S, n_past_y, ny)."""
     u: Array
+    """(S, H, nu)."""
     y: Array
+    """(S, H, ny)."""
     weight: Array
+    """(S, H)."""
 
     def __len__(self) -> int:
         return len(self.u)

@@ -71,10 +71,12 @@ class Config:
 
 @dataclass(frozen=True)
 class Range:
-    """Search range of a parameter; searched in log when it is positive."""
+    """Search range of a parameter, searched in log when it is positive."""
 
     min: float
+    """Least value, in the unit of the parameter."""
     max: float
+    """Greatest value."""
 
 
 @dataclass(frozen=True)

@@ -37,13 +37,16 @@ _INITIAL_RIDGE = 1e-6
 
 @dataclass(frozen=True)
 class FittedEquations:
-    """Coordinates, scales and window prior of a fitted model, with its cost after each
-    iteration."""
+    """What training found."""
 
     z: Array
+    """Coordinates (size,)."""
     scales: Scales
+    """Sizes of the signals."""
     prior: WindowPrior
+    """What a past window says of the state."""
     history: Array
+    """Cost after each iteration."""
 
 
 def fit(

@@ -40,12 +40,14 @@ _HELD = ("fixed", "net", "out_w", "out_b")
 
 @dataclass(frozen=True)
 class TermPenalties:
-    """robust: where the loss turns from square to linear, in standard deviations, None never;
-    ridge: weight of squared learned effects in the first round; sparsity: in the later ones."""
+    """What holds the fit of the equations."""
 
     robust: float | None
+    """Where the loss turns from square to linear, in standard deviations; None: never."""
     ridge: float
+    """Weight of squared learned effects in the first round."""
     sparsity: float
+    """The same in the later ones."""
 
 
 @dataclass

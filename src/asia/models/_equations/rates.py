@@ -16,11 +16,14 @@ _LONGEST = 100
 
 @dataclass(frozen=True)
 class Rate:
-    """d/dt of output `output` is gain times output `rate`, both numbers of channels."""
+    """d/dt of an output is gain times another output."""
 
     output: int
+    """Number of the first."""
     rate: int
+    """Number of the other."""
     gain: float
+    """1 where the equations say so."""
 
 
 def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Rate, ...]:

@@ -33,20 +33,27 @@ _RUNAWAY = 1e6
 
 
 class RecordPieces(NamedTuple):
-    """Training records side by side: u (S, T, nu), y (S, T, ny), mask (S, T), 0 in the padding."""
+    """Training records, or windows of them, side by side."""
 
     u: Array
+    """(S, T, nu)."""
     y: Array
+    """(S, T, ny)."""
     mask: Array
+    """(S, T), 0 in the padding."""
 
 
 class Starts(NamedTuple):
-    """Starting points, one a row: coordinates and initial states with their normalisation."""
+    """Starting points, one a row."""
 
     z: Array
+    """Coordinates (P, size)."""
     shift: Array
+    """Initial states (P, S, nx) from the guess, in units of their scale."""
     x_guess: Array
+    """Guessed initial states (P, S, nx)."""
     scales: Scales
+    """Sizes of the signals, of each start."""
 
 
 def cut_segments(

@@ -26,25 +26,29 @@ _LARGEST_RADIUS = 1.0 - 1e-9
 
 @dataclass(frozen=True)
 class Refinement:
-    """Levenberg-Marquardt in NumPy: iterations, first damping (relative to the scaled normal
-    matrix) and the relative decrease of the cost below which it stops. initial_ridge: weight, in
-    samples, of a prior that holds the initial states of the records to unit size; without it a
-    slow mode started far off explains drift that the inputs did not cause."""
+    """Levenberg-Marquardt in NumPy."""
 
     iterations: int = 50
+    """Greatest number of steps."""
     initial_ridge: float = 30.0
+    """Weight, in samples, of a prior that holds the initial states of the records to unit size;
+    without it a slow mode started far off explains drift that the inputs did not cause."""
     damping: float = 1e-2
+    """First damping, relative to the scaled normal matrix."""
     tolerance: float = 1e-7
+    """Relative decrease of the cost below which it stops."""
 
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A system, the initial states x0 (R, n) of the training records, and the weighted mean
-    squared simulation error in z-scores, infinite where it diverges."""
+    """A fitted system."""
 
     system: LinearSystem
+    """For z-scored signals."""
     x0: Array
+    """Initial states (R, n) of the training records."""
     error: float
+    """Weighted mean squared simulation error in z-scores, infinite where it diverges."""
 
 
 def fit(

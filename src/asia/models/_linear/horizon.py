@@ -29,11 +29,14 @@ _FEWEST, MOST_WINDOWS = 24, 2000
 
 @dataclass(frozen=True)
 class WindowedChoice:
-    """Lags and ridge, with the mean squared error on the windows of each stretch left out."""
+    """Lags and ridge, and how well they do."""
 
     lags: WindowLags
+    """Past samples kept in the state."""
     ridge: float
+    """Against the mean squared error in z-scores."""
     errors: tuple[float, ...]
+    """Mean squared error on the windows of each stretch left out."""
 
     @property
     def error(self) -> float:

@@ -18,13 +18,12 @@ from asia.models._data.records import ScaledData
 
 @dataclass(frozen=True)
 class Observability:
-    """Left factor of a Hankel-like matrix: the first n columns give a start of order n.
-
-    factor (blocks * ny, m), columns scaled by the roots of the singular values.
-    """
+    """Left factor of a Hankel-like matrix: its first n columns give a start of order n."""
 
     factor: Array
+    """(blocks * ny, m), columns scaled by the roots of the singular values."""
     ny: int
+    """Outputs."""
 
     def start(self, order: int) -> tuple[Array, Array] | None:
         """(A, C) of the order, A made stable; None where the factor has too few columns."""

@@ -17,13 +17,18 @@ from asia.data import Array
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """a (n, n), b (n, nu), c (ny, n), d (ny, nu), offset (ny,), all for z-scored signals."""
+    """A linear state-space system for z-scored signals."""
 
     a: Array
+    """(n, n)."""
     b: Array
+    """(n, nu)."""
     c: Array
+    """(ny, n)."""
     d: Array
+    """(ny, nu)."""
     offset: Array
+    """(ny,)."""
 
     @property
     def order(self) -> int:

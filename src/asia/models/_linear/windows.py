@@ -23,17 +23,20 @@ MOST_PARAMETERS = 400
 
 @dataclass(frozen=True)
 class WindowLags:
-    """Samples of the past kept in the state, of those the protocol shows.
-
-    n_past_u, n_past_y: shown; u, y: kept, at most as many.
-    """
+    """Past samples kept in the state, of those that the protocol shows."""
 
     n_past_u: int
+    """Inputs shown."""
     n_past_y: int
+    """Outputs shown."""
     u: int
+    """Inputs kept, at most as many."""
     y: int
+    """Outputs kept, at most as many."""
     nu: int
+    """Input channels."""
     ny: int
+    """Output channels."""
 
     @property
     def order(self) -> int:
@@ -70,12 +73,14 @@ class WindowLags:
 
 @dataclass(frozen=True)
 class WindowPredictor:
-    """theta (order + nu + 1, ny) of the rows above, for z-scored signals, and the ridge it was
-    fitted with, against the mean squared error."""
+    """Coefficients of the model above, for z-scored signals."""
 
     lags: WindowLags
+    """What the state holds."""
     theta: Array
+    """(order + nu + 1, ny)."""
     ridge: float = 0.0
+    """Ridge of the fit, against the mean squared error."""
 
     def simulate(self, windows: HorizonWindows) -> Array:
         """(W, H, ny)."""

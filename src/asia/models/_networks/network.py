@@ -36,13 +36,16 @@ _trace = partial(jax.jit, static_argnums=0)(trace)
 
 @dataclass(frozen=True)
 class NetworkModel:
-    """A network; `scaling` is None before training. `others` are the parameters of further
-    members, whose simulations are averaged with that of `params`."""
+    """A network as a model."""
 
     cell: NetworkStructure
+    """Its structure."""
     params: Params
+    """Its parameters."""
     scaling: Scaling | None = None
+    """From physical units to z-scores; None before training."""
     others: tuple[Params, ...] = ()
+    """Parameters of further members, whose simulations are averaged with that of `params`."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->

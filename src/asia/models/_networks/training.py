@@ -30,25 +30,32 @@ _error = jax.jit(error_of, static_argnums=(0, 1))
 
 @dataclass(frozen=True)
 class HoldoutSplit:
-    """Training samples: fitted and held_out for the search of the number of steps, full for the
-    fit after it."""
+    """Training samples of a fit that holds some out."""
 
     fitted: PaddedBatch
+    """Fitted while the number of steps is searched."""
     held_out: PaddedBatch
+    """Judge that number."""
     full: PaddedBatch
+    """Fitted after it."""
 
 
 @dataclass(frozen=True)
 class FitTask:
-    """What is fitted to what: horizon in samples, None for whole records; score: of the protocol's
-    early stopping, None where it has none."""
+    """What is fitted to what."""
 
     structure: NetworkStructure
+    """The network."""
     samples: HoldoutSplit | PaddedBatch
+    """Its training samples."""
     horizon: int | None
+    """In samples; None for whole records."""
     seed: int
+    """Of what is drawn while training."""
     log: Progress
+    """Told the progress."""
     score: Scorer | None = None
+    """Of the protocol's early stopping; None where it has none."""
 
 
 def fit(

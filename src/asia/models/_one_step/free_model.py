@@ -27,11 +27,14 @@ _SELECTION_SAMPLES = 6000
 
 @dataclass(frozen=True)
 class FreeRunModel(Generic[C]):
-    """An input-output model; `run` and `scaling` are None before training."""
+    """An input-output model."""
 
     config: C
+    """Settings of the family."""
     run: FreeRun | None = None
+    """The model in free run; None before training."""
     scaling: Scaling | None = None
+    """From physical units to z-scores; None before training."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
@@ -44,16 +47,21 @@ class FreeRunModel(Generic[C]):
 
 @dataclass(frozen=True)
 class LagChoice:
-    """Given numbers of lags and delay, or None where the data decide: numbers among 1..max_order
-    (outputs and inputs alike), delay among 0..max_delay; the fewest parameters within `tolerance`
-    (relative, of the root mean squared error) of the best."""
+    """Lags and delay, or what the data decide them among: the fewest parameters within the
+    tolerance of the best."""
 
     outputs: int | None
+    """Lagged outputs; None: among 1..max_order."""
     inputs: int | None
+    """Lagged inputs; None: among 1..max_order."""
     delay: int | None
+    """In samples; None: among 0..max_delay."""
     max_order: int
+    """Greatest number of lags tried."""
     max_delay: int = 10
+    """Greatest delay tried."""
     tolerance: float = 0.03
+    """Relative, of the root mean squared error."""
 
 
 def linear_run(

@@ -29,11 +29,14 @@ _SAMPLES = (1000, 10_000)
 
 @dataclass(frozen=True)
 class Polynomial:
-    """terms (M, degree), theta (M, ny), used (M, ny): which coefficients are free."""
+    """Sums of products of regressors."""
 
     terms: Terms
+    """Rows of indices (M, degree)."""
     theta: Array
+    """Coefficients (M, ny)."""
     used: NDArray[np.bool_]
+    """Which coefficients are free (M, ny)."""
 
     def __call__(self, z: Array) -> Array:
         """(B, d) -> (B, ny)."""

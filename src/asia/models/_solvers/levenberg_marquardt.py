@@ -52,13 +52,16 @@ class LevenbergMarquardt:
 
 
 class LMResult(NamedTuple):
-    """Minimiser theta (n,), its cost (sum of squared residuals), the iterations done and the
-    cost after each of them, history (iterations + 1,), held constant once it has stopped."""
+    """What a minimisation found."""
 
     theta: jax.Array
+    """Minimiser (n,)."""
     cost: jax.Array
+    """Sum of squared residuals there."""
     iterations: jax.Array
+    """Those done."""
     history: jax.Array
+    """Cost after each iteration (iterations + 1,), held constant once it has stopped."""
 
 
 class Normal(NamedTuple):

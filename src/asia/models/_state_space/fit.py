@@ -40,37 +40,48 @@ _ITERATIONS_BETWEEN_LOGS = 5
 
 
 class StateSamples(NamedTuple):
-    """Side by side: x0 (R, n), u (R, T, nu), y (R, T, ny) and weight (R, T), 0 in the padding.
-
-    x0 is where the search for the initial states starts, or, when `known`, what they are.
-    """
+    """Samples side by side."""
 
     x0: Array
+    """Where the search for the initial states (R, n) starts or, when `known`, what they are."""
     u: Array
+    """(R, T, nu)."""
     y: Array
+    """(R, T, ny)."""
     weight: Array
+    """(R, T), 0 in the padding."""
     known: bool
+    """Whether the initial states are given."""
 
 
 class SampleChunks(NamedTuple):
-    """Chunks in time order: u (K, c, R, nu), y (K, c, R, ny), weight (K, c, R), scaled so that the
-    sum of squares is a mean; x0 (R, n); pull (P,): ridge of each parameter towards `origin`."""
+    """Chunks of samples in time order."""
 
     u: Any
+    """(K, c, R, nu)."""
     y: Any
+    """(K, c, R, ny)."""
     weight: Any
+    """(K, c, R), scaled so that the sum of squares is a mean."""
     x0: Any
+    """Initial states (R, n)."""
     pull: Any
+    """Ridge (P,) of each parameter towards `origin`."""
     origin: Any
+    """(P,)."""
 
 
 class StateFit(NamedTuple):
-    """Initial states x0 (R, n), parameters, cost, and the root of the cost by iteration."""
+    """A fit from one start."""
 
     x0: Array
+    """Initial states (R, n)."""
     params: dict[str, Any]
+    """As the structure reads them."""
     cost: float
+    """Mean squared error and ridge."""
     history: Array
+    """Root of the cost by iteration."""
 
 
 def of_records(records: ScaledData, x0: Array) -> StateSamples:
