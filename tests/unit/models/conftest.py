@@ -1,4 +1,4 @@
-"""Fits of these tests take milliseconds and their compilation seconds."""
+"""Fits of networks in these tests take milliseconds, and their compilation seconds."""
 
 from collections.abc import Iterator
 
@@ -7,9 +7,10 @@ import pytest
 
 
 @pytest.fixture(autouse=True, scope="module")
-def quick_compilation() -> Iterator[None]:
-    """Programs are compiled without most optimisations."""
+def quick_compilation(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Programs of networks are compiled without most optimisations."""
     before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
+    quick = request.path.parent.name == "networks"
+    jax.config.update("jax_disable_most_optimizations", quick or before)
     yield
     jax.config.update("jax_disable_most_optimizations", before)

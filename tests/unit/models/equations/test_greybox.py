@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import cloudpickle
@@ -91,22 +89,6 @@ def test_same_seed_gives_bitwise_the_same_model(duffing_context: Context) -> Non
     one = fitted(greybox.Config(residual=2), [record], duffing_context, method)
     two = fitted(greybox.Config(residual=2), [record], duffing_context, method)
     assert cloudpickle.dumps(one) == cloudpickle.dumps(two)
-
-
-def test_simulates_bitwise_the_same_in_a_fresh_process(
-    duffing: greybox.GreyBox, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    folder = tmp_path_factory.mktemp("model")
-    case = split(duffing_record(80, 5))
-    (folder / "model").write_bytes(cloudpickle.dumps((duffing, case)))
-    program = (
-        "import pickle, sys; model, case = pickle.load(open(sys.argv[1], 'rb'));"
-        "sys.stdout.buffer.write(model.simulate(*case).tobytes())"
-    )
-    reply = subprocess.run(
-        [sys.executable, "-c", program, str(folder / "model")], capture_output=True, check=True
-    )
-    assert reply.stdout == duffing.simulate(*case).tobytes()
 
 
 def test_stays_finite_far_outside_the_training_range(duffing: greybox.GreyBox) -> None:

@@ -1,7 +1,6 @@
 """Equations with measured states: a mass on a rail, pulled by a force, with drag that the equations
 do not have."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -80,13 +79,6 @@ def test_sparse_linear_terms_are_the_drag_and_nothing_else(linear: physics_net.P
     assert cell.physical(params["physical"])[0] == pytest.approx(PULL, rel=0.1)
     assert error(linear, record(9)) < 0.02
     assert error(fitted(physics_net.Config(lag=False)), record(9)) > 0.04
-
-
-def test_it_reloads_bitwise(linear: physics_net.PhysicsNet) -> None:
-    again = pickle.loads(pickle.dumps(linear))
-    u = np.random.default_rng(0).standard_normal((3, HORIZON, 1))
-    case = (np.zeros((3, 0, 1)), np.ones((3, 1, 2)), u)
-    assert again.simulate(*case).tobytes() == linear.simulate(*case).tobytes()
 
 
 def test_known_kinematics_get_a_gain() -> None:

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import cloudpickle
 import numpy as np
 import pytest
 
@@ -130,24 +129,6 @@ def test_integrator_stays_simulable() -> None:
     model = linear.train(linear.build(linear.Config(order=1), data.context), t, data.context)
     y_hat = model.simulate(u[None, :8], y[None, :8], u[None, 8:])
     assert np.abs(y_hat[0] - y[9 - 1 :]).max() < y.std()
-
-
-def test_reloads_bitwise_in_a_fresh_process() -> None:
-    data = case(filtered)
-    model = fitted(linear.Config(order=2), data)
-    again = fitted(linear.Config(order=2), data)
-    expected = data.simulated(model)
-    assert expected.tobytes() == data.simulated(again).tobytes()
-    u, y = data.unseen.u, data.unseen.y
-    program = (
-        "import sys, cloudpickle; m, a = cloudpickle.load(sys.stdin.buffer);"
-        "sys.stdout.buffer.write(m.simulate(*a).tobytes())"
-    )
-    payload = cloudpickle.dumps((model, (u[None, :8], y[None, :8], u[None, 8:])))
-    done = subprocess.run(
-        [sys.executable, "-c", program], input=payload, capture_output=True, check=True
-    )
-    assert done.stdout == expected.tobytes()
 
 
 def test_record_shorter_than_its_past_window_is_refused() -> None:
