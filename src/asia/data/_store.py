@@ -65,7 +65,7 @@ _heads = TypeAdapter(SealHead)
 
 
 @dataclass(frozen=True)
-class Content:
+class PlainFile:
     """A file in memory."""
 
     name: str
@@ -115,7 +115,7 @@ def key_path(folder: Path, name: str) -> Path:
     return folder / f"{name}.key"
 
 
-def write_store(path: Path, head: SealHead, contents: Sequence[Content], keys: Path) -> None:
+def write_store(path: Path, head: SealHead, contents: Sequence[PlainFile], keys: Path) -> None:
     """Encrypt `contents`, the files of `head`, with its key; on return the store is on the disk.
     Raises UserError without the key, OSError."""
     plain = _line(head) + b"\n" + b"".join(content.data for content in contents)
@@ -138,7 +138,7 @@ def find_key(path: Path, head: SealHead, keys: Path) -> None:
     _fernet(head, path, keys)
 
 
-def open_store(path: Path, keys: Path) -> tuple[Content, ...]:
+def open_store(path: Path, keys: Path) -> tuple[PlainFile, ...]:
     """The files of a store. Raises UserError without the key, or when the store was changed."""
     from cryptography.fernet import InvalidToken
 
@@ -151,10 +151,10 @@ def open_store(path: Path, keys: Path) -> tuple[Content, ...]:
         line, plain = b"", b""
     if line != _line(inner) or len(plain) != sum(file.bytes for file in head.files):
         raise UserError(f"{path} was changed after it was sealed: bring the one that was sealed")
-    contents: list[Content] = []
+    contents: list[PlainFile] = []
     at = 0
     for file in head.files:
-        contents.append(Content(file.name, plain[at : at + file.bytes]))
+        contents.append(PlainFile(file.name, plain[at : at + file.bytes]))
         at += file.bytes
     return tuple(contents)
 

@@ -53,7 +53,7 @@ class SignalCheck:
 
 
 @dataclass(frozen=True)
-class RecordCheck:
+class TrajectoryCheck:
     """A training record."""
 
     name: str
@@ -90,7 +90,7 @@ class CheckReport:
     problem: Problem
     seal: Seal
     signals: tuple[SignalCheck, ...]
-    records: tuple[RecordCheck, ...]
+    records: tuple[TrajectoryCheck, ...]
     folds: tuple[FoldCheck, ...]
     protocol_sha256: str
     physics: str | None
@@ -129,7 +129,7 @@ def check_problem(problem: Problem, seal: Seal) -> CheckReport:
         seal=seal,
         signals=signals,
         records=tuple(
-            RecordCheck(t.name, len(t), len(t) * t.sampling_time, data_digest([t]))
+            TrajectoryCheck(t.name, len(t), len(t) * t.sampling_time, data_digest([t]))
             for t in problem.train
         ),
         folds=_folds(problem),

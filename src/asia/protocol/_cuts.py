@@ -10,42 +10,46 @@ from asia.protocol._rules import ProtocolRule
 
 
 @dataclass(frozen=True)
-class Part:
-    """Samples of a record, by its number."""
+class Stretch:
+    """Contiguous samples of a record."""
 
     record: int
     samples: range
 
 
 @dataclass(frozen=True)
-class Split:
+class FoldCut:
     """One fold: what is held out (the past windows before it are not part of it), and what
     trains."""
 
-    held_out: tuple[Part, ...]
-    train: tuple[Part, ...]
+    held_out: tuple[Stretch, ...]
+    train: tuple[Stretch, ...]
 
 
-def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> list[Split]:
+def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> list[FoldCut]:
     """The folds of records of these names and lengths; empty parts where a record is too short."""
     records = range(len(names))
     if rule.folds.kind == "leave_one_group_out":
         return [
-            Split(
+            FoldCut(
                 tuple(
-                    Part(i, range(rule.past, lengths[i]))
+                    Stretch(i, range(rule.past, lengths[i]))
                     for i in records
                     if names[i] in group.records
                 ),
-                tuple(Part(i, range(lengths[i])) for i in records if names[i] not in group.records),
+                tuple(
+                    Stretch(i, range(lengths[i])) for i in records if names[i] not in group.records
+                ),
             )
             for group in rule.folds.groups
         ]
     cuts = [blocks(length, rule) for length in lengths]
     return [
-        Split(
-            tuple(Part(i, cuts[i][k]) for i in records),
-            tuple(Part(i, rest) for i in records for rest in rests(lengths[i], cuts[i][k], rule)),
+        FoldCut(
+            tuple(Stretch(i, cuts[i][k]) for i in records),
+            tuple(
+                Stretch(i, rest) for i in records for rest in rests(lengths[i], cuts[i][k], rule)
+            ),
         )
         for k in range(rule.folds.count)
     ]

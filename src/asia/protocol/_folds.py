@@ -9,32 +9,37 @@ import numpy as np
 
 from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.protocol._cuts import Part, least_case, splits, windows
+from asia.protocol._cuts import Stretch, least_case, splits, windows
 from asia.protocol._rules import ProtocolRule
 
 
 @dataclass(frozen=True)
 class Case:
-    """One thing to simulate: past_u (n_past_u, nu), past_y (n_past_y, ny), u (H, nu).
-
-    Holds no output after the past window, so it can be handed to a candidate.
-    """
+    """One thing to simulate. It holds no output after the past window, so that a candidate may
+    have it."""
 
     name: str
+    """Name of the record."""
     past_u: Array
+    """Inputs of the past window (n_past_u, nu)."""
     past_y: Array
+    """Outputs of the past window (n_past_y, ny)."""
     u: Array
+    """Inputs of the samples to simulate (H, nu)."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A case with what the evaluator keeps: the measured outputs y (H, ny), and where they lie
-    in the record (`start`, 0-based)."""
+    """A case with what the evaluator keeps."""
 
     case: Case
+    """What a candidate receives."""
     y: Array
+    """The measured outputs (H, ny)."""
     record: int
+    """Number of the record among those that were cut, 0-based."""
     start: int
+    """The first simulated sample in that record, 0-based."""
 
     @property
     def stop(self) -> int:
@@ -44,14 +49,17 @@ class Block:
 
 @dataclass(frozen=True)
 class Fold:
-    """Training records and held-out blocks of one fold, each record's in time order; `scale` (ny,)
-    is the standard deviation (ddof 0) of each output over the training samples (with a horizon:
-    over the concatenated training windows)."""
+    """Training records and held-out blocks of one fold."""
 
     index: int
+    """Number of the fold, 0-based."""
     train: tuple[Trajectory, ...]
+    """What its models are fitted to."""
     validation: tuple[Block, ...]
+    """What it holds out, the blocks of each record in time order."""
     scale: Array
+    """Standard deviation (ny,), ddof 0, of each output over the training samples; with a horizon
+    over the concatenated training windows."""
 
 
 def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: int = 0) -> Block:
@@ -76,7 +84,7 @@ def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...
     Windows follow each other every `horizon` samples; the last one ends with the record and may
     overlap its neighbour, so that N samples give ceil((N - past) / horizon) of them.
     """
-    parts = [Part(i, range(rule.past, len(r))) for i, r in enumerate(records)]
+    parts = [Stretch(i, range(rule.past, len(r))) for i, r in enumerate(records)]
     return _blocks(records, parts, rule)
 
 
@@ -108,7 +116,7 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
 
 
 def _blocks(
-    records: Sequence[Trajectory], parts: Sequence[Part], rule: ProtocolRule
+    records: Sequence[Trajectory], parts: Sequence[Stretch], rule: ProtocolRule
 ) -> tuple[Block, ...]:
     return tuple(
         cut(records[part.record], window.start, window.stop, rule, part.record)

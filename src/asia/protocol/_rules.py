@@ -14,17 +14,22 @@ class Group:
     """Training records held out together, by name."""
 
     name: str
+    """Name of the group."""
     records: tuple[str, ...]
+    """Names of its records."""
 
 
 @dataclass(frozen=True)
 class FoldRule:
-    """`contiguous`: each record cut into `count` blocks, one block of each held out a fold;
-    `leave_one_group_out`: each of `groups` held out once, `count` is their number."""
+    """Which samples each fold holds out."""
 
     kind: Literal["contiguous", "leave_one_group_out"] = "contiguous"
+    """`contiguous`: each record is cut into blocks, and a fold holds out one block of each record;
+    `leave_one_group_out`: a fold holds out the records of one group."""
     count: int = 2
+    """The number of folds."""
     groups: tuple[Group, ...] = ()
+    """The groups; () for contiguous folds."""
 
 
 @dataclass(frozen=True)
@@ -33,41 +38,52 @@ class OutputGroup:
     rotations given by roll, pitch and yaw (Z-Y-X, rad)."""
 
     name: str
+    """Name of the group."""
     outputs: tuple[str, ...]
+    """Names of its outputs."""
     distance: Literal["euclidean", "geodesic"] = "euclidean"
+    """How the distance is measured."""
 
 
 @dataclass(frozen=True)
 class TestRule:
-    """How the sealed test is measured: `skip` samples after the past window are left out.
-    `groups` and `horizons` (samples, 1-based) are those of the Mean Euclidean Error table."""
+    """How the sealed test is measured."""
 
     metrics: tuple[str, ...] = ("rmse",)
+    """Names of the metrics, in physical units."""
     skip: int = 0
+    """Samples after the past window that are left out."""
     groups: tuple[OutputGroup, ...] = ()
+    """Groups of the Mean Euclidean Error table."""
     horizons: tuple[int, ...] = ()
+    """Steps of a window that this table prints, 1 being the first."""
 
 
 @dataclass(frozen=True)
 class ProtocolRule:
-    """How V and the test metric are computed. Frozen and hashed before the first experiment.
-
-    kind: `simulation` of whole blocks, or `windows` of `horizon` samples, each started from its own
-    past window. early_stopping: `inner`, or `validation` as in Piga and Forgione, where a candidate
-    may ask for its score on the held-out part while it trains; V is then not leak-free. ladder: the
-    share of V by which a new best must be better for agents to be told, None where they are told
-    all of V.
-    """
+    """How V and the test metric are computed. Frozen and hashed before the first experiment."""
 
     kind: Literal["simulation", "windows"] = "simulation"
+    """`simulation` of whole blocks, or `windows` of `horizon` samples, each started from its own
+    past window."""
     folds: FoldRule = FoldRule()
+    """Which samples each fold holds out."""
     past_inputs: int = 10
+    """Input samples that a model sees before it simulates."""
     past_outputs: int = 10
+    """Output samples that a model sees before it simulates."""
     metric: str = "rmse"
+    """Name of the metric of V."""
     early_stopping: EarlyStopping = "inner"
+    """`inner`, or `validation` as in Piga and Forgione, where a candidate may ask for its score on
+    the held-out samples while it trains; V is then not leak-free."""
     horizon: int | None = None
+    """Samples of a window; None for whole blocks."""
     test: TestRule = TestRule()
+    """How the sealed test is measured."""
     ladder: float | None = None
+    """The share of V by which a new best must be better before agents see its score; None where
+    they see every V."""
 
     @property
     def past(self) -> int:

@@ -42,11 +42,9 @@ ABBREVIATIONS = "llm mae mee rmse mcp"
 # Class names that still have two meanings. This list only shrinks.
 TWICE = """
 Cell
-DataTable
 Desk
 Journal
 Line
-Part
 Place
 _Check
 """

@@ -32,7 +32,7 @@ class _File:
 
 
 @dataclass(frozen=True)
-class CsvRecord:
+class CsvTrajectory:
     """A record and doubts about its time column, in plain words."""
 
     trajectory: Trajectory
@@ -45,7 +45,7 @@ def read_csv(
     outputs: Sequence[str],
     sampling_time: float,
     content: bytes | None = None,
-) -> CsvRecord:
+) -> CsvTrajectory:
     """The columns named, in that order, of the file or of `content`. One header row; `,` `;` or tab
     between cells; a decimal comma is understood where it is not the delimiter. A column named t or
     time is compared with `sampling_time` (s). Raises UserError naming file, line and column."""
@@ -57,7 +57,7 @@ def read_csv(
         values[:, : len(inputs)], values[:, len(inputs) :], sampling_time, path.stem
     )
     warnings = () if time is None else _time_warnings(file, time, sampling_time)
-    return CsvRecord(trajectory, warnings)
+    return CsvTrajectory(trajectory, warnings)
 
 
 def column_names(path: Path) -> tuple[str, ...]:

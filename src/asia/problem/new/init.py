@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from asia.data._store import Content, key_folder
+from asia.data._store import PlainFile, key_folder
 from asia.data._trajectory import Trajectory
 from asia.data.sources.csv import read_csv, split_csv
 from asia.errors import UserError
@@ -179,7 +179,9 @@ def _split(train: Sequence[Path], columns: Columns, share: float) -> _Plan:
         raise UserError("two training files have the same name: rename one to split them")
     kept = tuple(f"{stem}_train.csv" for stem in stems)
     texts = [split_csv(path, (*columns.inputs, *columns.outputs), share) for path in train]
-    sealed = (Content(f"{s}_sealed.csv", t[1].encode()) for s, t in zip(stems, texts, strict=True))
+    sealed = (
+        PlainFile(f"{s}_sealed.csv", t[1].encode()) for s, t in zip(stems, texts, strict=True)
+    )
     files = tuple((name, text[0]) for name, text in zip(kept, texts, strict=True))
     note = (
         f"the rows were copied out of {', '.join(map(str, train))}, which still hold them: keep "

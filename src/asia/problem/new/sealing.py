@@ -12,7 +12,7 @@ from asia.data._copies import shared_samples
 from asia.data._digest import data_digest
 from asia.data._store import (
     SUFFIX,
-    Content,
+    PlainFile,
     SealedFile,
     SealHead,
     key_path,
@@ -37,7 +37,7 @@ class Columns:
     outputs: tuple[str, ...]
     sampling_time: float
 
-    def read(self, content: Content) -> Trajectory:
+    def read(self, content: PlainFile) -> Trajectory:
         """Raises UserError."""
         path = Path(content.name)
         wanted = self.inputs, self.outputs, self.sampling_time
@@ -50,7 +50,7 @@ class Sealing:
     `contents`; none where the rows came out of files that stay."""
 
     columns: Columns
-    contents: tuple[Content, ...]
+    contents: tuple[PlainFile, ...]
     originals: tuple[Path, ...] = ()
 
     @property
@@ -120,7 +120,7 @@ def seal_files(paths: Sequence[Path], train: Sequence[Path], columns: Columns) -
             raise UserError(f"--test names {path} {count} times: name every record once")
     names = Counter(path.name for path in paths)
     contents = tuple(
-        Content(
+        PlainFile(
             path.name if names[path.name] == 1 else f"{path.resolve().parent.name}_{path.name}",
             read_whole(path),
         )
@@ -162,7 +162,7 @@ def remove_plain(sealing: Sealing, store: Path, keys: Path) -> Removal:
     return Removal(tuple(removed), tuple(notes))
 
 
-def _why_kept(path: Path, content: Content) -> str | None:
+def _why_kept(path: Path, content: PlainFile) -> str | None:
     for folder in _downloads():
         if folder in path.parents:
             return (
