@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from asia.agents import Agent, SpaceName, make_agent, settings_of
+from asia.agents import Agent, NamedAgent, SpaceName, choose_agent, settings_of
 from asia.executor import Executor, make_executor
 from asia.ledger import Event, Run, SearchView, open_run
 from asia.problem.load import Problem, load_problem
@@ -28,26 +28,31 @@ def run(
     """Search for a model; the finished run, with its view and artifacts.
 
     problem: a loaded problem, a built-in name or a path. The same call again resumes; more
-    `experiments` extends. early_stopping: instead of the problem's own setting. space: what the
-    agent "random" draws from. executor: what runs the evaluations, one of `executor_names()` or one
-    of your own. Raises UserError for anything the caller can mend.
+    `experiments` extends. agent: an agent, or its name as in `asia run --agent`, `module:Class` for
+    one of your own. early_stopping: instead of the problem's own setting. space: what the agent
+    "random" draws from. executor: what runs the evaluations, one of `executor_names()` or one of
+    your own. Raises UserError for anything the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
         loaded = replace(loaded, budget=replace(loaded.budget, experiments=experiments))
     if early_stopping is not None:
         loaded = with_early_stopping(loaded, early_stopping)
-    chosen = make_agent(agent, space) if isinstance(agent, str) else agent
+    chosen = (
+        choose_agent(agent, space)
+        if isinstance(agent, str)
+        else NamedAgent(agent, settings_of(agent))
+    )
     ready = prepare(
         loaded,
-        chosen.name,
+        chosen.agent.name,
         seed=seed,
         runs=Path(runs),
         name=name,
-        agent_settings=settings_of(chosen),
+        agent_settings=chosen.settings,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
-    search(ready, chosen, _silent, _silent_start, runs_on)
+    search(ready, chosen.agent, _silent, _silent_start, runs_on)
     return open_run(ready.directory)
 
 

@@ -1,12 +1,9 @@
 """Who proposes candidates. Agents see a view and return source; they never touch the evaluator.
 
-A new agent is one file here with a class that fulfils `Agent`, and one row in `AGENTS`.
+A new agent is one file here with a class that fulfils `Agent`, and one row in `_table.py`.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from functools import partial
 
 from asia.agents._driving import (
     AgentStoppedError,
@@ -18,6 +15,17 @@ from asia.agents._driving import (
     settings_of,
 )
 from asia.agents._submitted import SubmittedAgent
+from asia.agents._table import (
+    AGENT_ROWS,
+    AGENTS,
+    RESERVED,
+    AgentRow,
+    NamedAgent,
+    choose_agent,
+    make_agent,
+    packages_of,
+    recorded_agent,
+)
 from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
 from asia.agents.controls.bayes import BayesAgent
 from asia.agents.controls.random import SPACES, RandomAgent, SpaceName
@@ -25,13 +33,15 @@ from asia.agents.expert.agent import ExpertAgent
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.problem import MODEL_RULES, briefing, equations, library
 from asia.agents.llm.settings import LlmSettings
-from asia.errors import UserError
 
 __all__ = [
     "AGENTS",
+    "AGENT_ROWS",
     "MODEL_RULES",
+    "RESERVED",
     "SPACES",
     "Agent",
+    "AgentRow",
     "AgentStoppedError",
     "AgentView",
     "Attached",
@@ -45,41 +55,18 @@ __all__ = [
     "Journal",
     "LlmAgent",
     "LlmSettings",
+    "NamedAgent",
     "Proposal",
     "RandomAgent",
     "SpaceName",
     "SubmittedAgent",
     "Trial",
     "briefing",
+    "choose_agent",
     "equations",
     "library",
     "make_agent",
+    "packages_of",
+    "recorded_agent",
     "settings_of",
 ]
-
-AGENTS: dict[str, Callable[[], Agent]] = {
-    "expert": ExpertAgent,
-    "random": RandomAgent,
-    "random-paper": partial(RandomAgent, "paper"),
-    "bayes": BayesAgent,
-}
-
-
-def make_agent(name: str, space: str | None = None) -> Agent:
-    """A built-in agent by name. space: what `random` draws from, one of `SPACES`. Raises UserError
-    for an unknown name or space, and for a space given to an agent that does not draw."""
-    if space is not None and name != "random":
-        raise UserError(
-            f"--space {space}: only the agent 'random' draws from a space, not '{name}'"
-        )
-    if space is not None and space not in SPACES:
-        raise UserError(f"--space {space}: expected one of {', '.join(SPACES)}")
-    full = name if space in (None, "library") else f"{name}-{space}"
-    if name == "llm":
-        raise UserError(
-            "the agent llm needs a model: asia run --agent llm --model NAME, or "
-            "LlmAgent(LlmSettings(model=...))"
-        )
-    if full not in AGENTS:
-        raise UserError(f"no agent '{name}'; there is: {', '.join(AGENTS)}")
-    return AGENTS[full]()

@@ -92,7 +92,14 @@ def bench(
 
 def _search(plan: ComparisonPlan, run: PlannedRun, watcher: Watcher) -> SearchView:
     agent = run.arm.make()
-    ready = prepare(run.problem, agent.name, seed=run.seed, runs=plan.runs, name=run.name)
+    ready = prepare(
+        run.problem,
+        agent.name,
+        seed=run.seed,
+        runs=plan.runs,
+        name=run.name,
+        agent_settings=run.arm.settings,
+    )
     search(ready, agent, watcher.on_event, _silent)
     return open_run(ready.directory).view
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -36,6 +36,8 @@ class Arm:
     fixed: int | None = None
     """How many given candidates it evaluates, and no more, only where early stopping sees the
     validation fold; None for an agent that searches."""
+    settings: Mapping[str, str] = field(default_factory=dict[str, str])
+    """What the ledger holds of the agent's settings."""
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asia.cli._bench import Lines, chosen_seeds, load_compared, print_result
 from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, Runs
+
+if TYPE_CHECKING:
+    from asia.bench import Arm
 
 LISTS = ("--seeds",)
 
@@ -22,7 +25,7 @@ def compare(
         str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
     ],
     agents: Annotated[
-        str, typer.Option(help="Built-in agents with commas between them.")
+        str, typer.Option(help="Agents by name or module:Class, with commas between them.")
     ] = "expert,random,bayes",
     seeds: Annotated[
         list[int] | None,
@@ -40,14 +43,11 @@ def compare(
     """Search with each agent and each seed at the same budget: V, experiments to reach the other's
     best, a paired test, curves with bands. Interrupted, the same command goes on.
     """
-    from asia.agents import make_agent
-    from asia.bench import Arm, ComparisonPlan, bench
+    from asia.bench import ComparisonPlan, bench
     from asia.search import with_early_stopping
 
     names = [name.strip() for name in agents.split(",") if name.strip()]
-    arms = tuple(Arm(name, name, lambda name=name: make_agent(name)) for name in names)
-    for arm in arms:
-        arm.make()
+    arms = tuple(_arm(name) for name in names)
     loaded, _ = load_compared(problem)
     if early_stopping is not None:
         loaded = with_early_stopping(loaded, early_stopping)
@@ -64,3 +64,11 @@ def compare(
     lines.head(plan)
     result = bench(plan, lines)
     print_result(result, json=json)
+
+
+def _arm(name: str) -> Arm:
+    from asia.agents import choose_agent
+    from asia.bench import Arm
+
+    chosen = choose_agent(name)
+    return Arm(chosen.agent.name, name, lambda: choose_agent(name).agent, settings=chosen.settings)

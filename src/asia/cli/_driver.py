@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from asia.agents import Agent
+    from asia.agents import Agent, NamedAgent
     from asia.ledger import SearchView
     from asia.search import OnEvent, Prepared
 
@@ -16,24 +16,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Driver:
-    """name: in the run's name; search: runs it; settings: recorded, no keys among them; words: said
-    to the person beforehand."""
+    """What the command needs of an agent."""
 
     name: str
+    """The agent's name, part of the run's name."""
     search: Search
+    """Runs the search."""
     settings: dict[str, str] = field(default_factory=dict[str, str])
+    """What the ledger holds of the agent's settings, no keys among them."""
     words: tuple[str, ...] = ()
+    """Said to the person beforehand."""
 
 
-def built_in(name: str, space: str | None) -> Agent:
-    """As `make_agent`; who names a coding agent is told how to call it."""
-    from asia.agents import make_agent
+def named_agent(name: str, space: str | None) -> NamedAgent:
+    """As `choose_agent`; the name of a coding agent is answered with how to call it."""
+    from asia.agents import choose_agent
     from asia.drive.command import PRESETS
     from asia.errors import UserError
 
     if name in PRESETS:
         raise UserError(f"--agent {name}: write command:{name}, as for every coding agent")
-    return make_agent(name, space)
+    return choose_agent(name, space)
 
 
 def refuse_for_others(agent: str, *, owners: Sequence[str], **given: object) -> None:
@@ -50,13 +53,15 @@ def refuse_for_others(agent: str, *, owners: Sequence[str], **given: object) -> 
             )
 
 
-def agent_driver(agent: Agent) -> Driver:
+def agent_driver(chosen: Agent | NamedAgent) -> Driver:
     """An agent that is asked."""
-    from asia.agents import settings_of
+    from asia.agents import NamedAgent, settings_of
     from asia.search import search
 
+    if not isinstance(chosen, NamedAgent):
+        chosen = NamedAgent(chosen, settings_of(chosen))
     return Driver(
-        agent.name,
-        lambda ready, on_event, on_start: search(ready, agent, on_event, on_start),
-        settings_of(agent),
+        chosen.agent.name,
+        lambda ready, on_event, on_start: search(ready, chosen.agent, on_event, on_start),
+        dict(chosen.settings),
     )

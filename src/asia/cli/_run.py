@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._driver import agent_driver, built_in, refuse_for_others
+from asia.cli._driver import agent_driver, named_agent, refuse_for_others
 from asia.cli._options.command import PREFIX, CommandOptions
 from asia.cli._options.groups import given, with_groups
 from asia.cli._options.llm import LlmOptions, ModelOptions
@@ -30,7 +30,10 @@ def run(
     *,
     problem: ProblemName = "two_tanks_sim",
     agent: Annotated[
-        str, typer.Option(help="Who proposes: expert, random, bayes, llm or command:NAME.")
+        str,
+        typer.Option(
+            help="Who proposes: expert, random, bayes, llm, command:NAME, or your module:Class."
+        ),
     ] = "expert",
     space: Annotated[
         str | None,
@@ -87,4 +90,4 @@ def _driver(
         refuse_for_others(agent, owners=owners, **options)
     if agent.startswith(PREFIX):
         return command.driver(agent, models)
-    return agent_driver(llm.agent(models) if agent == "llm" else built_in(agent, space))
+    return agent_driver(llm.agent(models) if agent == "llm" else named_agent(agent, space))

@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Literal
 
 from asia.agents import (
-    AGENTS,
     Agent,
     AgentView,
     Attached,
     DivergedError,
-    LlmAgent,
-    LlmSettings,
     Proposal,
+    recorded_agent,
 )
 from asia.errors import InternalError
 from asia.evaluation import LINEAR, Evaluator, score_rungs
@@ -116,7 +114,7 @@ def replay_run(
     started = run.view.started
     check_lock(directory, started)
     problem = load_lock(directory / LOCK)
-    agent = _agent(started)
+    agent = recorded_agent(started.agent, started.agent_settings)
     level, notes = _level(started)
     again = replace(run.view, started=replace(started, isolation=level.value))
     replaying = _Replaying(run, problem, make_evaluator(problem, again), agent, tolerance, on_item)
@@ -280,14 +278,6 @@ class _ReplayJournal:
     def interrupted(self) -> bool:
         """Nobody interrupts a replay."""
         return False
-
-
-def _agent(started: Started) -> Agent | None:
-    """The agent to ask again; None for those whose proposals come from outside."""
-    if started.agent == "llm":
-        return LlmAgent(LlmSettings.from_record(started.agent_settings), network=False)
-    make = AGENTS.get(started.agent)
-    return make() if make is not None else None
 
 
 def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:

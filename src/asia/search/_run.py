@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import get_args
 
 from asia._plugins import parts
-from asia.agents import Agent
+from asia.agents import Agent, packages_of
 from asia.candidate import Context, check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
@@ -48,7 +48,6 @@ from asia.search._secrecy import check_run_is_hidden
 
 LOCK = "problem.lock.toml"
 PACKAGES = ("cloudpickle", "asia-sysid")
-AGENT_PACKAGES = {"llm": ("openai", "httpx2")}
 
 
 @dataclass(frozen=True)
@@ -242,7 +241,7 @@ def _probe(wanted: Isolation | None) -> Probe:
 def environment(agent_name: str) -> dict[str, str]:
     """Python, platform and the versions of the packages that outcomes or prompts may depend on,
     those that bring parts included. Raises UserError as `asia._plugins.parts` does."""
-    names = (*installed_libraries(), *PACKAGES, *AGENT_PACKAGES.get(agent_name, ()))
+    names = (*installed_libraries(), *PACKAGES, *packages_of(agent_name))
     versions = {name: importlib.metadata.version(name) for name in names}
     plugged = {part.package: part.version for part in parts()}
     python = {"python": platform.python_version(), "platform": platform.platform()}

@@ -9,6 +9,7 @@ import numpy as np
 
 from asia._syntax import syntax_tree
 from asia.agents._view import Facts
+from asia.agents.library.recipe import MODELS
 from asia.agents.library.space import OneOf, Span
 from asia.agents.library.table import families
 from asia.agents.llm.text import bounded, fenced
@@ -242,7 +243,9 @@ def _library(facts: Facts) -> Iterator[str]:
         calls = "; ".join(_settings(row.trial(facts).source("")))
         space = row.space(facts)
         varied = ", ".join(_varied(choice) for choice in (*space.config, *space.options))
-        yield f"- {row.name} ({row.label}): {row.use}. {calls}" + (varied and f"; vary {varied}")
+        where = "" if row.package == MODELS else f"from {row.package} import {row.name}; "
+        known = f"- {row.name} ({row.label}): {row.use}. {where}{calls}"
+        yield known + (varied and f"; vary {varied}")
     if rows:
         yield fenced(rows[0].trial(facts).source(f"{rows[0].label}.".capitalize()), _SOURCE)
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from asia.drive.command import CommandRules
 
 PREFIX = "command:"
-_OTHERS = ("llm", "mcp", "workspace")
 _PANEL = "Agent command:NAME (claude, codex, gemini, or a program of your own)"
 
 
@@ -110,13 +109,13 @@ class CommandOptions:
 
 def _name(agent: str) -> str:
     """NAME of `command:NAME`. Raises UserError for one that is taken or is none."""
-    from asia.agents import AGENTS
+    from asia.agents import RESERVED
     from asia.errors import UserError
 
     name = agent.removeprefix(PREFIX)
     if not name.replace("-", "").isalnum():
         raise UserError(f"--agent {agent}: expected command:NAME with letters and digits")
-    if name in {*AGENTS, *_OTHERS}:
+    if name in RESERVED:
         raise UserError(
             f"--agent {agent}: '{name}' is another way to drive a search; choose a name of your own"
         )

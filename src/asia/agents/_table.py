@@ -1,0 +1,154 @@
+"""The agents by name: built in, brought by another package, or a class in a file."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from typing import cast
+
+from asia._plugins import load_target, parts_of
+from asia.agents._driving import settings_of
+from asia.agents._view import Agent
+from asia.agents.controls.bayes import BayesAgent
+from asia.agents.controls.random import SPACES, RandomAgent
+from asia.agents.expert.agent import ExpertAgent
+from asia.agents.llm.agent import LlmAgent
+from asia.agents.llm.settings import LlmSettings
+from asia.errors import UserError
+
+GROUP = "asia.agents"
+_CLASS = "class"
+
+
+@dataclass(frozen=True)
+class AgentRow:
+    """What is known of an agent by its name alone."""
+
+    name: str
+    """What it is called on the command line and in the ledger."""
+    help: str
+    """What it does, in one line."""
+    make: Callable[[], Agent] | None = None
+    """Makes it; None where it needs more than its name: a server, or somebody who proposes."""
+    packages: tuple[str, ...] = ()
+    """Packages whose versions its proposals depend on."""
+
+    @property
+    def free(self) -> bool:
+        """Whether it needs nothing and nobody."""
+        return self.make is not None
+
+
+AGENT_ROWS: tuple[AgentRow, ...] = (
+    AgentRow("expert", "an engineer's habits, without a language model", ExpertAgent),
+    AgentRow("random", "draws from the model library", RandomAgent),
+    AgentRow("random-paper", "draws from the paper's space", partial(RandomAgent, "paper")),
+    AgentRow("bayes", "estimates where the library is best (Parzen estimator)", BayesAgent),
+    AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
+    AgentRow("workspace", "candidates that are submitted from a folder"),
+    AgentRow("mcp", "candidates that a client of the server submits"),
+)
+AGENTS: dict[str, Callable[[], Agent]] = {r.name: r.make for r in AGENT_ROWS if r.make is not None}
+RESERVED = frozenset(row.name for row in AGENT_ROWS)
+"""Names that no other agent may have."""
+
+
+@dataclass(frozen=True)
+class NamedAgent:
+    """An agent and what the ledger holds of it beside its name."""
+
+    agent: Agent
+    """The agent."""
+    settings: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Its settings, and the class of one that is not built in."""
+
+
+def choose_agent(name: str, space: str | None = None) -> NamedAgent:
+    """An agent by the name of a built-in one, the name that a package gives it, or `module:Class`,
+    where the current folder is searched first. A class is called without arguments.
+
+    space: what `random` draws from, one of `SPACES`. Raises UserError for an unknown name or space,
+    a space given to an agent that does not draw, and a class that cannot be imported or is none of
+    an agent.
+    """
+    if space is not None and name != "random":
+        raise UserError(
+            f"--space {space}: only the agent 'random' draws from a space, not '{name}'"
+        )
+    if space is not None and space not in SPACES:
+        raise UserError(f"--space {space}: expected one of {', '.join(SPACES)}")
+    full = name if space in (None, "library") else f"{name}-{space}"
+    if name == "llm":
+        raise UserError(
+            "the agent llm needs a model: asia run --agent llm --model NAME, or "
+            "LlmAgent(LlmSettings(model=...))"
+        )
+    if full in AGENTS:
+        return NamedAgent(AGENTS[full]())
+    if ":" in name:
+        return _called(name)
+    brought = {part.name: part for part in parts_of(GROUP)}
+    if name in brought and name not in RESERVED:
+        return _called(brought[name].target)
+    known = ", ".join((*AGENTS, *sorted(brought.keys() - RESERVED)))
+    raise UserError(f"no agent '{name}'; there is: {known}, or module:Class for one of your own")
+
+
+def make_agent(name: str, space: str | None = None) -> Agent:
+    """The agent of `choose_agent`."""
+    return choose_agent(name, space).agent
+
+
+def recorded_agent(name: str, settings: Mapping[str, str]) -> Agent | None:
+    """The agent of a ledger, to be asked again; None where somebody else proposed. A language model
+    answers from the ledger. Raises UserError when the class of the agent cannot be imported now."""
+    if name == "llm":
+        return LlmAgent(LlmSettings.from_record(settings), network=False)
+    if _CLASS in settings and name not in RESERVED:
+        return _called(settings[_CLASS]).agent
+    make = AGENTS.get(name)
+    return make() if make is not None else None
+
+
+def packages_of(name: str) -> tuple[str, ...]:
+    """Packages that the proposals of the agent with this name depend on."""
+    return next((row.packages for row in AGENT_ROWS if row.name == name), ())
+
+
+def _called(target: str) -> NamedAgent:
+    what = f"--agent {target}"
+    with _current_folder_first():
+        make = load_target(target, what)
+        if not callable(make):
+            raise UserError(f"{what}: expected a class that is called without arguments")
+        try:
+            agent: object = make()
+        # Code of another package: whatever it raises is its failure, not ours.
+        except Exception as error:
+            raise UserError(
+                f"{what}: calling it without arguments failed: {type(error).__name__}: {error}"
+            ) from error
+    name = getattr(agent, "name", None)
+    if not isinstance(name, str) or not callable(getattr(agent, "propose", None)):
+        raise UserError(f"{what}: no agent: expected a `name` and a method `propose(view)`")
+    if name in RESERVED or not re.fullmatch(r"\w[\w.+-]*", name):
+        raise UserError(
+            f"{what}: it names itself '{name}': expected letters, digits and . _ + -, and none of "
+            f"{', '.join(sorted(RESERVED))}"
+        )
+    return NamedAgent(cast("Agent", agent), {**settings_of(agent), _CLASS: target})
+
+
+@contextmanager
+def _current_folder_first() -> Generator[None]:
+    here = os.getcwd()
+    sys.path.insert(0, here)
+    try:
+        yield
+    finally:
+        sys.path.remove(here)

@@ -1,0 +1,191 @@
+"""Families and agents that other packages bring, and agents in loose files."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import asia._plugins as plugins
+from asia._plugins import Part
+from asia.agents import (
+    AGENTS,
+    BayesAgent,
+    ExpertAgent,
+    Facts,
+    RandomAgent,
+    choose_agent,
+    library,
+    recorded_agent,
+)
+from asia.agents.expert.moves import all_moves
+from asia.agents.library.table import all_cards, all_families, families
+from asia.candidate import check_source
+from asia.errors import UserError
+from asia.testing import check_agent
+from asia.testing._family import check_recipe
+from tests.unit.agents.searches import recipe_of, search, simulation
+
+MODEL = """
+from dataclasses import dataclass
+
+@dataclass(frozen=True)
+class Config:
+    gain: float = 1.0
+
+def build(config, context): ...
+def train(model, trajectories, context, method): ...
+"""
+CARD = """
+from asia.agents.library import Card, Family, Move, Recipe, Space, Span
+
+def start(facts):
+    return Recipe("static_gain", (("gain", 1.0),), "LeastSquares", (("ridge", None),))
+
+FAMILY = Family(
+    name="static_gain", label="static gain", use="no dynamics at all", base=20, start=start,
+    space=lambda facts: Space((Span("gain", 0.1, 10.0),), ()), small=(("gain", 2.0),),
+    package="plugged_models",
+)
+CARD = Card((FAMILY,), (
+    Move(
+        name="twice the gain", weight=lambda at: 0.99,
+        change=lambda at: at.recipe.times("gain", 2.0, 1.0),
+        hypothesis="More.", expected="More.",
+    ),
+))
+CLASH = Family(
+    name="arx", label="", use="", base=1, start=start, space=FAMILY.space, small=(),
+    package="plugged_models",
+)
+UNSET = Family(name="own", label="", use="", base=1, start=start, space=FAMILY.space, small=())
+NONE = 3
+"""
+AGENT = """
+from asia.agents import Proposal
+
+SOURCE = "def fit(trajectories, context):\\n    return %d\\n"
+
+class Counting:
+    name = "counting"
+
+    def propose(self, view):
+        number = len(view.trials)
+        return Proposal(SOURCE % number, "constant", f"constant {number}", "It counts.", "Little.")
+
+class Impostor(Counting):
+    name = "expert"
+
+class Needy(Counting):
+    def __init__(self, settings): ...
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with a package of models, a module with cards and one with agents."""
+    package = tmp_path / "plugged_models"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "static_gain.py").write_text(MODEL)
+    (tmp_path / "plugged_card.py").write_text(CARD)
+    (tmp_path / "loose_agent.py").write_text(AGENT)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def plug(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+    """Makes a module's name a part of a kind, as an installed package does."""
+    caches = (all_cards, all_families, all_moves)
+    monkeypatch.syspath_prepend(folder)
+
+    def brought(group: str, name: str, target: str) -> None:
+        part = Part(group, name, target, "plugged", "1.0")
+        monkeypatch.setattr(plugins, "parts", lambda: (part,))
+        for cached in caches:
+            cached.cache_clear()
+
+    yield brought
+    monkeypatch.undo()
+    for cached in caches:
+        cached.cache_clear()
+
+
+@pytest.mark.parametrize("name", ["FAMILY", "CARD"])
+def test_a_family_of_another_package_is_searched_as_those_here(plug, name: str) -> None:
+    known: Facts = simulation(physics=False)
+    plug("asia.families", "gain", f"plugged_card:{name}")
+    assert families(known)[0].name == "static_gain"
+    for make in (ExpertAgent, RandomAgent, BayesAgent):
+        found = [t for t in search(make, known, 80) if t.family == "static_gain"]
+        assert found, make
+        for done in found:
+            assert "from plugged_models import static_gain\n" in done.source
+            check_source(done.source)
+            check_recipe(recipe_of(done))
+    moved = any(t.title == "static gain: twice the gain" for t in search(ExpertAgent, known, 10))
+    assert moved == (name == "CARD")
+    assert "static_gain (static gain): no dynamics at all" in library(known)
+    assert "from plugged_models import static_gain" in library(known)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("CLASH", "ASIA has a family of this name"),
+        ("UNSET", "set `package`"),
+        ("NONE", "is no Card, no Family"),
+        ("NOTHING", "has no 'NOTHING'"),
+    ],
+)
+def test_a_part_that_is_no_new_family_is_refused(plug, name: str, words: str) -> None:
+    plug("asia.families", "gain", f"plugged_card:{name}")
+    with pytest.raises(UserError, match=words):
+        all_cards()
+
+
+def test_an_agent_in_a_file_of_the_current_folder(folder: Path) -> None:
+    chosen = choose_agent("loose_agent:Counting")
+    assert chosen.agent.name == "counting"
+    assert chosen.settings == {"class": "loose_agent:Counting"}
+    check_agent(lambda: choose_agent("loose_agent:Counting").agent)
+    again = recorded_agent("counting", chosen.settings)
+    assert again is not None
+    assert again.name == "counting"
+
+
+def test_an_agent_by_the_name_its_package_gives_it(plug) -> None:
+    plug("asia.agents", "counter", "loose_agent:Counting")
+    assert choose_agent("counter").agent.name == "counting"
+    with pytest.raises(UserError, match="counter, or module:Class"):
+        choose_agent("nobody")
+    plug("asia.agents", "expert", "loose_agent:Counting")
+    assert isinstance(choose_agent("expert").agent, ExpertAgent)
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ("loose_agent:Impostor", "names itself 'expert'"),
+        ("loose_agent:Needy", "without arguments failed: TypeError"),
+        ("loose_agent:SOURCE", "expected a class"),
+        ("loose_agent:Nobody", "has no 'Nobody'"),
+        ("no_such_file:Counting", "cannot import no_such_file"),
+        ("collections:OrderedDict", "expected a `name`"),
+    ],
+)
+def test_what_is_no_agent_is_refused(folder: Path, target: str, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        choose_agent(target)
+
+
+def test_who_proposed_from_outside_is_not_asked_again() -> None:
+    assert recorded_agent("workspace", {}) is None
+    assert recorded_agent("somebody", {}) is None
+    assert {name for name in AGENTS if recorded_agent(name, {}) is not None} == set(AGENTS)
+
+
+def test_the_free_agents_are_those_that_a_search_is_compared_with() -> None:
+    from asia.ledger._control import FREE
+
+    assert set(FREE) == set(AGENTS)
