@@ -30,7 +30,14 @@ from asia.models import linear
 from asia.models.methods import LevenbergMarquardt
 from asia.problem.load import Problem, load_problem
 from asia.protocol import Fold, make_folds
-from asia.redteam._prober import HALVINGS, Desk, Spoil, forgetful, one_start, turn
+from asia.redteam._score_only_search import (
+    HALVINGS,
+    ScoreOnlySearch,
+    Spoil,
+    forgetful,
+    one_start,
+    turn,
+)
 from asia.scoring import Failure, Score
 
 Outputs = list[list[Array]]
@@ -49,7 +56,7 @@ class Attacked:
     digits: int | None = None
 
     def __post_init__(self) -> None:
-        self._desk = Desk(self.ladder)
+        self._search = ScoreOnlySearch(self.ladder)
 
     def true(self, outputs: Outputs) -> Score:
         """All of V."""
@@ -59,7 +66,7 @@ class Attacked:
 
     def ask(self, outputs: Outputs) -> tuple[bool, tuple[float, ...]]:
         """Whether it is a new best, and what is told: V of each fold, or V alone."""
-        result = self._desk.submit(self.true(outputs))
+        result = self._search.submit(self.true(outputs))
         told = result.outcome
         assert isinstance(told, Score)
         numbers = [fold.value for fold in told.folds] or [told.value]
@@ -69,7 +76,7 @@ class Attacked:
 
     def doubt(self, outputs: Outputs, spoil: Spoil) -> bool:
         """Whether a candidate that breaks a relation on purpose is told so."""
-        return isinstance(self._desk.submit(self.true(outputs), spoil).outcome, Failure)
+        return isinstance(self._search.submit(self.true(outputs), spoil).outcome, Failure)
 
 
 def baseline(problem: Problem, folds: Sequence[Fold]) -> Outputs:

@@ -32,15 +32,15 @@ from asia.redteam import (
 )
 from asia.redteam._arena import attack_candidate
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
-from asia.redteam._stopping import Ending
+from asia.redteam._interruption import Interruption
 from asia.redteam._types import ANY_LEVEL, Seen
 from asia.redteam.attacks.source import candidate
 from asia.redteam.evidence.success import better, reached
 from asia.redteam.evidence.targets import targets
 from asia.redteam.evidence.traces import Traces
 from asia.redteam.evidence.verdict import conclude
-from asia.redteam.outside.off import CONTROL
 from asia.redteam.outside.outer_sandbox import inside, read_finding, write_finding
+from asia.redteam.outside.without_isolation import CONTROL
 from asia.sandbox import Isolation, Layer, why_not
 from asia.sandbox.walls.landlock import abi
 
@@ -64,7 +64,7 @@ def honest() -> Honest:
     if ONE_LEVEL is None:
         pytest.skip("no level keeps intent in here")
     tanks, _ = small_problems()
-    return try_honest(tanks, arx(tanks), ONE_LEVEL, Ending())
+    return try_honest(tanks, arx(tanks), ONE_LEVEL, Interruption())
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +252,7 @@ def test_an_honest_candidate_is_not_flagged_and_one_that_looks_ahead_is(honest, 
     ahead = "import numpy as np\nclass M:\n    def simulate(self, past_u, past_y, u):\n"
     ahead += "        return np.roll(u, -5, axis=1)\ndef fit(t, c):\n    return M()\n"
     monkeypatch.setattr(_honest.HonestProblem, "source", lambda self, row: ahead)
-    found = try_honest(tanks, arx(tanks), ONE_LEVEL, Ending())
+    found = try_honest(tanks, arx(tanks), ONE_LEVEL, Interruption())
     assert found.flagged
     assert "causality" in found.words
 
@@ -267,7 +267,7 @@ def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
     sleeps = "import time\ndef fit(t, c):\n    time.sleep(9)\n"
     monkeypatch.setattr(_honest.HonestProblem, "source", lambda self, row: sleeps)
     row = arx(tanks)
-    found = try_honest(late, row, ONE_LEVEL, Ending())
+    found = try_honest(late, row, ONE_LEVEL, Interruption())
     assert (found.flagged, found.failure) == (False, Reason.FIT_TIMEOUT)
     assert "NOT CHECKED" in line(found, {})
     small = Report(Plan((ONE_LEVEL,), (), False, ((late, row),)), (), (found,))
@@ -281,7 +281,7 @@ def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
 @needs_level
 def test_a_fit_ends_with_all():
     tanks, _ = small_problems()
-    ending = Ending()
+    ending = Interruption()
     ending.begin()
     with pytest.raises(SandboxError):
         try_honest(tanks, arx(tanks), ONE_LEVEL, ending)

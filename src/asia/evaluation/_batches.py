@@ -16,7 +16,7 @@ _MOTION = 3
 
 
 @dataclass(frozen=True)
-class Batch:
+class CaseBatch:
     """One request: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu); y and y_hat
     (B, H, ny) are what was measured and what was answered. Of the rows the first `count` are cases,
     the others repeat the first."""
@@ -28,7 +28,9 @@ class Batch:
     y_hat: Array
     count: int
 
-    def moved(self, size: float, scale: Array, random: np.random.Generator) -> tuple[Batch, Batch]:
+    def moved(
+        self, size: float, scale: Array, random: np.random.Generator
+    ) -> tuple[CaseBatch, CaseBatch]:
         """All that is given, moved up or down by `size` standard deviations, at random; and moved
         the opposite way."""
         spread = self.u.std(axis=(0, 1))
@@ -36,13 +38,13 @@ class Batch:
         given = (self.past_u, spread), (self.past_y, scale), (self.u, spread)
         steps = [size * unit * random.choice((-1.0, 1.0), a.shape) for a, unit in given]
 
-        def shifted(way: float) -> Batch:
+        def shifted(way: float) -> CaseBatch:
             past_u, past_y, u = (a + way * d for (a, _), d in zip(given, steps, strict=True))
             return replace(self, past_u=past_u, past_y=past_y, u=u)
 
         return shifted(1.0), shifted(-1.0)
 
-    def spliced(self) -> tuple[Batch, int]:
+    def spliced(self) -> tuple[CaseBatch, int]:
         """The inputs of each case up to half its length, then those of the next one; a case that is
         alone goes on with its own beginning. The sample of the splice."""
         place = self.u.shape[1] // 2
@@ -53,11 +55,11 @@ class Batch:
             u[:, place:] = self.u[:, : u.shape[1] - place]
         return replace(self, u=u), place
 
-    def reversed(self) -> Batch:
+    def reversed(self) -> CaseBatch:
         """The last row first."""
         return replace(self, past_u=self.past_u[::-1], past_y=self.past_y[::-1], u=self.u[::-1])
 
-    def later_starts(self, number: int, scale: Array) -> Iterator[tuple[Batch, list[int]]]:
+    def later_starts(self, number: int, scale: Array) -> Iterator[tuple[CaseBatch, list[int]]]:
         """The same records from so many later starts in the first half, and the sample of each
         row's start. Where the past window does not hold the whole state, a start at rest is worth
         more than one in motion: in each part of the first half that sample is taken at which the
@@ -77,7 +79,7 @@ class Batch:
         near = [steps[:, k : k + _MOTION].mean(axis=1) for k in range(half + 1)]
         return np.stack(near, axis=1) + 1e-3
 
-    def _from(self, starts: Sequence[int]) -> Batch:
+    def _from(self, starts: Sequence[int]) -> CaseBatch:
         """Each row from its own later start on."""
 
         def past(before: Array, values: Array) -> Array:
@@ -98,7 +100,7 @@ def batches(
     y_hat: Sequence[Array],
     horizon: int | None,
     random: np.random.Generator,
-) -> tuple[Batch, ...]:
+) -> tuple[CaseBatch, ...]:
     """A few of the requests that `simulate_held_out` sends, drawn at random, in the same shapes and
     order. y_hat: the answers (H, ny)."""
     requests = held_out_requests(blocks, horizon)
@@ -110,10 +112,10 @@ def batches(
 
 def _batch(
     blocks: Sequence[Block], y_hat: Sequence[Array], request: Sequence[int], size: int
-) -> Batch:
+) -> CaseBatch:
     rows = [*request, *[request[0]] * (size - len(request))]
     cases = [blocks[i].case for i in rows]
-    return Batch(
+    return CaseBatch(
         past_u=np.stack([case.past_u for case in cases]),
         past_y=np.stack([case.past_y for case in cases]),
         u=np.stack([case.u for case in cases]),

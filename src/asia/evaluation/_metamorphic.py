@@ -16,7 +16,7 @@ import numpy as np
 
 from asia.data import Array
 from asia.errors import CandidateError, Reason
-from asia.evaluation._batches import Batch, batches
+from asia.evaluation._batches import CaseBatch, batches
 from asia.protocol import Block
 
 TINY, COARSE = 1e-6, 1e-2
@@ -55,7 +55,7 @@ class Suspicion:
     figure: float
 
 
-class Simulator(Protocol):
+class CaseSimulator(Protocol):
     """A fitted model, or a worker that holds one. Raises CandidateError."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -64,7 +64,7 @@ class Simulator(Protocol):
 
 
 def suspicions(
-    simulator: Simulator,
+    simulator: CaseSimulator,
     blocks: Sequence[Block],
     y_hat: Sequence[Array],
     scale: Array,
@@ -91,7 +91,7 @@ def suspicions(
     found: list[Suspicion | None] = []
     random = np.random.default_rng(seed)
     chosen = batches(blocks, y_hat, horizon, random)
-    checks = [_Check(simulator, batch, scale, random) for batch in chosen]
+    checks = [_RequestCheck(simulator, batch, scale, random) for batch in chosen]
     for check in checks:
         found += check.perturbation(), check.table(), check.causality(), check.order()
     found += [check.replay() for check in reversed(checks)]
@@ -104,11 +104,11 @@ def suspicions(
 
 
 @dataclass(frozen=True)
-class _Check:
+class _RequestCheck:
     """The relations on one request."""
 
-    simulator: Simulator
-    batch: Batch
+    simulator: CaseSimulator
+    batch: CaseBatch
     scale: Array
     random: np.random.Generator
 
@@ -207,7 +207,7 @@ class _Check:
                 others.append(float(np.mean(np.square(rows))))
         return own, others
 
-    def _ask(self, batch: Batch) -> Array | None:
+    def _ask(self, batch: CaseBatch) -> Array | None:
         """The answer; None where it is not finite."""
         try:
             answer = self.simulator.simulate(batch.past_u, batch.past_y, batch.u)
@@ -222,7 +222,7 @@ class _Check:
         return (np.abs(one - other)[: self.batch.count] / self.scale).max(axis=2)
 
 
-def _restart(checks: Sequence[_Check]) -> Suspicion | None:
+def _restart(checks: Sequence[_RequestCheck]) -> Suspicion | None:
     """Over all requests: the best of the later starts against the scored one."""
     try:
         known = [error for check in checks if (error := check.restart()) is not None]

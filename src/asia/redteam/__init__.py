@@ -23,8 +23,8 @@ from asia.redteam._types import (
     Verdict,
 )
 from asia.redteam.attacks.table import ATTACKS
-from asia.redteam.outside.off import OFF
 from asia.redteam.outside.outer_sandbox import why_no_outer
+from asia.redteam.outside.without_isolation import OFF
 
 __all__ = [
     "ATTACKS",

@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 from asia.redteam._arena import attack_candidate
 from asia.redteam._types import Attack, CandidateAttack, Finding, Verdict
 from asia.redteam.attacks.table import ATTACKS
-from asia.redteam.outside.off import CONTROL, OFF, attack_without_isolation, broken
 from asia.redteam.outside.outer_sandbox import write_finding
+from asia.redteam.outside.without_isolation import CONTROL, OFF, attack_without_isolation, broken
 from asia.sandbox import Isolation, Layer
 
 
@@ -27,14 +27,14 @@ def main(arguments: list[str]) -> None:
 
 def _played(attack: Attack, level: str, without: list[Layer]) -> Finding:
     if level == OFF:
-        return _off(attack)
+        return _unprotected(attack)
     assert isinstance(attack, CandidateAttack)
     if level == CONTROL:
         return attack_without_isolation(broken(attack))
     return attack_candidate(attack, Isolation(level), without)
 
 
-def _off(attack: Attack) -> Finding:
+def _unprotected(attack: Attack) -> Finding:
     if isinstance(attack, CandidateAttack):
         return attack_without_isolation(attack)
     with TemporaryDirectory() as folder:

@@ -18,7 +18,7 @@ from asia.evaluation import simulate_held_out, suspicions
 from asia.problem import ParameterRange, Physics
 from asia.problem.load import Problem, load_problem
 from asia.protocol import ProtocolRule, make_folds
-from asia.redteam._stopping import Ending
+from asia.redteam._interruption import Interruption
 from asia.redteam._types import Honest
 from asia.sandbox import Isolation, Limits, open_worker
 from asia.search import problem_facts
@@ -112,7 +112,9 @@ def small_drone() -> HonestProblem:
     return HonestProblem(SMALL_DRONE, facts, rule)
 
 
-def try_honest(problem: HonestProblem, row: Family, level: Isolation, ending: Ending) -> Honest:
+def try_honest(
+    problem: HonestProblem, row: Family, level: Isolation, interruption: Interruption
+) -> Honest:
     """Fit the family on the first fold and put its model through lint and metamorphic checks, in
     one worker."""
     begin = time.monotonic()
@@ -121,7 +123,7 @@ def try_honest(problem: HonestProblem, row: Family, level: Isolation, ending: En
     limits, horizon = Limits(problem.seconds, problem.seconds, _MEMORY_MB), problem.rule.horizon
     try:
         check_source(source)
-        with open_worker(level, limits) as worker, ending.ends(worker):
+        with open_worker(level, limits) as worker, interruption.ends(worker):
             worker.fit(executed_source(source), fold.train, problem.context)
             y_hat = simulate_held_out(worker, fold.validation, horizon)
             found = suspicions(worker, fold.validation, y_hat, fold.scale, horizon)

@@ -15,7 +15,7 @@ from asia.agents.library.family import Family
 from asia.agents.library.table import all_families
 from asia.redteam._arena import attack_candidate
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
-from asia.redteam._stopping import Ending
+from asia.redteam._interruption import Interruption
 from asia.redteam._types import (
     ANY_LEVEL,
     Attack,
@@ -27,8 +27,8 @@ from asia.redteam._types import (
 )
 from asia.redteam.attacks.searches import Scene
 from asia.redteam.attacks.table import ATTACKS
-from asia.redteam.outside.off import OFF
 from asia.redteam.outside.outer_sandbox import inside
+from asia.redteam.outside.without_isolation import OFF
 from asia.sandbox import LEVELS, Isolation, Layer
 
 _MOST_AT_ONCE = 2
@@ -102,8 +102,8 @@ def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
     Attacks without protection run in an outer sandbox, and so do levels that confine nothing.
     Raises SandboxError where a worker or the outer sandbox cannot be started.
     """
-    ending = Ending()
-    results = _run(list(_jobs(plan, ending)), on_result, ending)
+    interruption = Interruption()
+    results = _run(list(_jobs(plan, interruption)), on_result, interruption)
     order = [*map(str, plan.levels), ANY_LEVEL, OFF]
     findings = [one for one in results if isinstance(one, Finding)]
     findings.sort(key=lambda f: (f.number, order.index(f.level)))
@@ -130,7 +130,7 @@ def without_layers(
     sandbox has a part in are left out. Raises SandboxError."""
     walled = [attack for attack in attacks if attack.walled]
     jobs = [partial(_outside, level, layers, walled) for level, layers in settings]
-    return tuple(one for one in _run(jobs, on_result, Ending()) if isinstance(one, Finding))
+    return tuple(one for one in _run(jobs, on_result, Interruption()) if isinstance(one, Finding))
 
 
 def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]:
@@ -146,9 +146,11 @@ def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]
     return tuple(chosen)
 
 
-def _jobs(plan: Plan, ending: Ending) -> Iterator[Job]:
+def _jobs(plan: Plan, interruption: Interruption) -> Iterator[Job]:
     """Quick and slow ones in turns, so that none of the slow ones is left for the end."""
-    honest: list[Job] = [partial(_honest, p, row, plan.levels[0], ending) for p, row in plan.honest]
+    honest: list[Job] = [
+        partial(_honest, p, row, plan.levels[0], interruption) for p, row in plan.honest
+    ]
     first: list[Job] = []
     if plan.prove:
         first.append(partial(_outside, OFF, (), plan.attacks))
@@ -176,9 +178,9 @@ def _outside(level: str, layers: Sequence[Layer], attacks: Sequence[Attack]) -> 
 
 
 def _honest(
-    problem: HonestProblem, row: Family, level: Isolation, ending: Ending
+    problem: HonestProblem, row: Family, level: Isolation, interruption: Interruption
 ) -> Iterator[Result]:
-    yield try_honest(problem, row, level, ending)
+    yield try_honest(problem, row, level, interruption)
 
 
 def _played(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Result]:
@@ -193,14 +195,14 @@ def _played(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Resul
             yield Finding(attack.number, ANY_LEVEL, verdict, stops, play.note)
 
 
-def _run(jobs: Sequence[Job], on_result: OnResult, ending: Ending) -> list[Result]:
+def _run(jobs: Sequence[Job], on_result: OnResult, interruption: Interruption) -> list[Result]:
     """The first failure or interrupt ends it: what has not begun is not begun, a job of many
     attacks ends with the one it is at, and a fit at once."""
     results: list[Result] = []
 
     def collect(job: Job) -> None:
         for result in job():
-            if ending.begun:
+            if interruption.begun:
                 return
             results.append(result)
             on_result(result)
@@ -212,6 +214,6 @@ def _run(jobs: Sequence[Job], on_result: OnResult, ending: Ending) -> list[Resul
             future.result()
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
-        ending.begin()
+        interruption.begin()
         pool.shutdown()
     return results

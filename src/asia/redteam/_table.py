@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from asia.redteam._suite import Report
 from asia.redteam._types import ANY_LEVEL, Attack, Finding, Honest
-from asia.redteam.outside.off import OFF
+from asia.redteam.outside.without_isolation import OFF
 
 
 def report_table(report: Report) -> str:
@@ -16,10 +16,10 @@ def report_table(report: Report) -> str:
     found = {(f.number, f.level): f for f in report.findings}
     rows = [["#", "attack", *levels]]
     for attack in report.plan.attacks:
-        cells = [_cell(found.get((attack.number, level))) for level in levels]
+        cells = [_cell_text(found.get((attack.number, level))) for level in levels]
         played = found.get((attack.number, ANY_LEVEL))
         if played is not None:
-            cells[0] = f"{ANY_LEVEL}: {_cell(played)}"
+            cells[0] = f"{ANY_LEVEL}: {_cell_text(played)}"
         rows.append([str(attack.number), attack.name, *cells])
     return _aligned(rows)
 
@@ -72,7 +72,7 @@ def _word(finding: Finding) -> str:
     return "THROUGH" if finding.through else finding.verdict.value
 
 
-def _cell(finding: Finding | None) -> str:
+def _cell_text(finding: Finding | None) -> str:
     if finding is None:
         return ""
     stops = f": {', '.join(finding.stops)}" if finding.stops and finding.level != OFF else ""

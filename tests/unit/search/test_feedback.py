@@ -21,7 +21,7 @@ from asia.evaluation import _evaluator as evaluator_module
 from asia.ledger import SearchView, open_run
 from asia.mcp._answers import source_answer
 from asia.problem.load import load_lock, load_problem, protocol_digest
-from asia.redteam import _prober
+from asia.redteam import _score_only_search
 from asia.redteam.attacks import probing
 from asia.scoring import Failure, Score
 from asia.search import prepare, search, with_early_stopping
@@ -167,8 +167,8 @@ def judged_as_without_the_ladder(evaluator: Evaluator, source: str, view: Search
 @pytest.mark.parametrize(
     ("spoil", "part", "otherwise"),
     [
-        (_prober.forgetful, "judge", judged_as_without_the_ladder),
-        (_prober.one_start(0.35), "published", lambda view: view),
+        (_score_only_search.forgetful, "judge", judged_as_without_the_ladder),
+        (_score_only_search.one_start(0.35), "published", lambda view: view),
     ],
 )
 def test_spoilt_candidates_tell_nothing(
@@ -180,7 +180,7 @@ def test_spoilt_candidates_tell_nothing(
     ladder = probing.Ladder(spoil)
     start = probing.exact(np.zeros_like(probing.hidden_error()))
     assert probing.exact(probing.bisect(ladder.ask, ladder.doubt)) == start
-    monkeypatch.setattr(_prober, part, otherwise)
+    monkeypatch.setattr(_score_only_search, part, otherwise)
     leaking = probing.Ladder(spoil)
     assert probing.exact(probing.bisect(leaking.ask, leaking.doubt)) < 0.85 * start
 

@@ -10,7 +10,14 @@ import numpy as np
 
 from asia.data import Array
 from asia.problem._schema import LADDER_STEP
-from asia.redteam._prober import HALVINGS, Desk, Spoil, forgetful, one_start, turn
+from asia.redteam._score_only_search import (
+    HALVINGS,
+    ScoreOnlySearch,
+    Spoil,
+    forgetful,
+    one_start,
+    turn,
+)
 from asia.redteam._types import Play, SearchAttack, Stop
 from asia.redteam.attacks.searches import Scene
 from asia.scoring import Failure, Score, combine, score_fold
@@ -85,18 +92,18 @@ class Ladder:
     """A search with the Ladder. spoil: how candidates break a relation in `doubt`."""
 
     def __init__(self, spoil: Spoil | None = None) -> None:
-        self._desk = Desk(LADDER_STEP)
+        self._search = ScoreOnlySearch(LADDER_STEP)
         self._spoil = spoil
 
     def ask(self, correction: Array) -> float:
         """V as it is told."""
-        told = self._desk.submit(_score(correction)).outcome
+        told = self._search.submit(_score(correction)).outcome
         assert isinstance(told, Score)
         return told.value
 
     def doubt(self, correction: Array) -> bool:
         """Whether the candidate, breaking a relation, is told so."""
-        return isinstance(self._desk.submit(_score(correction), self._spoil).outcome, Failure)
+        return isinstance(self._search.submit(_score(correction), self._spoil).outcome, Failure)
 
 
 def _wave(k: int) -> Array:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from asia.sandbox import Worker
 
 
-class Ending:
+class Interruption:
     """Whether all is to end, and the workers that are ended with it."""
 
     def __init__(self) -> None:

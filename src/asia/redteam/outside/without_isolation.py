@@ -21,7 +21,7 @@ from asia.redteam.attacks.source import HONEST, fill_in
 from asia.redteam.evidence.success import better, scored
 from asia.redteam.evidence.targets import Targets, targets
 from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
-from asia.redteam.outside.gullible import judge, load_leftovers
+from asia.redteam.outside.naive_evaluator import judge, load_leftovers
 from asia.sandbox import Layer
 
 OFF, CONTROL = "off", "control"

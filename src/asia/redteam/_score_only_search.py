@@ -17,7 +17,7 @@ HALVINGS = 15
 Spoil = Callable[[Score], Failure | None]
 
 
-class Desk:
+class ScoreOnlySearch:
     """A search with a Ladder of this step, or none."""
 
     def __init__(self, ladder: float | None) -> None:
