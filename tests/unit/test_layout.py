@@ -13,7 +13,6 @@ LONGER = {
     "src/asia/models": "one public family a file",
     "src/asia/cli": "one command a file",
     "src/asia/report/_pictures": "one kind of picture a file",
-    "tests/unit/models": "one family a file",
 }
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

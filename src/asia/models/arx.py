@@ -20,7 +20,7 @@ from asia.errors import UserError
 from asia.models._data.lags import History, Lags, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
-from asia.models._data.segments import segments, simulation_error
+from asia.models._data.stretches import segments, simulation_error
 from asia.models._one_step.free_model import (
     FreeRunModel,
     LagChoice,

@@ -21,7 +21,7 @@ from asia.errors import UserError
 from asia.models import neural_ss
 from asia.models._data.records import check, scaled
 from asia.models._data.scaling import Scaling
-from asia.models._data.segments import window_pieces
+from asia.models._data.stretches import window_pieces
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 from asia.models._solvers.progress import silent
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder

@@ -22,7 +22,7 @@ from asia.errors import UserError
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, check, past_length, scaled, window, windows
 from asia.models._data.scaling import Scaling
-from asia.models._data.segments import Stretches, segments
+from asia.models._data.stretches import Stretches, segments
 from asia.models._solvers.least_squares import LeastSquares
 
 _MOST_SAMPLES = 40_000

@@ -26,7 +26,7 @@ from asia.models._data.cuts import spread
 from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history, regressors
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
-from asia.models._data.segments import left_out_error, segments, simulation_error
+from asia.models._data.stretches import left_out_error, segments, simulation_error
 from asia.models._one_step.free_model import (
     FreeRunModel,
     LagChoice,
@@ -78,7 +78,7 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Process:
+class OutputProcess:
     """Gaussian process of one output."""
 
     scaled: Array
@@ -99,7 +99,7 @@ class GaussianPredictor:
 
     mean: Array
     """Coefficients (1 + d, ny) of [1, z]."""
-    processes: tuple[Process, ...]
+    processes: tuple[OutputProcess, ...]
     """One an output."""
 
     def __call__(self, z: Array) -> Array:
@@ -175,7 +175,7 @@ def _fit(
     left = y - mean[0] - z @ mean[1:]
     rows = spread(len(z), config.points)
     few = spread(len(z), min(config.points, method.points))
-    processes: list[Process] = []
+    processes: list[OutputProcess] = []
     for i in range(y.shape[1]):
         size = float(left[:, i].std()) or 1.0
         theta, evidence = _hyper(z[few], left[few, i] / size, method)
@@ -243,11 +243,11 @@ def negative_log_evidence(theta: Array, x: Array, y: Array) -> tuple[float, Arra
     return value / n, gradient / n
 
 
-def _process(x: Array, y: Array, theta: Array) -> Process:
+def _process(x: Array, y: Array, theta: Array) -> OutputProcess:
     d = x.shape[1]
     lengths = np.exp(theta[:d])
     signal, noise = np.exp(2 * theta[d]), np.exp(2 * theta[d + 1])
     scaled = x / lengths
     kernel = signal * np.exp(-0.5 * _distances(scaled, scaled))
     factor = cholesky(kernel + (noise + _JITTER * signal) * np.eye(len(x)), lower=True)
-    return Process(scaled, lengths, signal * cho_solve((factor, True), y))
+    return OutputProcess(scaled, lengths, signal * cho_solve((factor, True), y))

@@ -20,7 +20,7 @@ from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._equations.config import Config, GreyBoxStructure, Range
 from asia.models._equations.fit import FittedEquations, fit
-from asia.models._equations.measured_start import measured_simulator
+from asia.models._equations.measured_windows import measured_simulator
 from asia.models._equations.ode import equations
 from asia.models._equations.simulate import effects, simulator
 from asia.models._equations.starts import cut_segments

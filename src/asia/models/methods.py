@@ -173,8 +173,8 @@ class MultipleShooting:
     starts from what the network makes of its past window; the squared distance between the end of
     a segment and the start of the next is added to the loss with a weight that grows in equal
     ratios. Short segments keep gradients from exploding, so that systems are learned whose
-    simulation from a bad start diverges or says nothing. The map from the past window to the
-    initial state is fitted to the free states on the way.
+    simulation from a bad start diverges or has no useful gradient. The map from the past window to
+    the initial state is fitted to the free states on the way.
     Sources: Bock, 1981; Ribeiro et al., Automatica 121, 2020; Turan and Jaeschke, IEEE Control
     Systems Letters 6, 2022.
     """

@@ -24,7 +24,7 @@ from asia.errors import UserError
 from asia.models._data.lags import Lags, OutputRange, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
-from asia.models._data.segments import left_out_error, segments, simulation_error
+from asia.models._data.stretches import left_out_error, segments, simulation_error
 from asia.models._one_step.free_model import (
     RIDGES,
     FreeRunModel,

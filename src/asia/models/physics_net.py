@@ -28,8 +28,8 @@ from asia.models._data.records import check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
-from asia.models._equations.measured import MeasuredCell, NetworkKind, limits
-from asia.models._equations.measured_fit import TermPenalties, fit_equations
+from asia.models._equations.measured_cell import MeasuredCell, NetworkKind, limits
+from asia.models._equations.measured_terms import TermPenalties, fit_equations
 from asia.models._equations.ode import Equations, equations
 from asia.models._networks.layers import dense, zeros
 from asia.models._networks.network import NetworkModel, as_built, train_network

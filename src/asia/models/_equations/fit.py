@@ -12,7 +12,8 @@ import numpy as np
 
 from asia.data import Array
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.measured_start import measured_fitter
+from asia.models._equations.measured_windows import measured_fitter
+from asia.models._equations.past_window import window_prior
 from asia.models._equations.simulate import Scales, WindowPrior, prior_residuals, simulate_states
 from asia.models._equations.starts import (
     RecordPieces,
@@ -24,7 +25,6 @@ from asia.models._equations.starts import (
     screen,
     simulate_many,
 )
-from asia.models._equations.window import window_prior
 from asia.models._solvers.levenberg_marquardt import (
     LevenbergMarquardt,
     LMResult,

@@ -32,7 +32,7 @@ def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Ra
     Where [physics] says so: an equation without free parameters, of a state that is an output, has
     as rate the output it names or, if it holds more than a name, the one of those it reads whose
     integral over the horizon goes best with the output's increment, at a correlation above 0.6.
-    Where it says nothing of the kind, every other output is tried, with a gain between 2/3 and 3/2.
+    Where it gives no such equation, every other output is tried, with a gain between 2/3 and 3/2.
     """
     fit = _fitted(trajectories, context)
     rates: list[Rate] = []

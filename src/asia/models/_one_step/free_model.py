@@ -15,7 +15,7 @@ from asia.errors import UserError
 from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history
 from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, shortened
 from asia.models._data.scaling import Scaling
-from asia.models._data.segments import left_out_error
+from asia.models._data.stretches import left_out_error
 from asia.models._one_step.polynomial import Polynomial, PolynomialRun, all_terms, equations, solve
 
 C = TypeVar("C")

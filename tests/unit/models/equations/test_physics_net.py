@@ -10,7 +10,7 @@ from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.models import physics_net
-from asia.models._equations.measured import MeasuredCell
+from asia.models._equations.measured_cell import MeasuredCell
 from asia.models.methods import Adam, LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics
 

@@ -10,7 +10,7 @@ from asia.models import arx
 from asia.models._data.lags import Lags, OutputRange, fit_history
 from asia.models._data.records import scaled
 from asia.models._data.scaling import Scaling
-from asia.models._data.segments import segments, simulation_error
+from asia.models._data.stretches import segments, simulation_error
 from asia.models._one_step.polynomial import Polynomial, PolynomialRun, _normal, all_terms
 from asia.models.methods import LeastSquares, LevenbergMarquardt
 from tests.unit.models.systems.black_box import case, filtered, late, two_by_two

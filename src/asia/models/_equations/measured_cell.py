@@ -25,7 +25,7 @@ NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 
 # A simulation beyond so many deviations of a state has run away.
 _FAR = 30.0
-# Network inputs are bounded to this many deviations: outside, it says what it says at the border.
+# Network inputs are bounded to this many deviations: beyond, its output stays that at the bound.
 _REACH = 3.0
 
 
