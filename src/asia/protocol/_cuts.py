@@ -10,7 +10,7 @@ from asia.protocol._rules import ProtocolRule
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Excerpt:
     """Contiguous samples of a record."""
 
     record: int
@@ -22,8 +22,8 @@ class FoldCut:
     """One fold: what is held out (the past windows before it are not part of it), and what
     trains."""
 
-    held_out: tuple[Stretch, ...]
-    train: tuple[Stretch, ...]
+    held_out: tuple[Excerpt, ...]
+    train: tuple[Excerpt, ...]
 
 
 def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> list[FoldCut]:
@@ -33,12 +33,12 @@ def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> 
         return [
             FoldCut(
                 tuple(
-                    Stretch(i, range(rule.past, lengths[i]))
+                    Excerpt(i, range(rule.past, lengths[i]))
                     for i in records
                     if names[i] in group.records
                 ),
                 tuple(
-                    Stretch(i, range(lengths[i])) for i in records if names[i] not in group.records
+                    Excerpt(i, range(lengths[i])) for i in records if names[i] not in group.records
                 ),
             )
             for group in rule.folds.groups
@@ -46,9 +46,9 @@ def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> 
     cuts = [blocks(length, rule) for length in lengths]
     return [
         FoldCut(
-            tuple(Stretch(i, cuts[i][k]) for i in records),
+            tuple(Excerpt(i, cuts[i][k]) for i in records),
             tuple(
-                Stretch(i, rest) for i in records for rest in rests(lengths[i], cuts[i][k], rule)
+                Excerpt(i, rest) for i in records for rest in rests(lengths[i], cuts[i][k], rule)
             ),
         )
         for k in range(rule.folds.count)

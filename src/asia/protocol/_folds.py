@@ -9,7 +9,7 @@ import numpy as np
 
 from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.protocol._cuts import Stretch, least_case, splits, windows
+from asia.protocol._cuts import Excerpt, least_case, splits, windows
 from asia.protocol._rules import ProtocolRule
 
 
@@ -84,7 +84,7 @@ def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...
     Windows follow each other every `horizon` samples; the last one ends with the record and may
     overlap its neighbour, so that N samples give ceil((N - past) / horizon) of them.
     """
-    parts = [Stretch(i, range(rule.past, len(r))) for i, r in enumerate(records)]
+    parts = [Excerpt(i, range(rule.past, len(r))) for i, r in enumerate(records)]
     return _blocks(records, parts, rule)
 
 
@@ -116,7 +116,7 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
 
 
 def _blocks(
-    records: Sequence[Trajectory], parts: Sequence[Stretch], rule: ProtocolRule
+    records: Sequence[Trajectory], parts: Sequence[Excerpt], rule: ProtocolRule
 ) -> tuple[Block, ...]:
     return tuple(
         cut(records[part.record], window.start, window.stop, rule, part.record)
