@@ -44,8 +44,10 @@ TWICE = """
 Cell
 Desk
 Journal
+Level
 Line
 Place
+Process
 _Check
 """
 FAMILY_WORDS = {"Config"}
