@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics, Phase, Status
 from asia.problem import Physics
-from asia.protocol import EarlyStopping
+from asia.protocol import EarlyStopping, TrainingLoss, find_metric
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,11 @@ class Facts:
     def past(self) -> int:
         """Samples before the first simulated one."""
         return max(self.past_inputs, self.past_outputs)
+
+    @property
+    def loss(self) -> TrainingLoss:
+        """The training loss that goes with the metric."""
+        return find_metric(self.metric).loss
 
     @property
     def samples(self) -> int:

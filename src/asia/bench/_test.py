@@ -14,6 +14,7 @@ from asia.bench._plan import ComparisonPlan
 from asia.bench._tables import TextTable
 from asia.errors import UserError
 from asia.ledger import TestRecord, Unsealed, error_value, open_run
+from asia.protocol import MEE, find_metric, metric_label
 from asia.report import Entry, leaderboard
 from asia.scoring import Failure
 
@@ -60,7 +61,7 @@ def test_tables(
         return ()
     tables = [
         _mee_table(plan, declared, test)
-        if metric == "mee"
+        if metric == MEE
         else _error_table(plan, declared, test, metric)
         for metric in plan.problem.protocol.test.metrics
     ]
@@ -71,7 +72,8 @@ def _error_table(
     plan: ComparisonPlan, declared: str | None, test: TestResult | None, metric: str
 ) -> TextTable:
     outputs = plan.problem.outputs
-    unit = f" [{outputs[0].unit}]" if len(outputs) == 1 and outputs[0].unit else ""
+    units = {find_metric(metric).unit_of(s.unit) for s in outputs}
+    unit = f" [{units.pop()}]" if len(units) == 1 and units != {""} else ""
     rows = [(model, cells[0]) for model, cells in _ours(test, 1, partial(_value, metric))]
     notes = _notes(declared, test)
     if metric == "rmse" and plan.paper is not None:
@@ -79,8 +81,9 @@ def _error_table(
         rows += [(row.model, error_value(row.value)) for row in plan.paper.test]
         rows += _standing(entries)
         notes += [*_rank(entries, test), plan.paper.protocol]
-    header = ("model", f"test {metric.upper()}{unit}")
-    return TextTable(f"Sealed test: {metric.upper()}", header, tuple(rows), tuple(notes))
+    label = metric_label(metric)
+    header = ("model", f"test {label}{unit}")
+    return TextTable(f"Sealed test: {label}", header, tuple(rows), tuple(notes))
 
 
 def _mee_table(plan: ComparisonPlan, declared: str | None, test: TestResult | None) -> TextTable:

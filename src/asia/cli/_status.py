@@ -35,7 +35,7 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
 
 
 def _object(directory: Path, found: Brief) -> dict[str, Any]:
-    from asia.ledger import control
+    from asia.ledger import control, metric_of
     from asia.scoring import Score
 
     view, best = found.view, found.view.best
@@ -51,6 +51,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "experiments": found.finished,
         "budget": view.budget,
         "isolation": view.started.isolation,
+        "metric": metric_of(directory),
         "early_stopping": view.started.early_stopping,
         "validation_scores": found.validation_scores,
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
@@ -74,7 +75,8 @@ def _print(directory: Path, found: Brief) -> None:
         told,
         usage_words,
     )
-    from asia.ledger import control, control_words
+    from asia.ledger import control, control_words, metric_of
+    from asia.protocol import metric_label
 
     view = found.view
     beside = control(directory, view.started, found.finished)
@@ -83,7 +85,8 @@ def _print(directory: Path, found: Brief) -> None:
         f"seed {view.started.seed}  isolation {view.started.isolation}"
     )
     print(
-        f"{found.state}: {found.finished} of {view.budget} experiments in {duration(found.seconds)}"
+        f"{found.state}: {found.finished} of {view.budget} experiments in "
+        f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
     )
     if view.stopped is not None:
         words = stop_words(view.stopped.reason, view)

@@ -129,6 +129,7 @@ def _table_lines(mee: MeeTable) -> list[str]:
 
 def _print_text(record: Unsealed) -> None:
     from asia.ledger import error_value
+    from asia.protocol import metric_label
     from asia.scoring import Failure
 
     how = f"{record.skip} samples skipped"
@@ -149,7 +150,8 @@ def _print_text(record: Unsealed) -> None:
                 f"{name} {value:.4g}"
                 for name, value in zip(record.channels, score.per_channel, strict=True)
             )
-            print(f"{title:<28} {score.metric.upper()} {error_value(score.value)}  ({channels})")
+            error = f"{metric_label(score.metric)} {error_value(score.value)}"
+            print(f"{title:<28} {error}  ({channels})")
             if len(score.per_trajectory) > 1:
                 for name, value in zip(record.trajectories, score.per_trajectory, strict=True):
                     print(f"    {name:<24} {error_value(value)}")

@@ -8,7 +8,7 @@ from asia.agents import MODEL_RULES, equations, library
 from asia.candidate import installed_libraries
 from asia.data import Signal
 from asia.problem.load import Problem
-from asia.protocol import ProtocolRule
+from asia.protocol import ProtocolRule, metric_label
 from asia.search._agent_view import problem_facts
 
 _CONTRACT = '''```python
@@ -173,7 +173,7 @@ def _protocol(problem: Problem) -> str:
     )
     return (
         f"{how} and trains on the rest. The model is then given the past window and the inputs of "
-        f"{what}, and never an output of it. Metric: {rule.metric.upper()}."
+        f"{what}, and never an output of it. Metric: {metric_label(rule.metric)}."
     )
 
 

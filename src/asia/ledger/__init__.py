@@ -42,7 +42,7 @@ from asia.ledger._exports import (
 from asia.ledger._index import Brief, brief, refresh
 from asia.ledger._published import beats, published
 from asia.ledger._record import Line
-from asia.ledger._run import Run, State, find_run, open_run
+from asia.ledger._run import Run, State, find_run, metric_of, open_run
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
@@ -98,6 +98,7 @@ __all__ = [
     "find_run",
     "in_use",
     "journal",
+    "metric_of",
     "one_line",
     "open_run",
     "published",

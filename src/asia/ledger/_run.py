@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -44,6 +45,11 @@ class Run:
         return Store(self.directory / "artifacts")
 
     @property
+    def metric(self) -> str:
+        """The name of the metric. Raises UserError as `metric_of`."""
+        return metric_of(self.directory)
+
+    @property
     def state(self) -> State:
         """Where the search stands."""
         return state_of(self.view, busy=self.busy)
@@ -56,6 +62,17 @@ def open_run(directory: Path) -> Run:
         raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
     lines = tuple(read_lines(ledger))
     return Run(directory, replay(line.event for line in lines), lines, in_use(ledger))
+
+
+def metric_of(directory: Path) -> str:
+    """The name of a run's metric, from its lock file. Raises UserError when that cannot be read."""
+    path = directory / "problem.lock.toml"
+    try:
+        return tomllib.loads(path.read_text("utf-8"))["protocol"]["metric"]
+    except (OSError, ValueError, KeyError) as error:
+        raise UserError(
+            f"{path} cannot be read ({error}): the metric of the run is not known"
+        ) from None
 
 
 def find_run(runs: Path, name: str | None) -> Path:

@@ -14,6 +14,7 @@ from asia.data._trajectory import Array, Signal, Trajectory
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Problem, Seal
 from asia.protocol._cuts import splits, windows
+from asia.protocol._metrics import find_metric
 from asia.protocol._rules import ProtocolRule
 
 _ORDER = 50
@@ -107,7 +108,7 @@ class CheckReport:
             *(f"record {r.name}: {r.samples} samples, {r.seconds:g} s" for r in self.records),
             "missing values: none (a record with one is refused)",
             *(_fold_line(f) for f in self.folds),
-            f"{_cases(rule)}; past window: {past}; metric {rule.metric}, normalised; "
+            f"{_cases(rule)}; past window: {past}; V: {find_metric(rule.metric).summary}; "
             f"protocol {self.protocol_sha256[:12]}",
             *_early_stopping_lines(rule),
             *_seal_lines(self.seal, rule),

@@ -53,6 +53,21 @@ class Metric:
         return f"{self.label} / output std" if self.normalised else self.label
 
     @property
+    def summary(self) -> str:
+        """V in a word or two, such as `normalised simulation RMSE`."""
+        if self.direction == "higher":
+            return f"simulation {self.v_label}"
+        return f"{'normalised ' if self.normalised else ''}simulation {self.label}"
+
+    @property
+    def v_words(self) -> str:
+        """What V averages, in a sentence."""
+        if self.direction == "higher":
+            return f"{self.best:g} less the {self.label} of each output, lower is better"
+        spread = " over its standard deviation in the training fold" if self.normalised else ""
+        return f"{self.label} of each output{spread}"
+
+    @property
     def v_unit(self) -> str:
         """The unit of V, `-` for none."""
         return "-" if self.normalised else self.unit or "-"

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia._plugins import parts
 from asia.errors import UserError
 from asia.protocol import METRICS, Metric, find_metric, metric_label, metric_names
 from asia.scoring import score_fold, score_test
+from tests.unit import made_up_parts
 
 MODULE = """
 import numpy as np
@@ -21,18 +21,11 @@ other = "no metric"
 
 
 @pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def installed(tmp_path: Path) -> Iterator[None]:
     """A package that brings the metric `mae95`, and one by a name that is not a metric."""
-    (tmp_path / "made_up_metrics.py").write_text(MODULE)
-    info = tmp_path / "made_up_metrics-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: made-up-metrics\nVersion: 1.0\n")
-    lines = "[asia.metrics]\nmae95 = made_up_metrics:mae95\nwrong = made_up_metrics:other\n"
-    (info / "entry_points.txt").write_text(lines)
-    monkeypatch.syspath_prepend(tmp_path)
-    parts.cache_clear()
-    yield
-    parts.cache_clear()
+    points = "[asia.metrics]\nmae95 = made_up_metrics:mae95\nwrong = made_up_metrics:other\n"
+    with made_up_parts.installed(tmp_path, "made_up_metrics", MODULE, points):
+        yield
 
 
 @pytest.mark.usefixtures("installed")

@@ -180,7 +180,7 @@ def _opened(store: Store, problem: Problem, trajectories: int) -> Unsealed:
     refit = [wobble(y, 0.25, 2) for y in measured]
 
     def record(y_hat: list[Array]) -> TestRecord:
-        scores = (score_test(measured, y_hat, "rmse", rule.skip),)
+        scores = (score_test(measured, y_hat, rule.metrics[0], rule.skip),)
         return TestRecord(scores, store.put_arrays(y_hat))
 
     return Unsealed(

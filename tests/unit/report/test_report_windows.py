@@ -36,7 +36,7 @@ from asia.report._write import pictures
 from asia.scoring import mee_table
 
 from .made_up import Shape, make_problem, write_run
-from .test_report_pictures import FIVE, assert_readable
+from .test_report_pictures import FIVE, assert_readable, visible_texts
 
 SHAPE = Shape(
     samples=(101,) * 12,
@@ -233,3 +233,18 @@ def test_draw_bench_reads_runs(tmp_path: Path) -> None:
     written = draw_bench(wanted, tmp_path / "bench")
     names = itertools.product(("progress-inner", "arms"), ("png", "pdf"))
     assert [p.name for p in written] == [f"{name}.{suffix}" for name, suffix in names]
+
+
+def test_pictures_name_the_metric_of_the_problem(tmp_path: Path) -> None:
+    problem = windows_problem()
+    directory = write_run(tmp_path / "run", problem, FIVE[:2], unsealed=2)
+    drawn = dict(pictures(open_run(directory), problem))
+    with drawing():
+        words = {
+            name: " ".join(text for text, _ in visible_texts(drawn[name]()))
+            for name in ("progress", "simulation", "test")
+        }
+    assert "Cross-validated MAE / output std" in words["progress"]
+    for name, text in words.items():
+        assert "MAE" in text, name
+        assert "RMSE" not in text, name

@@ -33,7 +33,7 @@ def adam(facts: Facts, cost: SampleCost, stage: Stage, learning_rate: float) -> 
 
 def absolute_loss(facts: Facts) -> Arguments:
     """The absolute error as loss where it is the metric, else the method's own loss."""
-    return (("loss", "mae"),) if facts.metric == "mae" else ()
+    return () if facts.loss == "mse" else (("loss", facts.loss),)
 
 
 def network_space(facts: Facts, cost: SampleCost, config: tuple[Parameter, ...]) -> Space:
@@ -56,7 +56,7 @@ def adam_space(facts: Facts, needs: str = "") -> tuple[Parameter, ...]:
         OneOf("dropout", (0.0, 0.1), needs=needs),
         OneOf("schedule", ("cosine", "plateau"), needs=needs),
         OneOf("average", (0.0, 0.99), needs=needs),
-        OneOf("loss", ("mae" if facts.metric == "mae" else "mse", "huber"), needs=needs),
+        OneOf("loss", (facts.loss, "mse" if facts.loss == "huber" else "huber"), needs=needs),
     ]
     if facts.early_stopping == "inner":
         found.append(OneOf("holdout", (0.0, 0.2), needs=needs))
@@ -79,7 +79,7 @@ def several_horizons(facts: Facts) -> tuple[int, ...]:
 
 def by_lbfgs(facts: Facts, recipe: Recipe) -> Recipe:
     """The same model fitted by L-BFGS on all samples at once."""
-    loss = "huber" if facts.metric == "mae" else "mse"
+    loss = "mse" if facts.loss == "mse" else "huber"
     updates = max(FEWEST_STEPS, round(recipe.number("steps", 2000)) // 10)
     return recipe.fitted_by("LBFGS", (("steps", updates), ("ridge", 1e-5), ("loss", loss)))
 

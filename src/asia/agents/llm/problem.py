@@ -17,6 +17,7 @@ from asia.candidate import VALIDATION_SCORES, installed_libraries
 from asia.data import Array, Signal
 from asia.ledger import one_line
 from asia.problem import Physics
+from asia.protocol import find_metric, metric_label
 
 _TEXT = 8000
 _EXPRESSION = 400
@@ -112,7 +113,7 @@ def problem_text(facts: Facts) -> str:
 
 def briefing(facts: Facts) -> str:
     """Task, problem, contract and library, for whoever proposes candidates."""
-    metric = facts.metric.upper()
+    metric = metric_label(facts.metric)
     sections = {
         "Description": bounded(facts.description, _TEXT),
         "Signals": "\n".join(_signals(facts)),
@@ -154,10 +155,7 @@ def _judgement(facts: Facts) -> Iterator[str]:
         + ("each holds out one block of every record." if not facts.groups else "each holds out ")
         + "; ".join(one_line(", ".join(group), 200) for group in facts.groups)
     )
-    yield (
-        f"V: {facts.metric.upper()} of each output over its standard deviation in the training "
-        "fold, mean over outputs, then over folds."
-    )
+    yield (f"V: {find_metric(facts.metric).v_words}, mean over outputs, then over folds.")
     if facts.ladder is not None:
         yield (
             f"V is told on a ladder: a candidate that beats the last V told by more than "

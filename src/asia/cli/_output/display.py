@@ -41,6 +41,7 @@ from asia.ledger import (
     error_value,
 )
 from asia.problem.load import Problem
+from asia.protocol import find_metric
 from asia.scoring import Failure
 from asia.search import Prepared, environment_changes
 
@@ -134,7 +135,7 @@ class TextDisplay:
         sealed = f"sealed sha256:{start.test_digest[:8]}" if start.test_digest else "none"
         self._print(
             f"agent {start.agent}  seed {start.seed}  {problem.protocol.folds.count} folds  "
-            f"{view.v_name} = normalised simulation {problem.protocol.metric.upper()}  "
+            f"{view.v_name} = {find_metric(problem.protocol.metric).summary}  "
             f"test {sealed}"
         )
         if start.early_stopping == "validation":

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from asia.cli._output.words import again_words
 from asia.ledger import Experiment, Run, describe_result, error_value
+from asia.protocol import metric_label
 from asia.scoring import Score
 
 # With more, each output gets a row of its own.
@@ -54,9 +53,10 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
     score, result = experiment.score, experiment.result
     assert score is not None
     assert result is not None
-    names = run.view.started.outputs
+    names, metric = run.view.started.outputs, run.metric
     wide = len(names) > MOST_OUTPUTS_BESIDE
-    channels = () if wide else (*(f"RMSE {n}" for n in names), *(f"fit % {n}" for n in names))
+    heads = metric_label(metric), "fit %"
+    channels = () if wide else tuple(f"{head} {name}" for head in heads for name in names)
     table = Table(title="validation and training-side evidence", title_justify="left", box=None)
     table.add_column("fold", justify="right")
     for head in ("V", *channels):
@@ -67,11 +67,11 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
     for head in ("train", "bias", "white", "u-corr", "top", "start", "fit s"):
         table.add_column(head, justify="right")
     for k, (fold, kept) in enumerate(zip(score.folds, result.folds, strict=True), 1):
-        d = kept.diagnostics
+        d, errors = kept.diagnostics, fold.per_channel(metric)
         table.add_row(
             str(k),
             error_value(fold.value),
-            *(() if wide else (*map(_error, fold.rmse), *map(_fit, fold.fit_index))),
+            *(() if wide else (*map(_error, errors), *map(_fit, fold.fit_index))),
             *((str(kept.validation_scores),) if told else ()),
             error_value(d.train_error),
             f"{d.bias:.3f}",
@@ -85,18 +85,19 @@ def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
     console.print(table)
     if wide:
         console.print()
-        console.print(_channel_table(names, score))
+        console.print(_channel_table(run, score))
 
 
-def _channel_table(names: Sequence[str], score: Score) -> Table:
-    """A row an output, RMSE and fit index on each fold beside each other."""
+def _channel_table(run: Run, score: Score) -> Table:
+    """A row an output, metric and fit index on each fold beside each other."""
+    metric = run.metric
     table = Table(title="by output", title_justify="left", box=None)
     table.add_column("output")
-    for head in ("RMSE", "fit %"):
+    for head in (metric_label(metric), "fit %"):
         for k in range(1, len(score.folds) + 1):
             table.add_column(f"{head} {k}", justify="right")
-    for i, name in enumerate(names):
-        errors = (_error(fold.rmse[i]) for fold in score.folds)
+    for i, name in enumerate(run.view.started.outputs):
+        errors = (_error(fold.per_channel(metric)[i]) for fold in score.folds)
         fits = (_fit(fold.fit_index[i]) for fold in score.folds)
         table.add_row(name, *errors, *fits)
     return table

@@ -24,6 +24,7 @@ from asia.report._pictures.style import (
     number,
     plain,
     quiet_grid,
+    v_axis_label,
 )
 
 _HEIGHT = 4.2
@@ -48,7 +49,7 @@ def draw_arms(picture: SidesPicture) -> Figure:
     for index, level in enumerate(levels):
         _level(axes, level, _DASHES[index % len(_DASHES)])
     axes.set_xlabel("Experiment")
-    axes.set_ylabel(f"Cross-validated {picture.metric.upper()} / output std, V [-]")
+    axes.set_ylabel(v_axis_label(picture.metric))
     figure.suptitle(headline(picture.title, WIDTH), x=0.01, ha="left", fontweight="bold")
     if axes.get_legend_handles_labels()[1]:
         figure.legend(loc="outside lower center", ncols=2, fontsize=7.5, handletextpad=0.6)

@@ -29,6 +29,7 @@ from asia.report._pictures.style import (
     number,
     plain,
     quiet_grid,
+    v_axis_label,
 )
 from asia.report._pictures.tags import Surroundings, Tag, place
 from asia.scoring import Score
@@ -75,7 +76,7 @@ class _Search:
 def draw_progress(view: SearchView, metric: str, beside: Control | None = None) -> Figure:
     """A point each experiment, the incumbent as a step line, failures as crosses on the upper
     edge, the last look at the guard as diamonds, tags at improvements, the rungs and the control
-    arm `beside` as thin lines. metric: `rmse` or `mae`."""
+    arm `beside` as thin lines. metric: its name."""
     search = _gather(view, beside)
     figure = Figure(figsize=(WIDTH, _HEIGHT), layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -149,7 +150,7 @@ def _title(view: SearchView) -> str:
 
 def _scale(axes: Axes, search: _Search, metric: str) -> None:
     axes.set_xlabel("Experiment")
-    axes.set_ylabel(f"Cross-validated {metric.upper()} / output std, V [-]")
+    axes.set_ylabel(v_axis_label(metric))
     axes.set_xlim(0.4, max(search.count, 1) + 0.6)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=16, min_n_ticks=1))
     low, high = min(search.values, default=0.0), max(search.values, default=1.0)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from asia.data import Array, Signal
 from asia.ledger import Experiment, Run, TestRecord, Unsealed
 from asia.problem.load import Problem
-from asia.protocol import Fold
+from asia.protocol import Fold, find_metric
 from asia.report._artifacts import fold_outputs, opened_windows
 from asia.report._pictures.overlay import MOST_PANELS, Heading, Panel, Piece, Words, draw_overlay
 from asia.report._pictures.style import number, plain, quantity, shown
@@ -33,7 +33,7 @@ def draw_simulation(
     channels = lowest(worst_fits(score), MOST_PANELS // len(shown_folds))
     panels = tuple(
         Panel(
-            _fold_title(k, c, problem.outputs, score.folds[k]),
+            _fold_title(problem, k, c, score.folds[k]),
             problem.outputs[c],
             _fold_pieces(problem, folds[k], outputs[k], c),
         )
@@ -71,13 +71,13 @@ def lowest(values: Sequence[float], count: int) -> list[int]:
     return sorted(int(i) for i in np.argsort(values, kind="stable")[: max(count, 1)])
 
 
-def _fold_title(fold: int, channel: int, outputs: Sequence[Signal], score: FoldScore) -> Heading:
-    signal = outputs[channel]
-    which = f", {plain(signal.name, 24)}" if len(outputs) > 1 else ""
-    error = quantity(score.rmse[channel], signal.unit)
+def _fold_title(problem: Problem, fold: int, channel: int, score: FoldScore) -> Heading:
+    signal, metric = problem.outputs[channel], find_metric(problem.protocol.metric)
+    which = f", {plain(signal.name, 24)}" if len(problem.outputs) > 1 else ""
+    error = quantity(score.per_channel(metric.name)[channel], metric.unit_of(signal.unit))
     fit = score.fit_index[channel]
     ending = "" if fit is None else f", fit {fit:.1f} %"
-    return Heading(f"Fold {fold + 1}{which}", f"RMSE {error}{ending}")
+    return Heading(f"Fold {fold + 1}{which}", f"{plain(metric.label, 16)} {error}{ending}")
 
 
 def _fold_pieces(
@@ -201,7 +201,8 @@ def _test_title(
     values = [f"ensemble {number(score.per_channel[channel])}"]
     if refitted:
         values.append(f"refit {number(refitted.scores[0].per_channel[channel])}")
-    unit = plain(signal.unit, 12)
-    error = f"{score.metric.upper()}{several} {', '.join(values)} {unit}".rstrip()
+    metric = find_metric(score.metric)
+    unit = plain(metric.unit_of(signal.unit), 12)
+    error = f"{plain(metric.label, 16)}{several} {', '.join(values)} {unit}".rstrip()
     name = "" if trajectory is None else plain(opened.trajectories[trajectory], 24)
     return Heading(f"{name or 'Test'}{which}", error)

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from asia.data import Signal
+from asia.protocol import find_metric
 
 # Okabe and Ito's colours: told apart by the colour-blind, and of unlike lightness in print.
 INK: Final = "#222222"
@@ -108,6 +109,12 @@ def shown(*counts: tuple[int, int, str], why: str = "shown") -> str:
 def headline(text: str, width: float) -> str:
     """`text` as the title of a figure `width` inches wide, on as many lines as it needs."""
     return textwrap.fill(text, int(11.5 * width))
+
+
+def v_axis_label(metric: str) -> str:
+    """Text for an axis of V; metric: its name."""
+    found = find_metric(metric)
+    return f"Cross-validated {plain(found.v_label, 40)}, V [{plain(found.v_unit, 12)}]"
 
 
 def quiet_grid(axes: Axes) -> None:
