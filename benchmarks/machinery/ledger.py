@@ -30,13 +30,13 @@ from asia.ledger import (
     Diagnostics,
     Evaluated,
     Event,
-    FoldRecord,
+    FoldEvidence,
     Proposed,
     RungScored,
     Started,
     verify,
 )
-from asia.ledger._record import BEGIN, encode
+from asia.ledger._lines import BEGIN, encode
 from asia.scoring import Failure, FoldScore, Score
 
 ASIA = str(Path(sys.executable).parent / "asia")
@@ -170,11 +170,11 @@ def _score(random: np.random.Generator, folds: int) -> Score:
     )
 
 
-def _fold(files: _Files, random: np.random.Generator) -> FoldRecord:
+def _fold(files: _Files, random: np.random.Generator) -> FoldEvidence:
     model, y_hat, curve = (files.put(random.bytes(n)) for n in (1500, 4000, 800))
     value = float(random.uniform())
     numbers = random.uniform(size=8).tolist()
-    return FoldRecord(model, y_hat, curve, Diagnostics(*numbers), value)
+    return FoldEvidence(model, y_hat, curve, Diagnostics(*numbers), value)
 
 
 if __name__ == "__main__":

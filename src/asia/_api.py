@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from asia.executor import Executor, make_executor
 from asia.ledger import Event, Run, SearchView, open_run
 from asia.problem.load import Problem, load_problem
 from asia.protocol import EarlyStopping
-from asia.search import prepare, search, with_early_stopping
+from asia.search import OpenSink, open_sinks, prepare, search, with_early_stopping
 
 
 def run(
@@ -24,6 +25,7 @@ def run(
     early_stopping: EarlyStopping | None = None,
     space: SpaceName | None = None,
     executor: Executor | str = "local",
+    sinks: Sequence[str | OpenSink] = (),
 ) -> Run:
     """Search for a model; the finished run, with its view and artifacts.
 
@@ -31,7 +33,8 @@ def run(
     `experiments` extends. agent: an agent, or its name as in `asia run --agent`, `module:Class` for
     one of your own. early_stopping: instead of the problem's own setting. space: what the agent
     "random" draws from. executor: what runs the evaluations, one of `executor_names()` or one of
-    your own. Raises UserError for anything the caller can mend.
+    your own. sinks: where events go as they come, by the name of an installed one, `module:Name`,
+    or what opens one; see `asia.search.Sink`. Raises UserError for anything the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
@@ -52,7 +55,9 @@ def run(
         agent_settings=chosen.settings,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
-    search(ready, chosen.agent, _silent, _silent_start, runs_on)
+    with open_sinks(ready.directory, sinks) as opened:
+        on_event, on_start = opened.after_event(_silent), opened.after_start(_silent_start)
+        search(ready, chosen.agent, on_event, on_start, runs_on)
     return open_run(ready.directory)
 
 

@@ -11,12 +11,12 @@ from asia.bench._rows import FinishedSearch
 from asia.bench._test import TestResult
 from asia.protocol import EarlyStopping
 from asia.report import (
+    ArmCurves,
+    ArmsPicture,
     BenchPictures,
     Curve,
     Level,
     PublishedMee,
-    Side,
-    SidesPicture,
     draw_bench,
 )
 from asia.scoring import Score
@@ -32,7 +32,7 @@ def draw(
 ) -> tuple[Path, ...]:
     """Progress of the expert's first search and the sides against each other for each setting;
     with an opened test, what it says beside the published results."""
-    sides: list[SidesPicture] = []
+    sides: list[ArmsPicture] = []
     progress: list[tuple[str, Path]] = []
     for setting in plan.settings:
         own = [run for run in finished if run.planned.setting == setting]
@@ -60,13 +60,13 @@ def _published(row: PaperMee) -> PublishedMee:
 
 def _sides(
     plan: ComparisonPlan, setting: EarlyStopping, runs: Sequence[FinishedSearch]
-) -> SidesPicture:
+) -> ArmsPicture:
     arms = dict.fromkeys(r.planned.arm for r in runs if r.planned.arm.fixed is None)
     sides = tuple(
-        Side(arm.label, tuple(_curve(run) for run in runs if run.planned.arm == arm))
+        ArmCurves(arm.label, tuple(_curve(run) for run in runs if run.planned.arm == arm))
         for arm in arms
     )
-    return SidesPicture(
+    return ArmsPicture(
         name=f"arms-{setting}",
         title=f"{plan.problem.name}: {_who(plan)}, {_WORDS[setting]}",
         sides=sides,

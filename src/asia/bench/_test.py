@@ -13,7 +13,7 @@ from asia.bench._paper import PaperMee
 from asia.bench._plan import ComparisonPlan
 from asia.bench._tables import TextTable
 from asia.errors import UserError
-from asia.ledger import TestRecord, Unsealed, error_value, open_run
+from asia.ledger import TestedModel, Unsealed, error_value, open_run
 from asia.protocol import MEE, find_metric, metric_label
 from asia.report import Entry, leaderboard
 from asia.scoring import Failure
@@ -33,7 +33,7 @@ class TestResult:
     """Other runs that had opened the same test."""
 
     @property
-    def models(self) -> tuple[tuple[str, TestRecord | Failure], ...]:
+    def models(self) -> tuple[tuple[str, TestedModel | Failure], ...]:
         """The ensemble of the fold models, and the refit where there is one."""
         refit = self.record.refit
         first = ("ours, ensemble of the fold models", self.record.ensemble)
@@ -101,7 +101,7 @@ def _mee_table(plan: ComparisonPlan, declared: str | None, test: TestResult | No
 
 
 def _ours(
-    test: TestResult | None, width: int, cells: Callable[[TestRecord], tuple[str, ...]]
+    test: TestResult | None, width: int, cells: Callable[[TestedModel], tuple[str, ...]]
 ) -> list[tuple[str, tuple[str, ...]]]:
     """Our models with their cells; `sealed` in each while the test is."""
     if test is None:
@@ -115,11 +115,11 @@ def _ours(
     return rows
 
 
-def _value(metric: str, model: TestRecord) -> tuple[str, ...]:
+def _value(metric: str, model: TestedModel) -> tuple[str, ...]:
     return tuple(error_value(s.value) for s in model.scores if s.metric == metric)
 
 
-def _mee_cells(model: TestRecord) -> tuple[str, ...]:
+def _mee_cells(model: TestedModel) -> tuple[str, ...]:
     assert model.mee is not None
     horizons = model.mee.horizons
     numbers = [(*(g.at(h) for h in horizons), g.total) for g in model.mee.groups]
@@ -180,7 +180,7 @@ def test_object(test: TestResult) -> dict[str, Any]:
     }
 
 
-def _model_object(model: TestRecord | Failure) -> dict[str, Any]:
+def _model_object(model: TestedModel | Failure) -> dict[str, Any]:
     if isinstance(model, Failure):
         return {"failure": model.reason.value, "advice": model.advice}
     values: dict[str, Any] = {score.metric: score.value for score in model.scores}

@@ -40,6 +40,10 @@ def run(
         typer.Option(help="What random draws from: library (default), or the paper's: paper."),
     ] = None,
     options: SearchOptions,
+    sink: Annotated[
+        list[str] | None,
+        typer.Option(help="Give the events to an installed sink, or module:Name; repeatable."),
+    ] = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
     models: ModelOptions,
@@ -53,7 +57,7 @@ def run(
     from asia.cli._output.display import make_display
     from asia.problem.load import load_problem
     from asia.report import write_report
-    from asia.search import prepare
+    from asia.search import open_sinks, prepare
 
     options.check()
     driver = _driver(agent, space, models, llm, command)
@@ -67,10 +71,13 @@ def run(
         isolation=options.level,
         agent_settings=driver.settings,
     )
-    with closing(make_display(loaded, ready, json=json)) as display:
+    sinks = open_sinks(ready.directory, sink or ())
+    with closing(make_display(loaded, ready, json=json)) as display, sinks:
         for line in driver.words:
             print(line, file=sys.stderr)
-        view = driver.search(ready, display.on_event, display.on_start)
+        view = driver.search(
+            ready, sinks.after_event(display.on_event), sinks.after_start(display.on_start)
+        )
         pictures = write_report(ready.directory)
         display.finish(view, pictures)
     if view.best is None:

@@ -11,7 +11,7 @@ import typer
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
 
 if TYPE_CHECKING:
-    from asia.ledger import Run, TestRecord, Unsealed
+    from asia.ledger import Run, TestedModel, Unsealed
     from asia.scoring import Failure, MeeTable
 
 
@@ -93,7 +93,7 @@ def _as_object(record: Unsealed) -> dict[str, Any]:
     return answer
 
 
-def _scores(record: Unsealed, model: TestRecord | Failure) -> dict[str, Any]:
+def _scores(record: Unsealed, model: TestedModel | Failure) -> dict[str, Any]:
     """The first metric's detail beside the value of every metric, or the failure."""
     from asia.scoring import Failure
 
@@ -136,7 +136,7 @@ def _print_text(record: Unsealed) -> None:
     if record.horizon is not None:
         how = f"windows of {record.horizon} samples"
     print(f"sealed test, experiment #{record.experiment:02d}, {how}")
-    models: list[tuple[str, TestRecord | Failure]] = [
+    models: list[tuple[str, TestedModel | Failure]] = [
         ("ensemble of the fold models", record.ensemble)
     ]
     if record.refit is not None:

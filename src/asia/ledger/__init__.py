@@ -10,7 +10,7 @@ from asia.ledger._events import (
     Event,
     Exchanged,
     Extended,
-    FoldRecord,
+    FoldEvidence,
     GuardLooked,
     GuardScore,
     Phase,
@@ -26,7 +26,7 @@ from asia.ledger._events import (
     Stopped,
     StopReason,
     Streamed,
-    TestRecord,
+    TestedModel,
     Unsealed,
     Unsealing,
     Usage,
@@ -40,9 +40,9 @@ from asia.ledger._exports import (
     write_exports,
 )
 from asia.ledger._index import Brief, brief, refresh
+from asia.ledger._lines import Line
 from asia.ledger._published import beats, published
-from asia.ledger._record import Line
-from asia.ledger._run import Run, State, find_run, metric_of, open_run
+from asia.ledger._run import Run, RunState, find_run, metric_of, open_run
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
@@ -61,7 +61,7 @@ __all__ = [
     "Exchanged",
     "Experiment",
     "Extended",
-    "FoldRecord",
+    "FoldEvidence",
     "GuardLooked",
     "GuardScore",
     "Line",
@@ -70,19 +70,19 @@ __all__ = [
     "Refitted",
     "Resumed",
     "Run",
+    "RunState",
     "RungScored",
     "SearchView",
     "SessionEnded",
     "SessionStarted",
     "Started",
-    "State",
     "Status",
     "Steered",
     "StopReason",
     "Stopped",
     "Store",
     "Streamed",
-    "TestRecord",
+    "TestedModel",
     "Unsealed",
     "Unsealing",
     "Usage",

@@ -18,7 +18,7 @@ from typing import Self
 from asia.errors import UserError
 from asia.ledger._disk import make_folder, sync_folder, writing
 from asia.ledger._events import Event
-from asia.ledger._record import BEGIN, Line, Place, decode, encode, scan
+from asia.ledger._lines import BEGIN, Line, Position, decode, encode, scan
 from asia.ledger._view import Replay, SearchView
 
 _LOCK_ATTEMPTS = 20
@@ -146,7 +146,7 @@ def _holder_path(ledger: Path) -> Path:
     return ledger.with_suffix(".holder")
 
 
-def _read(path: Path) -> tuple[list[Line], Place]:
+def _read(path: Path) -> tuple[list[Line], Position]:
     lines: list[Line] = []
     place = BEGIN
     with path.open("rb") as stream:

@@ -20,8 +20,8 @@ from typing import TypeVar
 from asia.errors import UserError
 from asia.ledger._chain import in_use
 from asia.ledger._events import Evaluated, Event, Proposed
-from asia.ledger._record import BEGIN, Place, decode, scan
-from asia.ledger._run import State, state_of
+from asia.ledger._lines import BEGIN, Position, decode, scan
+from asia.ledger._run import RunState, state_of
 from asia.ledger._view import SearchView, replay
 
 T = TypeVar("T")
@@ -55,7 +55,7 @@ class Brief:
     them and the last one proposed; the totals are of all."""
 
     view: SearchView
-    state: State
+    state: RunState
     finished: int
     seconds: float
     validation_scores: int
@@ -145,7 +145,7 @@ def _covered(index: sqlite3.Connection, stamp: tuple[int, ...]) -> tuple[int, ..
 
 def _known_place(
     index: sqlite3.Connection, stamp: tuple[int, ...], stream: BufferedReader
-) -> Place:
+) -> Position:
     """Where reading goes on: behind what is indexed, if the ledger has only grown since."""
     seen = _covered(index, stamp)
     if seen is None or seen[0] != stamp[0] or seen[1] == stamp[1]:
@@ -154,8 +154,8 @@ def _known_place(
     last = index.execute("SELECT offset, length FROM records WHERE seq = ?", (found[0] - 1,))
     offset, length = last.fetchone() or (0, 0)
     stream.seek(offset)
-    before = Place(found[0] - 1, offset).behind(stream.read(length))
-    return before if before == Place(*found) else BEGIN
+    before = Position(found[0] - 1, offset).behind(stream.read(length))
+    return before if before == Position(*found) else BEGIN
 
 
 def _columns(event: Event) -> tuple[int | str | float | None, ...]:

@@ -9,14 +9,14 @@ from typing import Literal
 
 from asia.errors import UserError
 from asia.ledger._chain import in_use, read_lines
-from asia.ledger._record import Line
+from asia.ledger._lines import Line
 from asia.ledger._store import Store
 from asia.ledger._view import SearchView, replay
 
-State = Literal["running", "interrupted", "finished", "unsealed"]
+RunState = Literal["running", "interrupted", "finished", "unsealed"]
 
 
-def state_of(view: SearchView, *, busy: bool) -> State:
+def state_of(view: SearchView, *, busy: bool) -> RunState:
     """Where a search stands; `busy`: a process holds its ledger."""
     if view.unsealed:
         return "unsealed"
@@ -50,7 +50,7 @@ class Run:
         return metric_of(self.directory)
 
     @property
-    def state(self) -> State:
+    def state(self) -> RunState:
         """Where the search stands."""
         return state_of(self.view, busy=self.busy)
 

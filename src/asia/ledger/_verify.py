@@ -17,10 +17,10 @@ from asia.ledger._events import (
     Refitted,
     Started,
     Streamed,
-    TestRecord,
+    TestedModel,
     Unsealed,
 )
-from asia.ledger._record import BEGIN, decode, scan
+from asia.ledger._lines import BEGIN, decode, scan
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _artifacts(event: Event) -> Iterator[str]:
         case Unsealed():
             yield event.measured
             for record in (event.ensemble, event.refit):
-                if isinstance(record, TestRecord):
+                if isinstance(record, TestedModel):
                     yield record.y_hat
         case _:
             return

@@ -8,20 +8,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from asia.report._comparison import BenchPictures, Curve, Level, PublishedMee, Side, SidesPicture
+from asia.report._comparison import (
+    ArmCurves,
+    ArmsPicture,
+    BenchPictures,
+    Curve,
+    Level,
+    PublishedMee,
+)
 from asia.report._leaderboard import Entry, leaderboard
 
 if TYPE_CHECKING:
     from asia.problem.load import Problem
 
 __all__ = [
+    "ArmCurves",
+    "ArmsPicture",
     "BenchPictures",
     "Curve",
     "Entry",
     "Level",
     "PublishedMee",
-    "Side",
-    "SidesPicture",
     "draw_bench",
     "draw_problem",
     "leaderboard",

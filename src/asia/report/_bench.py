@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from asia.ledger import Run, TestRecord, open_run
+from asia.ledger import Run, TestedModel, open_run
 from asia.problem.load import load_lock
 from asia.report._comparison import BenchPictures
 from asia.report._pictures.comparison import draw_arms
@@ -33,7 +33,7 @@ def _pictures(pictures: BenchPictures) -> Iterator[Picture]:
 
 def _opened(pictures: BenchPictures, run: Run) -> Iterator[Picture]:
     opened = run.view.unsealed
-    if opened is None or not isinstance(opened.ensemble, TestRecord):
+    if opened is None or not isinstance(opened.ensemble, TestedModel):
         return
     problem = load_lock(run.directory / "problem.lock.toml")
     ensemble = opened.ensemble

@@ -24,7 +24,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Side:
+class ArmCurves:
     """One side of the comparison, a curve a seed."""
 
     label: str
@@ -40,12 +40,12 @@ class Level:
 
 
 @dataclass(frozen=True)
-class SidesPicture:
+class ArmsPicture:
     """Searches against each other; `name` of the file, `metric` `rmse` or `mae`."""
 
     name: str
     title: str
-    sides: tuple[Side, ...]
+    sides: tuple[ArmCurves, ...]
     levels: tuple[Level, ...]
     metric: str
 
@@ -65,7 +65,7 @@ class BenchPictures:
     what to know of the protocol of the published Mean Euclidean Errors."""
 
     progress: tuple[tuple[str, Path], ...]
-    sides: tuple[SidesPicture, ...]
+    sides: tuple[ArmsPicture, ...]
     opened: Path | None = None
     test_mark: tuple[str, float] | None = None
     mee: tuple[PublishedMee, ...] = ()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from asia.ledger import Run, TestRecord, control, open_run
+from asia.ledger import Run, TestedModel, control, open_run
 from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._leaderboard import leaderboard
@@ -56,7 +56,7 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
         if problem.protocol.kind == "windows":
             yield "horizon", lambda: draw_horizon(run, problem, best, folds)
         yield "residuals", lambda: draw_residuals(run, problem, best, folds)
-    if opened is None or not isinstance(opened.ensemble, TestRecord):
+    if opened is None or not isinstance(opened.ensemble, TestedModel):
         return
     ensemble = opened.ensemble
     yield "test", lambda: draw_test(run, problem, opened, ensemble)
@@ -66,7 +66,7 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
 
 
 def standing(
-    run: Run, problem: Problem, ensemble: TestRecord, mark: tuple[str, float] | None = None
+    run: Run, problem: Problem, ensemble: TestedModel, mark: tuple[str, float] | None = None
 ) -> Iterator[Picture]:
     """The test error among the published ones, for a benchmark that has some."""
     # A person's own data may bear a benchmark's name; its error has no place in that list.

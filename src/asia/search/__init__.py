@@ -14,6 +14,7 @@ from asia.search._run import (
 )
 from asia.search._secrecy import check_hidden_from_workers
 from asia.search._simulate import simulate
+from asia.search._sinks import OpenSink, Sink, Sinks, find_sink, open_sinks
 from asia.search._steering import Steering
 from asia.search._unseal import CONSENT, UnsealResult, needs_consent, unseal
 
@@ -21,16 +22,21 @@ __all__ = [
     "CONSENT",
     "LOCK",
     "OnEvent",
+    "OpenSink",
     "Prepared",
     "ReplayReport",
     "Replayed",
+    "Sink",
+    "Sinks",
     "Steering",
     "UnsealResult",
     "agent_view",
     "check_baseline",
     "check_hidden_from_workers",
     "environment_changes",
+    "find_sink",
     "needs_consent",
+    "open_sinks",
     "prepare",
     "problem_facts",
     "replay_run",

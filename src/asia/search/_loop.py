@@ -28,7 +28,7 @@ from asia.ledger import (
     Event,
     Exchanged,
     Experiment,
-    FoldRecord,
+    FoldEvidence,
     Phase,
     Proposed,
     Refitted,
@@ -206,8 +206,8 @@ class Loop:
             left_behind=tuple(self.evaluator.left_behind[before:]),
         )
 
-    def _keep(self, fold: FoldResult) -> FoldRecord:
-        return FoldRecord(
+    def _keep(self, fold: FoldResult) -> FoldEvidence:
+        return FoldEvidence(
             model=self.store.put(fold.model),
             y_hat=self.store.put_arrays(fold.y_hat),
             curve=self.store.put_arrays([fold.curve]),

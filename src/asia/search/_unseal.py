@@ -16,7 +16,7 @@ from asia.ledger import (
     Experiment,
     SearchView,
     Store,
-    TestRecord,
+    TestedModel,
     Unsealed,
     Unsealing,
     check_lock,
@@ -169,14 +169,14 @@ class _TestScorer:
     blocks: tuple[Block, ...]
     problem: Problem
 
-    def score(self, models: tuple[str, ...]) -> TestRecord | Failure:
+    def score(self, models: tuple[str, ...]) -> TestedModel | Failure:
         """Score of the mean of the models' simulations, or why there is none."""
         try:
             return self._record(self._mean(models))
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
-    def _record(self, y_hat: tuple[Array, ...]) -> TestRecord:
+    def _record(self, y_hat: tuple[Array, ...]) -> TestedModel:
         rule, y = self.problem.protocol.test, [b.y for b in self.blocks]
         measured, simulated = (_by_record(parts, self.blocks) for parts in (y, y_hat))
         scores = tuple(
@@ -186,7 +186,7 @@ class _TestScorer:
         mee = None
         if MEE in rule.metrics:
             mee = mee_table(y, y_hat, names, rule.groups, rule.horizons)
-        return TestRecord(scores, self.store.put_arrays(simulated), mee)
+        return TestedModel(scores, self.store.put_arrays(simulated), mee)
 
     def _mean(self, models: tuple[str, ...]) -> tuple[Array, ...]:
         source = self.store.text(self.best.proposed.source)

@@ -4,13 +4,14 @@ from asia.testing._agent import check_agent
 from asia.testing._candidate import check_candidate
 from asia.testing._executor import check_executor
 from asia.testing._family import check_family
-from asia.testing._ledger import Journal, check_ledger
+from asia.testing._ledger import OpenLedger, check_ledger
 from asia.testing._metric import check_metric
 from asia.testing._sandbox import OpenWorker, check_sandbox
+from asia.testing._sink import check_sink
 from asia.testing._source import check_source
 
 __all__ = [
-    "Journal",
+    "OpenLedger",
     "OpenWorker",
     "check_agent",
     "check_candidate",
@@ -19,5 +20,6 @@ __all__ = [
     "check_ledger",
     "check_metric",
     "check_sandbox",
+    "check_sink",
     "check_source",
 ]

@@ -28,7 +28,7 @@ from asia.scoring import Failure, FoldScore, Score
 _PLACES = 40
 
 
-class Journal(Protocol):
+class OpenLedger(Protocol):
     """A ledger open for writing; use it as a context manager."""
 
     @property
@@ -50,8 +50,8 @@ class Journal(Protocol):
     def __exit__(self, *raised: object) -> None: ...
 
 
-def check_ledger(open_journal: Callable[[Path], Journal]) -> None:
-    """Write, reopen and damage ledgers. open_journal: of the path of a file, which need not exist.
+def check_ledger(open_ledger: Callable[[Path], OpenLedger]) -> None:
+    """Write, reopen and damage ledgers. open_ledger: of the path of a file, which need not exist.
 
     Checked: events come back as they were written, in order, after reopening too; the view is that
     of the events; a second writer is refused with a UserError; a last record cut anywhere is passed
@@ -60,70 +60,71 @@ def check_ledger(open_journal: Callable[[Path], Journal]) -> None:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "run", "ledger.jsonl")
-        _check_events(open_journal, path)
-        _check_one_writer(open_journal, path)
-        _check_torn_tail(open_journal, path)
-        _check_damage(open_journal, path)
+        _check_events(open_ledger, path)
+        _check_one_writer(open_ledger, path)
+        _check_torn_tail(open_ledger, path)
+        _check_damage(open_ledger, path)
 
 
-def _check_events(open_journal: Callable[[Path], Journal], path: Path) -> None:
-    events = _events()
-    with open_journal(path) as journal:
+def _check_events(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
+    events = made_up_events()
+    with open_ledger(path) as ledger:
         for event in events:
-            journal.append(event)
-        assert [line.event for line in journal.lines] == events, "events changed in writing"
-    with open_journal(path) as journal:
-        assert [line.event for line in journal.lines] == events, "events changed in reading"
-        assert [line.seq for line in journal.lines] == list(range(len(events))), "seq must count"
-        best = journal.view.best
+            ledger.append(event)
+        assert [line.event for line in ledger.lines] == events, "events changed in writing"
+    with open_ledger(path) as ledger:
+        assert [line.event for line in ledger.lines] == events, "events changed in reading"
+        assert [line.seq for line in ledger.lines] == list(range(len(events))), "seq must count"
+        best = ledger.view.best
         assert best is not None, "the view lost the incumbent"
         assert best.number == 1, "the view is not that of the events"
 
 
-def _check_one_writer(open_journal: Callable[[Path], Journal], path: Path) -> None:
-    with open_journal(path):
-        assert _refused(open_journal, path), "two writers at once"
-    assert not _refused(open_journal, path), "a ledger that was closed is still held"
+def _check_one_writer(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
+    with open_ledger(path):
+        assert _refused(open_ledger, path), "two writers at once"
+    assert not _refused(open_ledger, path), "a ledger that was closed is still held"
 
 
-def _check_torn_tail(open_journal: Callable[[Path], Journal], path: Path) -> None:
-    whole, events = path.read_bytes(), _events()
+def _check_torn_tail(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
+    whole, events = path.read_bytes(), made_up_events()
     last = whole.rstrip(b"\n").rfind(b"\n") + 1
     step = max((len(whole) - last) // _PLACES, 1)
     for cut in range(last, len(whole), step):
         path.write_bytes(whole[:cut])
-        with open_journal(path) as journal:
-            kept = [line.event for line in journal.lines]
+        with open_ledger(path) as ledger:
+            kept = [line.event for line in ledger.lines]
             assert kept == events[:-1], f"cut {len(whole) - cut} bytes before its end: not repaired"
-            journal.append(events[-1])
-        with open_journal(path) as journal:
-            assert len(journal.lines) == len(events), "the record after a repair was lost"
+            ledger.append(events[-1])
+        with open_ledger(path) as ledger:
+            assert len(ledger.lines) == len(events), "the record after a repair was lost"
     path.write_bytes(whole)
 
 
-def _check_damage(open_journal: Callable[[Path], Journal], path: Path) -> None:
+def _check_damage(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
     whole = path.read_bytes()
     last = whole.rstrip(b"\n").rfind(b"\n") + 1
     for place in range(0, last, max(last // _PLACES, 1)):
         damaged = bytearray(whole)
         damaged[place] ^= 1
         path.write_bytes(damaged)
-        assert _refused(open_journal, path), f"byte {place} was changed and nobody noticed"
+        assert _refused(open_ledger, path), f"byte {place} was changed and nobody noticed"
     first, _, rest = whole.partition(b"\n")
     path.write_bytes(first + b"\n" + rest.partition(b"\n")[2])
-    assert _refused(open_journal, path), "a record was taken out and nobody noticed"
+    assert _refused(open_ledger, path), "a record was taken out and nobody noticed"
     path.write_bytes(whole)
 
 
-def _refused(open_journal: Callable[[Path], Journal], path: Path) -> bool:
+def _refused(open_ledger: Callable[[Path], OpenLedger], path: Path) -> bool:
     try:
-        with open_journal(path):
+        with open_ledger(path):
             return False
     except UserError:
         return True
 
 
-def _events() -> list[Event]:
+def made_up_events() -> list[Event]:
+    """A search with an event of most kinds."""
     fold = FoldScore(0.4, (0.4,), (0.1,), (50.0,), (0.75,))
     score, digest = Score(0.4, (fold, fold)), "0" * 64
     failure = Failure(Reason.CRASH, "Traceback\nValueError: \u03b1 \x07", 1)

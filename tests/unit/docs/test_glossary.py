@@ -80,7 +80,7 @@ def stem(word: str) -> str:
 
 
 def words_of(name: str) -> list[str]:
-    """`FoldRecord` and `fold_record` as words."""
+    """`FoldEvidence` and `fold_record` as words."""
     spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", name)
     spaced = re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", spaced)
     return [w.lower() for w in re.split(r"[\W_\d]+", spaced) if w]

@@ -10,7 +10,7 @@ from asia.ledger import (
     Diagnostics,
     Evaluated,
     Event,
-    FoldRecord,
+    FoldEvidence,
     Proposed,
     RungScored,
     Started,
@@ -58,7 +58,7 @@ def finished_run(directory: Path) -> Path:
     store = Store(directory / "artifacts")
     lock = b"made up\n"
     start = replace(started(), lock_digest=hashlib.sha256(lock).hexdigest())
-    fold = FoldRecord(
+    fold = FoldEvidence(
         *(store.put(name.encode()) for name in ("model", "y_hat", "curve")),
         Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0),
         2.5,

@@ -6,7 +6,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.ledger import Chain, Store, Unsealed, find_run, journal, open_run, results_table, verify
-from asia.ledger import TestRecord as Record
+from asia.ledger import TestedModel as Record
 from asia.ledger._events import adapter
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from asia.errors import UserError
 from asia.ledger import Chain, Event, Steered, Stopped, Store, open_run, read_lines, verify
-from asia.ledger._record import BEGIN, decode, encode
+from asia.ledger._lines import BEGIN, decode, encode
 
 from .conftest import evaluated, finished_run, proposed, score, started
 

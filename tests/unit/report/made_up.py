@@ -17,7 +17,7 @@ from asia.errors import Reason
 from asia.ledger import (
     Chain,
     Evaluated,
-    FoldRecord,
+    FoldEvidence,
     GuardLooked,
     GuardScore,
     Proposed,
@@ -25,7 +25,7 @@ from asia.ledger import (
     Started,
     Stopped,
     Store,
-    TestRecord,
+    TestedModel,
     Unsealed,
 )
 from asia.problem import Budget
@@ -123,7 +123,7 @@ def write_run(
             outcome, arrays = _score(folds, problem, value)
             blank = Diagnostics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             records = tuple(
-                FoldRecord(store.put(b"model"), store.put_arrays(a), store.put(b""), blank, 1.0)
+                FoldEvidence(store.put(b"model"), store.put_arrays(a), store.put(b""), blank, 1.0)
                 for a in arrays
             )
             chain.append(
@@ -179,9 +179,9 @@ def _opened(store: Store, problem: Problem, trajectories: int) -> Unsealed:
     ensemble = [wobble(y, 0.2, 1) for y in measured]
     refit = [wobble(y, 0.25, 2) for y in measured]
 
-    def record(y_hat: list[Array]) -> TestRecord:
+    def record(y_hat: list[Array]) -> TestedModel:
         scores = (score_test(measured, y_hat, rule.metrics[0], rule.skip),)
-        return TestRecord(scores, store.put_arrays(y_hat))
+        return TestedModel(scores, store.put_arrays(y_hat))
 
     return Unsealed(
         experiment=1,

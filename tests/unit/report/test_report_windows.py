@@ -16,19 +16,19 @@ from asia.problem.load import Problem, Seal, load_problem, lock_text
 from asia.protocol import FoldRule, Group, OutputGroup
 from asia.protocol import TestRule as SealedRule
 from asia.report import (
+    ArmCurves,
+    ArmsPicture,
     BenchPictures,
     Curve,
     Level,
     PublishedMee,
-    Side,
-    SidesPicture,
     draw_bench,
     leaderboard,
 )
 from asia.report._pictures.comparison import draw_arms
 from asia.report._pictures.correlation import cross_correlation
 from asia.report._pictures.data import draw_data
-from asia.report._pictures.growth import Growth, Line, Marks, draw_growth
+from asia.report._pictures.growth import ErrorCurve, Growth, Marks, draw_growth
 from asia.report._pictures.standing import draw_standing
 from asia.report._pictures.style import drawing
 from asia.report._pictures.windows import telling
@@ -153,14 +153,14 @@ def test_windows_of_one_length_correlate_as_one_by_one() -> None:
     assert cross_correlation(a, b, 3) == pytest.approx(expected)
 
 
-def make_sides(seeds: int) -> SidesPicture:
+def make_sides(seeds: int) -> ArmsPicture:
     rng = np.random.default_rng(0)
 
     def curve(level: float) -> Curve:
         return Curve((None, *(level * rng.uniform(1, 3, 14)).tolist(), 40.0))
 
     sides = tuple(
-        Side(label, tuple(curve(level) for _ in range(seeds)))
+        ArmCurves(label, tuple(curve(level) for _ in range(seeds)))
         for label, level in (
             ("expert", 0.1),
             ("random, library space", 0.2),
@@ -168,7 +168,7 @@ def make_sides(seeds: int) -> SidesPicture:
         )
     )
     levels = (Level("linear model", 0.39), Level("paper: agentic search, best of 15", 0.25))
-    return SidesPicture("arms", "tanks: expert against random search", sides, levels, "rmse")
+    return ArmsPicture("arms", "tanks: expert against random search", sides, levels, "rmse")
 
 
 def lines_of(figure: Figure, label: str) -> np.ndarray:
@@ -200,8 +200,8 @@ def test_best_so_far() -> None:
 def test_published_errors_beside_ours() -> None:
     marks = tuple(Marks(f"paper {i}", ((10, 0.1 * i), (50, 0.9))) for i in range(1, 5))
     lines = (
-        Line("ensemble", np.linspace(0.01, 0.5, 50)),
-        Line("refit", np.linspace(0.02, 0.6, 50)),
+        ErrorCurve("ensemble", np.linspace(0.01, 0.5, 50)),
+        ErrorCurve("refit", np.linspace(0.02, 0.6, 50)),
     )
     panels = [Growth(name, "Distance [m]", lines, marks) for name in ("p", "v", "R", "omega")]
     with drawing():

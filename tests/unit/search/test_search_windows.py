@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.ledger import TestRecord as Record
+from asia.ledger import TestedModel as Record
 from asia.ledger import open_run, verify
 from asia.problem.load import load_problem
 from asia.search import prepare, search, simulate, unseal

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from asia.report._comparison import Level, Side, SidesPicture
+from asia.report._comparison import ArmCurves, ArmsPicture, Level
 from asia.report._pictures.progress import log_values
 from asia.report._pictures.style import (
     BLUE,
@@ -33,7 +33,7 @@ _COLOURS: Final = (BLUE, ORANGE, GREEN, QUIET)
 _DASHES = ((5.0, 2.5), (1.2, 1.8), (7.0, 2.0, 1.2, 2.0), (2.5, 1.5))
 
 
-def draw_arms(picture: SidesPicture) -> Figure:
+def draw_arms(picture: ArmsPicture) -> Figure:
     """A point each experiment, best so far as a step line: thin for each seed, thick for their
     median, between the lowest and the highest. Points far above are clipped to triangles on the
     edge."""
@@ -56,7 +56,7 @@ def draw_arms(picture: SidesPicture) -> Figure:
     return figure
 
 
-def _scale(axes: Axes, sides: Sequence[Side], levels: Sequence[Level], length: int) -> None:
+def _scale(axes: Axes, sides: Sequence[ArmCurves], levels: Sequence[Level], length: int) -> None:
     steps = [c.best_so_far(length) for s in sides for c in s.curves]
     values = np.concatenate([*steps, np.array([level.value for level in levels])])
     values = values[np.isfinite(values)]
@@ -70,7 +70,7 @@ def _scale(axes: Axes, sides: Sequence[Side], levels: Sequence[Level], length: i
     quiet_grid(axes)
 
 
-def _side(axes: Axes, side: Side, colour: str, length: int, shift: float) -> None:
+def _side(axes: Axes, side: ArmCurves, colour: str, length: int, shift: float) -> None:
     top = axes.get_ylim()[1]
     at = np.arange(1, length + 1)
     for curve in side.curves:

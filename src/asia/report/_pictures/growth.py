@@ -39,7 +39,7 @@ _MARKERS: Final = ("o", "s", "^", "D", "v", "P")
 
 
 @dataclass(frozen=True)
-class Line:
+class ErrorCurve:
     """Error after each sample of the window, (H,)."""
 
     label: str
@@ -60,7 +60,7 @@ class Growth:
 
     title: str
     label: str
-    lines: tuple[Line, ...]
+    lines: tuple[ErrorCurve, ...]
     marks: tuple[Marks, ...] = ()
 
 

@@ -23,7 +23,7 @@ _EDGE = 0.1
 
 
 @dataclass(frozen=True)
-class Cell:
+class PlotWithStrip:
     """A plot, the strip below it, and the lines of the plot's title."""
 
     plot: Axes
@@ -31,7 +31,9 @@ class Cell:
     title_lines: int
 
 
-def arrange(figure: Figure, cells: Sequence[Cell], columns: int, width: float, title: str) -> None:
+def arrange(
+    figure: Figure, cells: Sequence[PlotWithStrip], columns: int, width: float, title: str
+) -> None:
     """Give `figure` its height and all axes their places; width in inches. Cells fill rows from
     the left; the left margin of each column is what its labels need. `title` goes above all."""
     rows = [cells[i : i + columns] for i in range(0, len(cells), columns)]

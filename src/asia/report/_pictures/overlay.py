@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from asia.data import Array, Signal
-from asia.report._pictures.layout import Cell, arrange
+from asia.report._pictures.layout import PlotWithStrip, arrange
 from asia.report._pictures.style import (
     BLUE,
     FAINT,
@@ -84,7 +84,7 @@ def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) ->
     width = WIDTH if columns == 1 else 1.45 * WIDTH
     figure = Figure()
     FigureCanvasAgg(figure)
-    cells: list[Cell] = []
+    cells: list[PlotWithStrip] = []
     for index, (panel, axis) in enumerate(
         zip(panels, _time_axes(panels, sampling_time, words.pieces), strict=True)
     ):
@@ -97,7 +97,7 @@ def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) ->
         plot.tick_params(axis="x", labelbottom=False, length=0)
         if index >= len(panels) - columns:
             strip.set_xlabel(axis.label)
-        cells.append(Cell(plot, strip, title.count("\n") + 1))
+        cells.append(PlotWithStrip(plot, strip, title.count("\n") + 1))
     _legend(figure, panels, words)
     arrange(figure, cells, columns, width, headline(words.title, width))
     return figure

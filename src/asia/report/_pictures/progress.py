@@ -51,7 +51,7 @@ class _Point:
 
 
 @dataclass(frozen=True)
-class _Search:
+class _Points:
     """What is drawn: kept, discarded and off-scale experiments, those on the guard records, numbers
     of the failed ones, rungs as (name, V), and the number of experiments."""
 
@@ -95,7 +95,7 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
     return figure
 
 
-def _gather(view: SearchView, beside: Control | None) -> _Search:
+def _gather(view: SearchView, beside: Control | None) -> _Points:
     rungs = tuple(
         (_RUNG_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
         for r in view.rungs
@@ -109,7 +109,7 @@ def _gather(view: SearchView, beside: Control | None) -> _Search:
     guard = _guarded(view)
     usual = [v for _, v in rungs] + [p.value for p in kept]
     ceiling = _OFF_SCALE * max(usual, default=float("inf"))
-    return _Search(
+    return _Points(
         kept,
         tuple(p for p in others if p.value <= ceiling),
         tuple(p for p in (*others, *guard) if p.value > ceiling),
@@ -148,7 +148,7 @@ def _title(view: SearchView) -> str:
     return f"{head}{link}best {value} (experiment {best.number} of {total})"
 
 
-def _scale(axes: Axes, search: _Search, metric: str) -> None:
+def _scale(axes: Axes, search: _Points, metric: str) -> None:
     axes.set_xlabel("Experiment")
     axes.set_ylabel(v_axis_label(metric))
     axes.set_xlim(0.4, max(search.count, 1) + 0.6)
@@ -171,7 +171,7 @@ def log_values(axes: Axes, low: float, high: float) -> None:
     axes.yaxis.set_minor_locator(NullLocator())
 
 
-def _mark(axes: Axes, search: _Search) -> None:
+def _mark(axes: Axes, search: _Points) -> None:
     edge = blended_transform_factory(axes.transData, axes.transAxes)
     if search.kept:
         x, y = [p.number for p in search.kept], [p.value for p in search.kept]
@@ -247,7 +247,7 @@ def _spread(labels: Sequence[Text], dpi: float) -> None:
         labels[index].set_position((9.0, float(y - middle[index]) * points))
 
 
-def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Search) -> None:
+def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Points) -> None:
     chosen = _most_telling(search.kept)
     texts = [_balanced(plain(p.title, 66), 26) for p in chosen]
     weights = ["bold" if p is search.kept[-1] else "normal" for p in chosen]
@@ -303,7 +303,7 @@ def _most_telling(kept: Sequence[_Point]) -> list[_Point]:
     return [kept[-1], kept[0], *middle][:_MOST_TAGS]
 
 
-def _surroundings(axes: Axes, search: _Search, dpi: float) -> Surroundings:
+def _surroundings(axes: Axes, search: _Points, dpi: float) -> Surroundings:
     frame = axes.get_window_extent()
     to_pixels = axes.transData.transform
     shown = [(p.number, p.value) for p in (*search.kept, *search.discarded, *search.guard)]

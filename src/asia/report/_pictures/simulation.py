@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from asia.data import Array, Signal
-from asia.ledger import Experiment, Run, TestRecord, Unsealed
+from asia.ledger import Experiment, Run, TestedModel, Unsealed
 from asia.problem.load import Problem
 from asia.protocol import Fold, find_metric
 from asia.report._artifacts import fold_outputs, opened_windows
@@ -106,7 +106,7 @@ def _telling_pieces(
     return tuple(pieces)
 
 
-def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: TestRecord) -> Figure:
+def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: TestedModel) -> Figure:
     """Measured, ensemble and refitted model over the test, a panel for each trajectory and output;
     samples that do not count are shaded. A refitted model that failed is left out."""
     if opened.horizon is not None:
@@ -114,7 +114,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: Tes
     shapes = [(length, len(opened.channels)) for length in opened.lengths]
     measured = run.store.get_arrays(opened.measured, shapes)
     ensemble = run.store.get_arrays(ensemble_record.y_hat, shapes)
-    refitted = opened.refit if isinstance(opened.refit, TestRecord) else None
+    refitted = opened.refit if isinstance(opened.refit, TestedModel) else None
     refit = run.store.get_arrays(refitted.y_hat, shapes) if refitted else None
     channels = range(min(len(opened.channels), MOST_PANELS))
     trajectories = range(min(len(shapes), max(1, MOST_PANELS // len(channels))))
@@ -145,11 +145,11 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: Tes
 
 
 def _draw_test_windows(
-    run: Run, problem: Problem, opened: Unsealed, ensemble_record: TestRecord
+    run: Run, problem: Problem, opened: Unsealed, ensemble_record: TestedModel
 ) -> Figure:
     """The best, median and worst window of the whole test, a panel for each output; of many those
     with the lowest fit index."""
-    refitted = opened.refit if isinstance(opened.refit, TestRecord) else None
+    refitted = opened.refit if isinstance(opened.refit, TestedModel) else None
     measured = opened_windows(run, opened, opened.measured)
     ensemble = opened_windows(run, opened, ensemble_record.y_hat)
     refit = opened_windows(run, opened, refitted.y_hat) if refitted else None
@@ -189,7 +189,7 @@ def _test_words(title: str, problem: Problem, opened: Unsealed) -> Words:
 
 def _test_title(
     opened: Unsealed,
-    records: tuple[TestRecord, TestRecord | None],
+    records: tuple[TestedModel, TestedModel | None],
     trajectory: int | None,
     channel: int,
     signal: Signal,

@@ -30,7 +30,7 @@ class Tag:
 
 
 @dataclass(frozen=True)
-class Place:
+class Placement:
     """Lower left corner of a tag, and the end of its leader line on the rim of the box."""
 
     corner: tuple[float, float]
@@ -49,9 +49,9 @@ class Surroundings:
     reach: float
 
 
-def place(tags: Sequence[Tag], around: Surroundings) -> tuple[Place | None, ...]:
+def place(tags: Sequence[Tag], around: Surroundings) -> tuple[Placement | None, ...]:
     """A place for each tag, the first ones served first; None where there is no room."""
-    places: list[Place | None] = []
+    places: list[Placement | None] = []
     boxes, leaders = np.empty((0, 4)), np.empty((0, 4))
     for tag in tags:
         found = _best(tag, around, boxes, leaders)
@@ -62,12 +62,12 @@ def place(tags: Sequence[Tag], around: Surroundings) -> tuple[Place | None, ...]
     return tuple(places)
 
 
-def _box(found: Place, tag: Tag) -> Array:
+def _box(found: Placement, tag: Tag) -> Array:
     x, y = found.corner
     return np.array([x, y, x + tag.size[0], y + tag.size[1]])
 
 
-def _best(tag: Tag, around: Surroundings, boxes: Array, leaders: Array) -> Place | None:
+def _best(tag: Tag, around: Surroundings, boxes: Array, leaders: Array) -> Placement | None:
     anchor = np.array(tag.anchor)
     candidates = _grid(tag, around.frame)
     near = np.clip(anchor, candidates[:, :2], candidates[:, 2:]) - anchor
@@ -93,7 +93,7 @@ def _best(tag: Tag, around: Surroundings, boxes: Array, leaders: Array) -> Place
         cost += _ALONG_LINE * _on_line(point, around.lines)
     chosen = int(np.argmin(cost))
     corner, end = candidates[chosen, :2], ends[chosen]
-    return Place((float(corner[0]), float(corner[1])), (float(end[0]), float(end[1])))
+    return Placement((float(corner[0]), float(corner[1])), (float(end[0]), float(end[1])))
 
 
 def _grid(tag: Tag, frame: tuple[float, float, float, float]) -> Array:

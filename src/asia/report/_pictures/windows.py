@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from asia.data import Array
-from asia.ledger import Experiment, Run, TestRecord, Unsealed
+from asia.ledger import Experiment, Run, TestedModel, Unsealed
 from asia.problem.load import Problem
 from asia.protocol import Fold, OutputGroup
 from asia.report._artifacts import fold_outputs, opened_windows
 from asia.report._comparison import PublishedMee
-from asia.report._pictures.growth import MOST_PANELS, Growth, Line, Marks, draw_growth
+from asia.report._pictures.growth import MOST_PANELS, ErrorCurve, Growth, Marks, draw_growth
 from asia.report._pictures.style import plain, shown
 from asia.scoring import mee_table
 
@@ -43,11 +43,11 @@ def draw_horizon(
     each output where the problem names no groups) and a line for each fold; see `mee_table`."""
     outputs = fold_outputs(run.store, experiment, folds)
     groups = output_groups(problem)
-    lines: dict[str, list[Line]] = {group.name: [] for group in groups}
+    lines: dict[str, list[ErrorCurve]] = {group.name: [] for group in groups}
     for fold, y_hat in zip(folds, outputs, strict=True):
         table = mee_table([b.y for b in fold.validation], y_hat, _names(problem), groups, ())
         for error in table.groups:
-            lines[error.name].append(Line(_fold_name(problem, fold), np.array(error.steps)))
+            lines[error.name].append(ErrorCurve(_fold_name(problem, fold), np.array(error.steps)))
     panels = tuple(
         Growth(group.name, distance_label(problem, group), tuple(lines[group.name]))
         for group in groups
@@ -61,7 +61,7 @@ def draw_test_horizon(
     run: Run,
     problem: Problem,
     opened: Unsealed,
-    ensemble: TestRecord,
+    ensemble: TestedModel,
     published: Sequence[PublishedMee] = (),
     caption: str = "",
 ) -> Figure:
@@ -69,14 +69,14 @@ def draw_test_horizon(
     refitted model and published errors, which `caption` explains."""
     groups = output_groups(problem)
     models = [(f"ensemble of {problem.protocol.folds.count} fold models", ensemble)]
-    if isinstance(opened.refit, TestRecord):
+    if isinstance(opened.refit, TestedModel):
         models.append(("refitted on all training data", opened.refit))
     measured = opened_windows(run, opened, opened.measured)
-    lines: dict[str, list[Line]] = {group.name: [] for group in groups}
+    lines: dict[str, list[ErrorCurve]] = {group.name: [] for group in groups}
     for label, model in models:
         y_hat = opened_windows(run, opened, model.y_hat)
         for error in mee_table(measured, y_hat, _names(problem), groups, ()).groups:
-            lines[error.name].append(Line(label, np.array(error.steps)))
+            lines[error.name].append(ErrorCurve(label, np.array(error.steps)))
     panels = tuple(
         Growth(
             group.name,

@@ -38,7 +38,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Place:
+class Position:
     """Between two records: how many come before it, in how many bytes, and the digest of the
     last of them."""
 
@@ -46,15 +46,15 @@ class Place:
     offset: int = 0
     head: str = GENESIS
 
-    def behind(self, raw: bytes) -> Place:
+    def behind(self, raw: bytes) -> Position:
         """The place after one more record."""
-        return Place(self.seq + 1, self.offset + len(raw), _digests(raw)[1])
+        return Position(self.seq + 1, self.offset + len(raw), _digests(raw)[1])
 
 
-BEGIN = Place()
+BEGIN = Position()
 
 
-def encode(place: Place, event: Event) -> bytes:
+def encode(place: Position, event: Event) -> bytes:
     """The record of an event that comes at `place`, newline included."""
     body: dict[str, Any] = {
         "seq": place.seq,
@@ -82,7 +82,9 @@ def decode(raw: bytes, seq: int, where: str) -> Line:
         ) from None
 
 
-def scan(stream: BufferedReader, where: str, place: Place = BEGIN) -> Iterator[tuple[Place, bytes]]:
+def scan(
+    stream: BufferedReader, where: str, place: Position = BEGIN
+) -> Iterator[tuple[Position, bytes]]:
     """Every whole record from `place` on, checked, with the place behind it.
 
     A torn last record, left by a crash or being written, is passed over. Raises UserError that
@@ -104,7 +106,7 @@ def scan(stream: BufferedReader, where: str, place: Place = BEGIN) -> Iterator[t
                 f"{where}: record {place.seq} does not follow the one before it: records were "
                 "removed, added or put in another order"
             )
-        place = Place(place.seq + 1, place.offset + len(raw), head)
+        place = Position(place.seq + 1, place.offset + len(raw), head)
         yield place, raw
 
 

@@ -1,0 +1,112 @@
+"""Sinks: the suite, and that a search neither stops nor changes with them."""
+
+from pathlib import Path
+
+import pytest
+
+import asia
+from asia.errors import UserError
+from asia.ledger import Evaluated, Event, SearchView, Stopped
+from asia.search._sinks import Sinks, find_sink, open_sinks
+from asia.testing import check_sink
+from tests.unit.made_up_parts import installed
+from tests.unit.search.toy import Scripted, arx, write_problem
+
+SOURCE = """
+class Lines:
+    def __init__(self, directory, view):
+        self.file = (directory / "events.txt").open("a")
+
+    def event(self, event, view):
+        print(event.event, file=self.file, flush=True)
+
+    def close(self):
+        self.file.close()
+
+nothing = 3
+"""
+
+
+class Kept:
+    """Keeps what it is given."""
+
+    def __init__(self, directory: Path, view: SearchView) -> None:
+        self.events: list[Event] = []
+        self.views, self.closed = [view], False
+
+    def event(self, event: Event, view: SearchView) -> None:
+        self.events.append(event)
+        self.views.append(view)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Broken(Kept):
+    def event(self, event: Event, view: SearchView) -> None:
+        raise OSError("no such host")
+
+    def close(self) -> None:
+        raise ValueError("not open")
+
+
+def broken_at_once(directory: Path, view: SearchView) -> Kept:
+    raise OSError("no such host")
+
+
+def test_the_suite() -> None:
+    check_sink(Kept)
+    for broken in (Broken, broken_at_once):
+        with pytest.raises(AssertionError, match="no such host"):
+            check_sink(broken)
+
+
+def test_a_sink_that_writes_into_the_ledger_fails_the_suite() -> None:
+    class Writing(Kept):
+        def __init__(self, directory: Path, view: SearchView) -> None:
+            super().__init__(directory, view)
+            with (directory / "ledger.jsonl").open("a") as file:
+                file.write("{}\n")
+
+    with pytest.raises(AssertionError, match="ledger was changed"):
+        check_sink(Writing)
+
+
+def test_a_search_goes_to_every_sink_and_a_broken_one_is_reported_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept: list[Kept] = []
+
+    def keep(directory: Path, view: SearchView) -> Kept:
+        kept.append(Kept(directory, view))
+        return kept[-1]
+
+    problem = write_problem(tmp_path / "toy", experiments=2)
+    run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", sinks=[Broken, keep])
+    (sink,) = kept
+    assert sink.closed
+    assert sink.events == [line.event for line in run.lines][1:]
+    assert [type(e) for e in sink.events].count(Evaluated) == 2
+    assert any(isinstance(e, Stopped) for e in sink.events)
+    assert run.view.started.salt
+    assert {view.started.salt for view in sink.views} == {""}
+    said = capsys.readouterr().err
+    assert said == "sink Broken failed, the search goes on: OSError: no such host\n"
+
+
+def test_sinks_are_found_by_name_and_by_module(tmp_path: Path) -> None:
+    points = "[asia.sinks]\nlines = made_up_sink:Lines\nnothing = made_up_sink:nothing\n"
+    with installed(tmp_path, "made_up_sink", SOURCE, points):
+        check_sink(find_sink("lines"))
+        assert find_sink("lines") is find_sink("made_up_sink:Lines")
+        with pytest.raises(UserError, match=r"'line'.*did you mean 'lines'"):
+            open_sinks(tmp_path, ["line"])
+        with pytest.raises(UserError, match="is 3, expected a class"):
+            find_sink("nothing")
+
+
+def test_without_sinks_nothing_is_added(tmp_path: Path) -> None:
+    seen: list[object] = []
+    with Sinks(tmp_path, {}) as sinks:
+        sinks.after_event(lambda event, view: seen.append(event))
+    assert seen == []
