@@ -5,10 +5,13 @@ from __future__ import annotations
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from asia.ledger import Chain, SearchView
-from asia.search import OpenSink, Sink
 from asia.testing._ledger import made_up_events
+
+if TYPE_CHECKING:
+    from asia.search import OpenSink, Sink
 
 
 def check_sink(open_sink: OpenSink) -> None:
