@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from asia.cli import app
-from asia.redteam import OFF, Finding, Verdict
+from asia.redteam import ATTACKS, OFF, Finding, Verdict
 from asia.sandbox import Isolation, why_not
 
 WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
@@ -67,7 +67,7 @@ def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--attack", "99"], "there are attacks 1 to 36"),
+        (["--attack", "999"], f"there are attacks 1 to {len(ATTACKS)}"),
         (["--level", "bunker"], "expected one of namespace, landlock, process"),
         (["--without", "namespaces"], "is level landlock"),
         (["--without", "moat"], "expected each, or some of landlock, seccomp, rlimits"),

@@ -40,10 +40,10 @@ def summary(report: Report, seconds: float) -> str:
     count = len(report.plan.attacks)
     parts = [f"{report.stopped} of {count} blocked or flagged"] if count else []
     if report.honest:
-        families = len({one.family for one in report.honest})
-        alarms = "false alarm" if report.false_alarms == 1 else "false alarms"
-        tried = f"{families} families ({len(report.honest)} honest candidates)"
-        parts.append(f"{report.false_alarms} {alarms} over {tried}")
+        alarms = _counted(report.false_alarms, "false alarm")
+        families = _counted(len({one.family for one in report.honest}), "family", "families")
+        candidates = _counted(len(report.honest), "honest candidate")
+        parts.append(f"{alarms} over {families} ({candidates})")
         missed = [f"{one.family}, {one.failure}" for one in report.unchecked]
         parts += [f"{len(missed)} not checked: {'; '.join(missed)}"] if missed else []
     if report.plan.prove:
@@ -64,6 +64,10 @@ def line(result: Finding | Honest, names: dict[int, str]) -> str:
     stops = f" by {', '.join(result.stops)}" if result.stops else ""
     note = f" ({result.note})" if result.note else ""
     return head + _word(result) + stops + note
+
+
+def _counted(number: int, one: str, many: str = "") -> str:
+    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def _word(finding: Finding) -> str:
