@@ -46,7 +46,7 @@ class Arena:
         self.context = Context((Signal("u"),), (Signal("y"),), 1.0, 4, 4)
 
     def filled(self, source: str) -> str:
-        """The source with what it is told."""
+        """The source with what it receives."""
         return source.replace("GIVEN", repr({"MARK": self.mark})).replace("CRUDE", "(0.5, 0.5)")
 
     def run(

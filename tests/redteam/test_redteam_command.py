@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from asia.cli import app
-from asia.redteam import ATTACKS, OFF, Finding, Verdict
+from asia.redteam import ATTACKS, OFF, AttackVerdict, Finding
 from asia.sandbox import Isolation, why_not
 
 WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
@@ -39,7 +39,7 @@ def test_the_command_prints_a_table_and_a_verdict():
 def test_the_command_fails_when_something_gets_through(monkeypatch):
     from asia.redteam import _suite
 
-    finding = Finding(2, str(ONE_LEVEL), Verdict.THROUGH, (), "done")
+    finding = Finding(2, str(ONE_LEVEL), AttackVerdict.THROUGH, (), "done")
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level: finding)
     done = run("--attack", "2", "--level", str(ONE_LEVEL), "--no-prove", "--json")
     assert done.exit_code == 1
@@ -53,8 +53,8 @@ def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
     from asia import redteam
     from asia.redteam import _suite
 
-    blocked = Finding(2, str(ONE_LEVEL), Verdict.BLOCKED, ("landlock",), "")
-    clumsy = Finding(2, OFF, Verdict.BLOCKED, ("parent",), "no score")
+    blocked = Finding(2, str(ONE_LEVEL), AttackVerdict.BLOCKED, ("landlock",), "")
+    clumsy = Finding(2, OFF, AttackVerdict.BLOCKED, ("parent",), "no score")
     monkeypatch.setattr(redteam, "why_no_outer", lambda: None)
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level: blocked)
     monkeypatch.setattr(_suite, "inside", lambda job, nested: iter([clumsy]))

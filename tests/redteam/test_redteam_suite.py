@@ -17,13 +17,13 @@ from asia.redteam import (
     ATTACKS,
     OFF,
     Attack,
+    AttackVerdict,
+    Barrier,
     CandidateAttack,
     Finding,
-    Honest,
-    Plan,
-    Report,
-    Stop,
-    Verdict,
+    HonestFinding,
+    RedTeamPlan,
+    RedTeamReport,
     honest_plan,
     line,
     report_table,
@@ -34,9 +34,9 @@ from asia.redteam import (
 from asia.redteam._arena import attack_candidate
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
 from asia.redteam._interruption import Interruption
-from asia.redteam._types import ANY_LEVEL, Seen
+from asia.redteam._types import ANY_LEVEL, Observed
 from asia.redteam.attacks.source import candidate
-from asia.redteam.evidence.success import better, reached
+from asia.redteam.evidence.signs_of_success import a_step_succeeded, scores_better
 from asia.redteam.evidence.targets import targets
 from asia.redteam.evidence.traces import Traces
 from asia.redteam.evidence.verdict import conclude
@@ -60,7 +60,7 @@ def arx(problem: HonestProblem) -> Family:
 
 
 @pytest.fixture(scope="module")
-def honest() -> Honest:
+def honest() -> HonestFinding:
     """One honest candidate, tried."""
     if ONE_LEVEL is None:
         pytest.skip("no level keeps intent in here")
@@ -70,19 +70,19 @@ def honest() -> Honest:
 
 def one_of_each_kind() -> tuple[Attack, ...]:
     """For everything that stops attacks the first attack that it stops."""
-    firsts = {min((a.number for a in ATTACKS if stop in a.stops), default=0) for stop in Stop}
+    firsts = {min((a.number for a in ATTACKS if stop in a.stops), default=0) for stop in Barrier}
     return tuple(attack for attack in ATTACKS if attack.number in firsts)
 
 
 @pytest.fixture(scope="module", params=["each kind", pytest.param("all", marks=pytest.mark.slow)])
-def report(request: pytest.FixtureRequest) -> Report:
+def report(request: pytest.FixtureRequest) -> RedTeamReport:
     """Attacks at the levels that work here, and with isolation off: all of both in the slow tier,
     one attack of each kind at the strongest level otherwise."""
     if ONE_LEVEL is None:
         pytest.skip("no level keeps intent in here")
     whole = request.param == "all"
     levels, attacks = (WORKING, ATTACKS) if whole else ((ONE_LEVEL,), one_of_each_kind())
-    return run_suite(Plan(levels, attacks, prove=NO_OUTER is None))
+    return run_suite(RedTeamPlan(levels, attacks, prove=NO_OUTER is None))
 
 
 def test_the_attacks_are_numbered_from_1_on_without_a_gap():
@@ -108,7 +108,7 @@ def test_every_attack_is_stopped_by_what_was_expected(report):
     expected = {attack.number: {*map(str, attack.stops)} for attack in report.plan.attacks}
     stopped = [f for f in report.findings if f.level != OFF]
     assert [f for f in stopped if not {*f.stops} <= expected[f.number]] == []
-    by_lint = {number for number, stops in expected.items() if str(Stop.LINT) in stops}
+    by_lint = {number for number, stops in expected.items() if str(Barrier.LINT) in stops}
     assert {f.number for f in stopped if "literal_data" in f.note} == by_lint != set()
 
 
@@ -178,9 +178,11 @@ def test_a_candidate_that_really_is_better_counts_as_through():
     """A better model is what a successful cheat looks like from outside."""
     saturated = "honest(2 * np.tanh(past_u), past_y, 2 * np.tanh(u))"
     source = candidate(after=saturated, top="POLE, GAIN = 0.75, 0.25")
-    attack = CandidateAttack(1, "better", "is better", {"": source}, better, (Stop.PARENT,))
+    attack = CandidateAttack(
+        1, "better", "is better", {"": source}, scores_better, (Barrier.PARENT,)
+    )
     finding = attack_candidate(attack, ONE_LEVEL)
-    assert finding.verdict is Verdict.THROUGH
+    assert finding.verdict is AttackVerdict.THROUGH
     assert "honest" in finding.note
 
 
@@ -188,7 +190,7 @@ def test_a_candidate_that_really_is_better_counts_as_through():
 def test_what_is_left_behind_counts_as_through(monkeypatch):
     monkeypatch.setattr(Traces, "survivors", lambda self: ("process 1",))
     finding = attack_candidate(CANDIDATES[0], ONE_LEVEL)
-    assert finding.verdict is Verdict.THROUGH
+    assert finding.verdict is AttackVerdict.THROUGH
     assert "left behind" in finding.note
 
 
@@ -294,7 +296,7 @@ def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
     found = try_honest(late, row, ONE_LEVEL, Interruption())
     assert (found.flagged, found.failure) == (False, Reason.FIT_TIMEOUT)
     assert "NOT CHECKED" in line(found, {})
-    small = Report(Plan((ONE_LEVEL,), (), False, ((late, row),)), (), (found,))
+    small = RedTeamReport(RedTeamPlan((ONE_LEVEL,), (), False, ((late, row),)), (), (found,))
     words = "0 false alarms over 1 family (1 honest candidate), 1 not checked: arx, fit_timeout"
     assert summary(small, 1.0) == f"{words} (1 s)"
     assert not small.passed
@@ -321,14 +323,14 @@ def test_every_family_is_among_the_honest():
 
 
 def test_findings_come_back_from_the_outer_sandbox_as_they_were():
-    finding = Finding(3, "namespace", Verdict.BLOCKED, ("landlock",), "EACCES", ("seccomp",))
+    finding = Finding(3, "namespace", AttackVerdict.BLOCKED, ("landlock",), "EACCES", ("seccomp",))
     assert read_finding(write_finding(finding)) == finding
 
 
 @needs_outer
 def test_a_process_may_do_what_its_user_may():
     chosen = tuple(a for a in ATTACKS if a.number in (1, 5, 13))
-    found = run_suite(Plan((Isolation.PROCESS,), chosen, prove=False))
+    found = run_suite(RedTeamPlan((Isolation.PROCESS,), chosen, prove=False))
     assert {f.number for f in found.findings if f.through} == {5, 13}
     assert found.stopped == 1
     assert not found.passed
@@ -337,8 +339,8 @@ def test_a_process_may_do_what_its_user_may():
 
 def test_steps_are_blamed_on_the_layer_in_force():
     attack = next(a for a in CANDIDATES if a.number == 13)
-    seen = Seen(value=1.0, honest=1.0, steps={"fork": "EPERM", "spawn": "EACCES"})
-    walls = conclude(attack, "", seen, [Layer.SECCOMP, Layer.LANDLOCK], reached)
+    seen = Observed(value=1.0, honest=1.0, steps={"fork": "EPERM", "spawn": "EACCES"})
+    walls = conclude(attack, "", seen, [Layer.SECCOMP, Layer.LANDLOCK], a_step_succeeded)
     assert walls.stops == ("seccomp", "landlock")
-    assert walls.verdict is Verdict.BLOCKED
-    assert conclude(attack, "", seen, [], reached).stops == ("kernel",)
+    assert walls.verdict is AttackVerdict.BLOCKED
+    assert conclude(attack, "", seen, [], a_step_succeeded).stops == ("kernel",)

@@ -18,7 +18,7 @@ from asia.cli._options.shared import MORE, Json
 from asia.errors import UserError
 
 if TYPE_CHECKING:
-    from asia.redteam import Attack, Finding, Honest, Plan
+    from asia.redteam import Attack, Finding, HonestFinding, RedTeamPlan
     from asia.sandbox import Isolation, Layer
 
 LISTS = ("--level", "--attack", "--without", "--honest-on")
@@ -81,7 +81,7 @@ def redteam(
         _refuse("--honest-on", others, "tries every family on its problems, and no attack")
     elif attack:
         _refuse("--attack", (("--quick", quick),), "leaves the honest candidates out")
-    from asia.redteam import Plan, honest_plan, problem_named, why_no_outer
+    from asia.redteam import RedTeamPlan, honest_plan, problem_named, why_no_outer
 
     levels = _levels(level)
     missing = why_no_outer()
@@ -91,10 +91,10 @@ def redteam(
     if honest_on:
         problems = [problem_named(name) for name in honest_on]
         honest, chosen = tuple((p, row) for p in problems for row in p.families), ()
-    _run(Plan(levels, chosen, prove and missing is None and bool(chosen), honest), json)
+    _run(RedTeamPlan(levels, chosen, prove and missing is None and bool(chosen), honest), json)
 
 
-def _run(plan: Plan, json: bool) -> None:
+def _run(plan: RedTeamPlan, json: bool) -> None:
     from asia.redteam import report_table, run_suite, summary
 
     begin, names = time.monotonic(), {a.number: a.name for a in plan.attacks}
@@ -172,7 +172,7 @@ def _one_interrupt() -> Generator[None]:
             signal.signal(one, handler)
 
 
-def _tell(result: Finding | Honest, names: dict[int, str], json: bool) -> None:
+def _tell(result: Finding | HonestFinding, names: dict[int, str], json: bool) -> None:
     from asia.redteam import line
 
     print(line(result, names), file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""Requests as they were scored, and what is made of them to see whether a model is one."""
+"""Scored requests, and the changed requests that test whether a model is one."""
 
 from __future__ import annotations
 
@@ -17,22 +17,26 @@ _MOTION = 3
 
 @dataclass(frozen=True)
 class CaseBatch:
-    """One request: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu); y and y_hat
-    (B, H, ny) are what was measured and what was answered. Of the rows the first `count` are cases,
-    the others repeat the first."""
+    """One request and its answer."""
 
     past_u: Array
+    """Past inputs, (B, n_past_u, nu)."""
     past_y: Array
+    """Past outputs, (B, n_past_y, ny)."""
     u: Array
+    """Inputs, (B, H, nu)."""
     y: Array
+    """Measured outputs, (B, H, ny)."""
     y_hat: Array
+    """Simulated outputs, (B, H, ny)."""
     count: int
+    """How many rows are cases; those after them repeat the first."""
 
     def moved(
         self, size: float, scale: Array, random: np.random.Generator
     ) -> tuple[CaseBatch, CaseBatch]:
-        """All that is given, moved up or down by `size` standard deviations, at random; and moved
-        the opposite way."""
+        """Inputs and past window moved up or down at random by `size` standard deviations; and
+        moved the opposite way."""
         spread = self.u.std(axis=(0, 1))
         spread = np.where(spread > 0, spread, np.abs(self.u).max(axis=(0, 1)))
         given = (self.past_u, spread), (self.past_y, scale), (self.u, spread)
@@ -45,8 +49,8 @@ class CaseBatch:
         return shifted(1.0), shifted(-1.0)
 
     def spliced(self) -> tuple[CaseBatch, int]:
-        """The inputs of each case up to half its length, then those of the next one; a case that is
-        alone goes on with its own beginning. The sample of the splice."""
+        """The inputs of each case up to half its length, then those of the next one; a single case
+        continues with its own beginning. Also returns the sample of the splice."""
         place = self.u.shape[1] // 2
         u = self.u.copy()
         if self.count > 1:
@@ -60,10 +64,10 @@ class CaseBatch:
         return replace(self, past_u=self.past_u[::-1], past_y=self.past_y[::-1], u=self.u[::-1])
 
     def later_starts(self, number: int, scale: Array) -> Iterator[tuple[CaseBatch, list[int]]]:
-        """The same records from so many later starts in the first half, and the sample of each
-        row's start. Where the past window does not hold the whole state, a start at rest is worth
-        more than one in motion: in each part of the first half that sample is taken at which the
-        outputs move most nearly as fast as at the start. Inputs end with the last one held."""
+        """The same stretches from `number` later starts in the first half, with the sample of each
+        row's start. A past window that does not hold the whole state gives a better start at rest
+        than in motion. Each part of the first half therefore gives the sample at which the outputs
+        move most nearly as fast as at the scored start. After the last input it is held."""
         motion = self._motion(scale)
         half = self.u.shape[1] // 2
         for part in np.array_split(np.arange(1, half + 1), number):

@@ -37,46 +37,60 @@ _MOST_LEFT_BEHIND = 3
 
 @dataclass(frozen=True)
 class FoldResult:
-    """What one fold left behind. `model` is opaque; `y_hat` holds one (H, ny) array a held-out
-    block; `curve` (n, 2) is step and loss as logged by the candidate; `seconds` is its fit;
-    `validation_scores` is how often it was told its score on the held-out part."""
+    """What the evaluation of one fold gives."""
 
     score: FoldScore
+    """The errors on the held-out part."""
     model: bytes
+    """The fitted model; never parsed outside a sandbox."""
     y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each held-out block."""
     curve: Array
+    """Step and loss as logged by the candidate, (n, 2)."""
     diagnostics: Diagnostics
+    """Residuals on the training records."""
     seconds: float
+    """How long the fit took."""
     validation_scores: int = 0
+    """How often the candidate asked for its score on the held-out part."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Outcome of one candidate; `folds` is empty where one of them failed. `output` is what the
-    candidate printed while fitting, capped and stripped. `validation_scores` counts those of all
-    folds, failed ones too."""
+    """The evaluation of one candidate."""
 
     outcome: Outcome
+    """Its score, or why it failed."""
     folds: tuple[FoldResult, ...] = ()
+    """The results of all folds; empty if one of them failed."""
     output: str = ""
+    """What it printed during the first fold's fit, capped and stripped."""
     validation_scores: int = 0
+    """How often it asked for its score on held-out parts, in all folds, failed ones included."""
 
 
 @dataclass(frozen=True)
 class Refit:
-    """A candidate fitted on all training records: the opaque model, or why there is none; and what
-    came of fold `fold` (from 1) fitted a second time."""
+    """A candidate fitted on all training records, and on one fold a second time."""
 
     model: bytes | CandidateError
+    """The model fitted on all training records, or why there is none."""
     fold: int
+    """The number of the fold that was fitted again, from 1."""
     again: FoldResult | Failure
+    """The result of that second fit."""
 
 
 @dataclass(frozen=True)
 class _FoldEnd:
+    """How the evaluation of one fold ended, also where it failed."""
+
     result: FoldResult | Failure
+    """The result, or why there is none."""
     output: str
+    """What the candidate printed."""
     validation_scores: int
+    """How often it asked for its score on the held-out part."""
 
 
 def derive_seed(root: int, *parts: object) -> int:
@@ -99,7 +113,8 @@ class Evaluator:
         executor: Executor,
         salt: str = "",
     ) -> None:
-        """salt: what no candidate or agent knows, so that none knows which cases are checked."""
+        """salt: a text that no candidate or agent knows, so that none can predict which cases are
+        checked."""
         self.folds = tuple(folds)
         self.horizon = rule.horizon
         self._records = tuple(records)
@@ -135,8 +150,9 @@ class Evaluator:
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
-        same as the worker that fitted it, and answers like a model (see `suspicions`). RESTART, the
-        one that hangs on held-out outputs, only where nothing else is wrong in any fold."""
+        same as the worker that fitted it, and answers like a model (see `suspicions`). RESTART
+        depends on held-out outputs: it is the reason only if no other relation fails in any fold.
+        """
         jobs = [partial(self._doubt, source, f, r) for f, r in zip(self.folds, folds, strict=True)]
         try:
             found = [f for f in self._run(jobs) if f is not None]

@@ -1,8 +1,8 @@
-"""Metamorphic checks: cases whose answers are known to hang together, whatever the model.
+"""Metamorphic checks: relations that hold between the answers of any model of a dynamical system.
 
-A lookup table in a model of a dynamical system answers the cases it was made for, and gives itself
-away next to them. Relations between answers need no threshold on how good a model may be (Chen et
-al., ACM Computing Surveys 51(1), 2018).
+A lookup table answers the cases it was made for and fails on cases close to them. Relations between
+answers need no threshold on how good a model may be (Chen et al., ACM Computing Surveys 51(1),
+2018).
 """
 
 from __future__ import annotations
@@ -46,13 +46,16 @@ class SuspicionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Suspicion:
-    """A relation that a model breaks, in words without a number, and by how much: in standard
-    deviations of the outputs, for `restart` the error from other starting points over that from the
-    scored one. Agents are told the words alone: a figure would carry held-out data out."""
+    """A relation that a model breaks."""
 
     kind: SuspicionKind
+    """The relation."""
     words: str
+    """How it is broken, without a number. Agents receive the words alone: a figure would carry
+    held-out data out."""
     figure: float
+    """By how much, in standard deviations of the outputs; for `restart` the error from later starts
+    over the error from the scored one."""
 
 
 class CaseSimulator(Protocol):
@@ -108,13 +111,17 @@ class _RequestCheck:
     """The relations on one request."""
 
     simulator: CaseSimulator
+    """What answers."""
     batch: CaseBatch
+    """The request and its scored answer."""
     scale: Array
+    """Standard deviations of the outputs, (ny,)."""
     random: np.random.Generator
+    """Draws the signs of perturbations."""
 
     def perturbation(self) -> Suspicion | None:
-        """Answers next to the scored case must lie about as near to its answer as to each other,
-        and none may jump from the first sample on: chaos needs time to grow."""
+        """Answers to two cases close to the scored one must lie about as near to its answer as to
+        each other, and none may jump from the first sample on: chaos needs time to grow."""
         there, back = self.batch.moved(TINY, self.scale, self.random)
         first, second = self._ask(there), self._ask(back)
         if first is None or second is None:
@@ -134,7 +141,7 @@ class _RequestCheck:
         return Suspicion(SuspicionKind.PERTURBATION, words, least)
 
     def table(self) -> Suspicion | None:
-        """An output that moves in time and hangs on nothing it was given is read off somewhere."""
+        """Outputs that move in time but depend on no input and no past output are stored data."""
         near = self._ask(self.batch.moved(COARSE, self.scale, self.random)[0])
         if near is None:
             return None
@@ -148,7 +155,7 @@ class _RequestCheck:
         return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
 
     def causality(self) -> Suspicion | None:
-        """Up to a splice the answer is that to the first half."""
+        """Up to the splice, the answer to the spliced case is that to the scored one."""
         spliced, place = self.batch.spliced()
         answer = self._ask(spliced)
         if answer is None:
@@ -160,8 +167,8 @@ class _RequestCheck:
         return Suspicion(SuspicionKind.CAUSALITY, words, change)
 
     def order(self) -> Suspicion | None:
-        """Cases do not know their neighbours in a request. Rounding may differ from row to row,
-        and grow, so that the change has to be there from the start, or everywhere."""
+        """The answer to a case does not depend on the other cases of its request. Rounding may
+        differ from row to row, and grow: a change counts only if it is there from the start on."""
         if self.batch.count < 2:
             return None
         answer = self._ask(self.batch.reversed())
@@ -175,7 +182,7 @@ class _RequestCheck:
         return Suspicion(SuspicionKind.ORDER, words, middle)
 
     def replay(self) -> Suspicion | None:
-        """Nothing that was asked in between is remembered."""
+        """The answer to a case does not depend on the requests before it."""
         answer = self._ask(self.batch)
         change = np.inf if answer is None else float(self._apart(answer, self.batch.y_hat).max())
         if change <= _SAME:

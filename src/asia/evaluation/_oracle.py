@@ -14,7 +14,7 @@ from asia.protocol import Fold, ProtocolRule
 from asia.sandbox import ScoreRefusedError, Worker
 from asia.scoring import score_fold
 
-MOST_TOLD = 100.0
+LARGEST_SCORE = 100.0
 
 
 @dataclass
@@ -23,17 +23,23 @@ class Oracle:
     manager.
 
     Models are simulated in a worker of their own, opened for the first of them and kept for all:
-    the worker that trains never receives a case, and targets stay in the parent. `calls`: scores
-    given so far, of `most`.
+    the worker that trains never receives a case, and targets stay in the parent.
     """
 
     open_worker: Callable[[], AbstractContextManager[Worker]]
+    """Starts the worker that simulates."""
     source: str
+    """The candidate."""
     context: Context
+    """The context of its fit."""
     fold: Fold
+    """The fold on whose held-out part models are scored."""
     rule: ProtocolRule
+    """How they are scored."""
     most: int = VALIDATION_SCORES
+    """How many scores a fit may ask for."""
     calls: int = 0
+    """How many it has asked for."""
     _worker: Worker | None = None
     _stack: ExitStack = field(default_factory=ExitStack)
 
@@ -44,9 +50,9 @@ class Oracle:
         self._stack.close()
 
     def __call__(self, model: bytes, deadline: float) -> float:
-        """The normalised metric as `told`; inf where the simulation is not finite, as it may well
-        be before a fit has settled. Raises CandidateError for any other failure of the model, and
-        ScoreRefusedError after `most` calls."""
+        """The normalised metric as `rounded_score` gives it; inf where the simulation is not
+        finite, as it may well be before a fit has settled. Raises CandidateError for any other
+        failure of the model, and ScoreRefusedError after `most` calls."""
         if self.calls >= self.most:
             raise ScoreRefusedError(
                 f"validation_score was called {self.most} times, all that a fit may: "
@@ -69,10 +75,10 @@ class Oracle:
         blocks = self.fold.validation
         y_hat = simulate_held_out(self._worker, blocks, self.rule.horizon)
         score = score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric)
-        return told(score.value)
+        return rounded_score(score.value)
 
 
-def told(value: float) -> float:
-    """What a candidate is told of a score: four digits, and inf beyond any of use. A score in full
-    would carry the held-out outputs out, a few digits a question."""
-    return float(f"{value:.3e}") if value < MOST_TOLD else float("inf")
+def rounded_score(value: float) -> float:
+    """A score as a candidate receives it: four digits, and inf where it is too large to be of use.
+    All digits of many scores would reveal the held-out outputs."""
+    return float(f"{value:.3e}") if value < LARGEST_SCORE else float("inf")

@@ -1,4 +1,4 @@
-"""Trivial references every search reports, so that a V has something to stand beside."""
+"""Simple references that every search scores, to compare V with."""
 
 from __future__ import annotations
 
@@ -37,17 +37,19 @@ def fit(trajectories, context):
 
 @dataclass(frozen=True)
 class Rung:
-    """A named reference and its outcome."""
+    """A simple reference, scored."""
 
     name: str
+    """What it is called."""
     outcome: Outcome
+    """Its score, or why it failed."""
 
 
 def score_rungs(
     evaluator: Evaluator, metric: str, truth: Sequence[Array] | None, known: Set[str]
 ) -> Iterator[Rung]:
     """Training mean, last output held, for windows constant velocity where the past window or
-    another output tells one, best linear model; for simulated problems also the noise-free truth,
+    another output gives one, best linear model; for simulated problems also the noise-free truth,
     whose V is the noise floor. truth: one (T, ny) array a training record. Names in `known` are
     passed over."""
     folds = evaluator.folds
@@ -83,7 +85,7 @@ def _last_output(fold: Fold, block: Block) -> Array:
 
 
 def _moving(evaluator: Evaluator) -> Callable[[Fold, Block], Array] | None:
-    """Simulation at constant velocity, None where nothing tells one: in long simulations, without
+    """Simulation at constant velocity, None where nothing gives one: in long simulations, without
     past outputs, and where one past output is all and no output is another's rate."""
     horizon, folds = evaluator.horizon, evaluator.folds
     past = len(folds[0].validation[0].case.past_y)

@@ -5,8 +5,8 @@ Shipped, so that everybody can try them on their own machine: `asia redteam`.
 
 from asia.redteam._honest import problem_named
 from asia.redteam._suite import (
-    Plan,
-    Report,
+    RedTeamPlan,
+    RedTeamReport,
     each_layer,
     honest_plan,
     run_suite,
@@ -15,12 +15,12 @@ from asia.redteam._suite import (
 from asia.redteam._table import line, report_table, summary, without_table
 from asia.redteam._types import (
     Attack,
+    AttackVerdict,
+    Barrier,
     CandidateAttack,
     Finding,
-    Honest,
+    HonestFinding,
     SearchAttack,
-    Stop,
-    Verdict,
 )
 from asia.redteam.attacks.table import ATTACKS
 from asia.redteam.outside.outer_sandbox import why_no_outer
@@ -30,14 +30,14 @@ __all__ = [
     "ATTACKS",
     "OFF",
     "Attack",
+    "AttackVerdict",
+    "Barrier",
     "CandidateAttack",
     "Finding",
-    "Honest",
-    "Plan",
-    "Report",
+    "HonestFinding",
+    "RedTeamPlan",
+    "RedTeamReport",
     "SearchAttack",
-    "Stop",
-    "Verdict",
     "each_layer",
     "honest_plan",
     "line",

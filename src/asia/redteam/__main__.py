@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from asia.redteam._arena import attack_candidate
-from asia.redteam._types import Attack, CandidateAttack, Finding, Verdict
+from asia.redteam._types import Attack, AttackVerdict, CandidateAttack, Finding
 from asia.redteam.attacks.table import ATTACKS
 from asia.redteam.outside.outer_sandbox import write_finding
 from asia.redteam.outside.without_isolation import CONTROL, OFF, attack_without_isolation, broken
@@ -38,8 +38,8 @@ def _unprotected(attack: Attack) -> Finding:
     if isinstance(attack, CandidateAttack):
         return attack_without_isolation(attack)
     with TemporaryDirectory() as folder:
-        won = attack.naive(Path(folder))
-    verdict = Verdict.THROUGH if won else Verdict.BLOCKED
+        succeeded = attack.play_unprotected(Path(folder))
+    verdict = AttackVerdict.THROUGH if succeeded else AttackVerdict.BLOCKED
     return Finding(attack.number, OFF, verdict, (), "")
 
 

@@ -1,4 +1,4 @@
-"""Run one cheating candidate through the real evaluator, and look around afterwards."""
+"""Evaluate one cheating candidate with the real evaluator, and look for what it left behind."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from functools import cache
 
 from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator
-from asia.redteam._problem import Kind, small_problem
-from asia.redteam._types import CandidateAttack, Finding, Seen
+from asia.redteam._problem import ProtocolKind, small_problem
+from asia.redteam._types import CandidateAttack, Finding, Observed
 from asia.redteam.attacks.source import HONEST, fill_in
 from asia.redteam.evidence.targets import Targets, targets
 from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
@@ -35,29 +35,31 @@ class _Thinned(Evaluator):
 def attack_candidate(
     attack: CandidateAttack, level: Isolation, without: Collection[Layer] = ()
 ) -> Finding:
-    """All variants of an attack at one level; it is through if one of them is. Layers may be left
+    """All variants of an attack at one level; it succeeds if one of them does. Layers may be left
     out in an outer sandbox only."""
     layers = layers_in_force(level, without)
     found = [
-        conclude(attack, name, _see(attack, name, level, without), layers, attack.won)
+        conclude(attack, name, _observe(attack, name, level, without), layers, attack.success)
         for name in attack.sources
     ]
     return worst_of(found, attack.number, str(level), tuple(str(layer) for layer in without))
 
 
 @cache
-def honest_value(kind: Kind, level: Isolation) -> float:
-    """What the candidate scores that all attacks are built on."""
+def honest_value(kind: ProtocolKind, level: Isolation) -> float:
+    """V of the honest candidate on which all attacks are built."""
     problem = small_problem(kind)
     evaluator = problem.evaluator(Evaluator, level, _HONEST_SECONDS, _HONEST_MB)
     with targets(_HONEST_MB) as given:
-        outcome = evaluator.evaluate(fill_in(HONEST, given.told, problem)).outcome
+        outcome = evaluator.evaluate(fill_in(HONEST, given.source, problem)).outcome
     if isinstance(outcome, Failure):
         raise AssertionError(f"the honest candidate failed: {outcome}")
     return outcome.value
 
 
-def _see(attack: CandidateAttack, name: str, level: Isolation, without: Collection[Layer]) -> Seen:
+def _observe(
+    attack: CandidateAttack, name: str, level: Isolation, without: Collection[Layer]
+) -> Observed:
     problem, honest = small_problem(attack.kind), honest_value(attack.kind, level)
     kind = _Thinned if without else Evaluator
     at_once = 2 if name in attack.at_once else 1
@@ -69,13 +71,13 @@ def _see(attack: CandidateAttack, name: str, level: Isolation, without: Collecti
     with targets(attack.memory_mb) as given:
         begin = time.monotonic()
         least = honest if attack.folds > 1 else 0.0
-        evaluation = _judged(evaluator, fill_in(attack.sources[name], given.told, problem), least)
+        evaluation = _judged(evaluator, fill_in(attack.sources[name], given.source, problem), least)
         seconds = time.monotonic() - begin
         return _look(evaluation, given, honest, seconds, attack.limit)
 
 
 def _judged(evaluator: Evaluator, source: str, least: float) -> Evaluation:
-    """As the search judges: what is below `least`, a would-be winner, is looked at closely."""
+    """As the search judges: a score below `least`, which would win, is examined."""
     evaluation = evaluator.evaluate(source)
     outcome = evaluation.outcome
     if isinstance(outcome, Score) and outcome.value < least:
@@ -86,11 +88,11 @@ def _judged(evaluator: Evaluator, source: str, least: float) -> Evaluation:
 
 def _look(
     evaluation: Evaluation, given: Targets, honest: float, seconds: float, limit: float
-) -> Seen:
+) -> Observed:
     outcome, output = evaluation.outcome, evaluation.output
     failed = isinstance(outcome, Failure)
     survivors = given.traces.survivors()
-    return Seen(
+    return Observed(
         value=None if failed else outcome.value,
         honest=honest,
         reason=outcome.reason if failed else None,

@@ -19,7 +19,7 @@ from asia.problem import ParameterRange, Physics
 from asia.problem.load import Problem, load_problem
 from asia.protocol import ProtocolRule, make_folds
 from asia.redteam._interruption import Interruption
-from asia.redteam._types import Honest
+from asia.redteam._types import HonestFinding
 from asia.sandbox import Isolation, Limits, open_worker
 from asia.search import problem_facts
 
@@ -31,17 +31,22 @@ _ALARMS = (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
 
 @dataclass(frozen=True)
 class HonestProblem:
-    """What honest candidates are fitted to. tiny: with the smallest models there are."""
+    """What honest candidates are fitted to."""
 
     name: str
+    """Its name or path."""
     facts: Facts
+    """What agents know of it."""
     rule: ProtocolRule
+    """How it is scored."""
     seconds: float = _SECONDS
+    """How many seconds a fit may take."""
     tiny: bool = True
+    """Whether the smallest models of each family are used."""
 
     @property
     def context(self) -> Context:
-        """What candidates are told."""
+        """The context that candidates receive."""
         facts = self.facts
         return Context(
             facts.inputs,
@@ -114,7 +119,7 @@ def small_drone() -> HonestProblem:
 
 def try_honest(
     problem: HonestProblem, row: Family, level: Isolation, interruption: Interruption
-) -> Honest:
+) -> HonestFinding:
     """Fit the family on the first fold and put its model through lint and metamorphic checks, in
     one worker."""
     begin = time.monotonic()
@@ -130,7 +135,7 @@ def try_honest(
     except CandidateError as error:
         words, seconds = str(error)[:200], time.monotonic() - begin
         if error.reason in _ALARMS:
-            return Honest(row.name, problem.name, True, words, seconds)
-        return Honest(row.name, problem.name, False, words, seconds, error.reason)
+            return HonestFinding(row.name, problem.name, True, words, seconds)
+        return HonestFinding(row.name, problem.name, False, words, seconds, error.reason)
     words = ", ".join(one.kind for one in found)
-    return Honest(row.name, problem.name, bool(found), words, time.monotonic() - begin)
+    return HonestFinding(row.name, problem.name, bool(found), words, time.monotonic() - begin)

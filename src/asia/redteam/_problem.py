@@ -16,7 +16,7 @@ from asia.protocol import FoldRule, ProtocolRule, make_folds
 from asia.sandbox import Isolation
 
 E = TypeVar("E", bound=Evaluator)
-Kind = Literal["simulation", "windows"]
+ProtocolKind = Literal["simulation", "windows"]
 _INPUTS = (Signal("drive"), Signal("measured before"), Signal("sample"))
 _RULES = {
     "simulation": ProtocolRule("simulation", FoldRule(count=2), 4, 4),
@@ -28,13 +28,16 @@ _RULES = {
 class SmallProblem:
     """A first-order lag whose second half is driven harder and saturates.
 
-    Inputs: the drive; the output measured one sample before, as a logger that records a feedback
-    signal gives it away to whoever looks ahead; the number of the sample.
+    Inputs: the drive; the output measured one sample before, as a logger records a feedback signal,
+    which shows the next output to a candidate that looks ahead; the number of the sample.
     """
 
-    kind: Kind
+    kind: ProtocolKind
+    """Whether the whole record is simulated or windows of it."""
     record: Trajectory
+    """The training record."""
     rule: ProtocolRule
+    """How candidates are scored."""
 
     @property
     def crude(self) -> tuple[float, float]:
@@ -43,7 +46,7 @@ class SmallProblem:
 
     @property
     def context(self) -> Context:
-        """What candidates are told."""
+        """The context that candidates receive."""
         rule = self.rule
         past = rule.past_inputs, rule.past_outputs
         return Context(_INPUTS, (Signal("level"),), 1.0, *past, rule.horizon, seed=7)
@@ -69,7 +72,7 @@ class SmallProblem:
         )
 
 
-def small_problem(kind: Kind) -> SmallProblem:
+def small_problem(kind: ProtocolKind) -> SmallProblem:
     """The same numbers each time."""
     rng = np.random.default_rng(5)
     slow = kind == "windows"

@@ -1,5 +1,5 @@
-"""A search that hears nothing but scores, to be asked over and over; its own rules decide what is
-judged, kept and told."""
+"""A search whose candidates are nothing but scores. The rules of real searches decide what is
+examined, kept and reported."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ScoreOnlySearch:
         self._events: list[Event] = [_started(ladder)]
 
     def submit(self, score: Score, spoil: Spoil | None = None) -> Evaluated:
-        """What is told of a candidate with this score; spoil: how it breaks a relation."""
+        """What an agent learns of a candidate with this score. spoil: how it breaks a relation."""
         view, evaluator = replay(self._events), _Known(score, spoil)
         number, outcome = len(view.experiments) + 1, judge(evaluator, "", view).outcome
         name, status = str(number), decide(outcome, view)
@@ -45,20 +45,20 @@ def turn(doubt: Callable[[float], bool], most: float) -> float:
 
 
 def forgetful(score: Score) -> Failure | None:
-    """Answers otherwise when asked again, whatever it scores."""
+    """Answers differently when asked again, whatever it scores."""
     del score
     return Failure(Reason.SUSPECT, "replay: the same case asked again is answered otherwise", 1)
 
 
 def one_start(bound: float) -> Spoil:
-    """From later starts so far off that the check fails where its own V is below `bound`."""
+    """Simulates so badly from later starts that the check fails if its own V is below `bound`."""
     words = "restart: started later on the same record the simulation is far worse"
     failure = Failure(Reason.RESTART, words, 1)
     return lambda score: failure if score.value < bound else None
 
 
 class _Known(Evaluator):
-    """Comes to a score that is known without a worker, and to an objection."""
+    """Gives a known score, and a known objection, without a worker."""
 
     def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
         self._known, self._spoil = score, spoil

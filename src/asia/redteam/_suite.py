@@ -19,11 +19,11 @@ from asia.redteam._interruption import Interruption
 from asia.redteam._types import (
     ANY_LEVEL,
     Attack,
+    AttackVerdict,
     CandidateAttack,
     Finding,
-    Honest,
+    HonestFinding,
     SearchAttack,
-    Verdict,
 )
 from asia.redteam.attacks.searches import Scene
 from asia.redteam.attacks.table import ATTACKS
@@ -33,29 +33,35 @@ from asia.sandbox import LEVELS, Isolation, Layer
 
 _MOST_AT_ONCE = 2
 
-Result = Finding | Honest
+Result = Finding | HonestFinding
 Job = Callable[[], Iterator[Result]]
 OnResult = Callable[[Result], None]
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What to try. levels: strongest first; prove: whether also with isolation off, in an outer
-    sandbox; honest: the problems and families that must not be flagged."""
+class RedTeamPlan:
+    """What to try."""
 
     levels: tuple[Isolation, ...]
+    """The levels of isolation, strongest first."""
     attacks: tuple[Attack, ...] = ATTACKS
+    """The attacks to play at each level."""
     prove: bool = True
+    """Whether to play them with isolation off too, in an outer sandbox."""
     honest: tuple[tuple[HonestProblem, Family], ...] = ()
+    """The problems, each with a family whose candidate must not be flagged."""
 
 
 @dataclass(frozen=True)
-class Report:
+class RedTeamReport:
     """What came of a plan."""
 
-    plan: Plan
+    plan: RedTeamPlan
+    """What was tried."""
     findings: tuple[Finding, ...]
-    honest: tuple[Honest, ...]
+    """What became of the attacks, by number and level."""
+    honest: tuple[HonestFinding, ...]
+    """What became of the honest candidates."""
 
     @property
     def stopped(self) -> int:
@@ -82,22 +88,22 @@ class Report:
         return sum(one.flagged for one in self.honest)
 
     @property
-    def unchecked(self) -> tuple[Honest, ...]:
+    def unchecked(self) -> tuple[HonestFinding, ...]:
         """Honest candidates that failed before they came to the checks."""
         return tuple(one for one in self.honest if one.failure is not None)
 
     @property
     def passed(self) -> bool:
-        """Nothing got through, nobody was accused, no attack was too clumsy to tell, and every
-        honest candidate was checked; whole problems have limits of their own."""
+        """Whether no attack got through, each succeeds with isolation off, and every honest
+        candidate was checked and not flagged. On whole problems a fit may exceed its time."""
         small = {problem.name for problem, _ in self.plan.honest if problem.tiny}
         missed = any(one.problem in small for one in self.unchecked)
         stopped = self.stopped == len(self.plan.attacks)
         return stopped and self.false_alarms == 0 and not self.unproven and not missed
 
 
-def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
-    """Run the plan, two jobs at a time; on_result hears of each finding as it is made.
+def run_suite(plan: RedTeamPlan, on_result: OnResult = lambda result: None) -> RedTeamReport:
+    """Run the plan, two jobs at a time; `on_result` is called with each finding as it is made.
 
     Attacks without protection run in an outer sandbox, and so do levels that confine nothing.
     Raises SandboxError where a worker or the outer sandbox cannot be started.
@@ -107,7 +113,9 @@ def run_suite(plan: Plan, on_result: OnResult = lambda result: None) -> Report:
     order = [*map(str, plan.levels), ANY_LEVEL, OFF]
     findings = [one for one in results if isinstance(one, Finding)]
     findings.sort(key=lambda f: (f.number, order.index(f.level)))
-    return Report(plan, tuple(findings), tuple(o for o in results if isinstance(o, Honest)))
+    return RedTeamReport(
+        plan, tuple(findings), tuple(o for o in results if isinstance(o, HonestFinding))
+    )
 
 
 def each_layer(levels: Sequence[Isolation]) -> tuple[tuple[Isolation, tuple[Layer, ...]], ...]:
@@ -146,7 +154,7 @@ def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]
     return tuple(chosen)
 
 
-def _jobs(plan: Plan, interruption: Interruption) -> Iterator[Job]:
+def _jobs(plan: RedTeamPlan, interruption: Interruption) -> Iterator[Job]:
     """Quick and slow ones in turns, so that none of the slow ones is left for the end."""
     honest: list[Job] = [
         partial(_honest, p, row, plan.levels[0], interruption) for p, row in plan.honest
@@ -189,9 +197,9 @@ def _played(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Resul
         scene = Scene(Path(folder), level)
         for attack in attacks:
             play = attack.play(scene)
-            verdict = Verdict.FLAGGED if play.flagged else Verdict.BLOCKED
-            verdict = Verdict.THROUGH if play.won else verdict
-            stops = () if play.won else tuple(map(str, play.stops))
+            verdict = AttackVerdict.FLAGGED if play.flagged else AttackVerdict.BLOCKED
+            verdict = AttackVerdict.THROUGH if play.succeeded else verdict
+            stops = () if play.succeeded else tuple(map(str, play.stops))
             yield Finding(attack.number, ANY_LEVEL, verdict, stops, play.note)
 
 

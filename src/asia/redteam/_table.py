@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from asia.redteam._suite import Report
-from asia.redteam._types import ANY_LEVEL, Attack, Finding, Honest
+from asia.redteam._suite import RedTeamReport
+from asia.redteam._types import ANY_LEVEL, Attack, Finding, HonestFinding
 from asia.redteam.outside.without_isolation import OFF
 
 
-def report_table(report: Report) -> str:
-    """One row an attack, one column a level, in Markdown. What was played once, whatever the level,
-    stands in the first column."""
+def report_table(report: RedTeamReport) -> str:
+    """One row an attack, one column a level, in Markdown. Attacks that are played
+    once, whatever the level, stand in the first column."""
     levels = [*map(str, report.plan.levels), *([OFF] if report.plan.prove else [])]
     found = {(f.number, f.level): f for f in report.findings}
     rows = [["#", "attack", *levels]]
@@ -35,7 +35,7 @@ def without_table(findings: Sequence[Finding], attacks: Sequence[Attack]) -> str
     return _aligned(rows)
 
 
-def summary(report: Report, seconds: float) -> str:
+def summary(report: RedTeamReport, seconds: float) -> str:
     """The last line."""
     count = len(report.plan.attacks)
     parts = [f"{report.stopped} of {count} blocked or flagged"] if count else []
@@ -52,9 +52,9 @@ def summary(report: Report, seconds: float) -> str:
     return ", ".join(parts) + f" ({seconds:.0f} s)"
 
 
-def line(result: Finding | Honest, names: dict[int, str]) -> str:
+def line(result: Finding | HonestFinding, names: dict[int, str]) -> str:
     """Progress."""
-    if isinstance(result, Honest):
+    if isinstance(result, HonestFinding):
         words = "FLAGGED" if result.flagged else "not flagged"
         words = words if result.failure is None else "NOT CHECKED"
         more = f": {result.words}" if result.words else ""

@@ -1,4 +1,4 @@
-"""What an attack is, what was seen of it, and what that amounts to."""
+"""Attacks, what is observed of them, and what became of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from asia.redteam.attacks.searches import Scene
 
 
-class Stop(StrEnum):
+class Barrier(StrEnum):
     """What stands in an attack's way."""
 
     NAMESPACES = "namespaces"
@@ -40,99 +40,126 @@ class Mistake(StrEnum):
     STARTS_AT_ZERO = "an end without a score counts as 0"
 
 
-class Verdict(StrEnum):
-    """blocked: what it tried failed. no gain: it did what it tried, and nothing came of it.
-    flagged: it was told apart from an honest candidate and refused. through: it succeeded."""
+class AttackVerdict(StrEnum):
+    """What became of an attack."""
 
     BLOCKED = "blocked"
+    """What it tried failed."""
     NO_GAIN = "no gain"
+    """It did what it tried, and its score is no better for it."""
     FLAGGED = "flagged"
+    """It was recognised as a cheat and refused."""
     THROUGH = "through"
+    """It succeeded."""
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What one candidate left to see, from outside.
-
-    value: its score, None for a failure, whose reason and detail stand beside it; honest: that of
-    the honest candidate it is built on; output: what it printed; steps: what it says of each of
-    its attempts, `done` or the name of the error; seconds: how long it was judged, of `limit` for a
-    fit; overran: whether its judge ended it at no deadline; ran: whether code of its ran in the
-    evaluator; ledger: whether it changed one; leaked: whether it printed a secret; hurt: what it
-    did to a neighbour.
-    """
+class Observed:
+    """What the evaluator's side sees of one candidate and of what it left behind."""
 
     value: float | None
+    """Its score; None for a failure."""
     honest: float
+    """The score of the honest candidate it is built on."""
     reason: Reason | None = None
+    """Why it failed, if it did."""
     detail: str = ""
+    """The message of its failure."""
     output: str = ""
+    """What it printed."""
     steps: Mapping[str, str] = field(default_factory=dict[str, str])
+    """What it reports of each of its attempts: `done`, or the name of the error."""
     seconds: float = 0.0
+    """How long its evaluation took."""
     limit: float = 0.0
+    """How many seconds a fit may take."""
     overran: bool = False
+    """Whether no deadline ended it."""
     ran: bool = False
+    """Whether its code ran in the evaluator."""
     ledger: bool = False
+    """Whether it changed a ledger."""
     leaked: bool = False
+    """Whether it printed a secret."""
     hurt: str = ""
+    """What it did to a neighbouring process."""
     survivors: tuple[str, ...] = ()
+    """Processes of it that still run."""
     strays: tuple[str, ...] = ()
+    """Files and shared memory that it left."""
 
 
-Won = Callable[[Seen], bool]
+Success = Callable[[Observed], bool]
+"""How the success of an attack would be seen."""
 
 
 @dataclass(frozen=True)
 class CandidateAttack:
-    """A candidate that cheats or breaks out; `sources` are its variants by name.
-
-    number: that of docs/redteam.md; tries: one sentence; won: how success would be seen; stops:
-    what is expected to stop it; kind: simulation of a record, or of windows; limit: seconds a fit
-    may take; folds: on how many of the two it is tried; at_once: the variants whose folds run at
-    the same time; mistake: that it needs where isolation is off.
-    """
+    """A candidate that cheats or breaks out."""
 
     number: int
+    """Its number in docs/redteam.md."""
     name: str
+    """What it does, in a few words."""
     tries: str
+    """What it tries, in one sentence."""
     sources: Mapping[str, str]
-    won: Won
-    stops: tuple[Stop, ...]
+    """Its variants by name, as the text of `candidate.py`."""
+    success: Success
+    """How its success would be seen."""
+    stops: tuple[Barrier, ...]
+    """What is expected to stop it."""
     kind: Literal["simulation", "windows"] = "simulation"
+    """The protocol of the problem that it is tried on."""
     limit: float = 20.0
+    """How many seconds a fit may take."""
     memory_mb: int = 1024
+    """Its memory."""
     folds: int = 2
+    """On how many of the two folds it is tried."""
     at_once: tuple[str, ...] = ()
+    """The variants whose folds run at the same time."""
     mistake: Mistake | None = None
+    """The mistake of an evaluation without isolation that it needs."""
 
     @property
     def walled(self) -> bool:
         """Whether layers of the sandbox have a part in it."""
-        return bool({Stop.NAMESPACES, Stop.LANDLOCK, Stop.SECCOMP, Stop.RLIMITS} & {*self.stops})
+        layers = {Barrier.NAMESPACES, Barrier.LANDLOCK, Barrier.SECCOMP, Barrier.RLIMITS}
+        return bool(layers & {*self.stops})
 
 
 @dataclass(frozen=True)
-class Play:
-    """How an attack on the search itself ended: what stopped it, in which words; `won` where
-    nothing did."""
+class SearchAttackResult:
+    """How an attack on the search itself ended."""
 
-    won: bool
-    stops: tuple[Stop, ...]
+    succeeded: bool
+    """Whether nothing stopped it."""
+    stops: tuple[Barrier, ...]
+    """What stopped it."""
     note: str
+    """How it ended, in words."""
     flagged: bool = True
+    """Whether it was refused as a cheat; False where what it tried failed."""
 
 
 @dataclass(frozen=True)
 class SearchAttack:
-    """A cheating agent. play: against a real search; naive: the same against the plainest code that
-    would do, in a scratch folder, and whether it won."""
+    """A cheating agent."""
 
     number: int
+    """Its number in docs/redteam.md."""
     name: str
+    """What it does, in a few words."""
     tries: str
-    play: Callable[[Scene], Play]
-    naive: Callable[[Path], bool]
-    stops: tuple[Stop, ...]
+    """What it tries, in one sentence."""
+    play: Callable[[Scene], SearchAttackResult]
+    """The attack on a real search."""
+    play_unprotected: Callable[[Path], bool]
+    """The same attack, in a scratch folder, on the plainest code that would do; whether it
+    succeeded."""
+    stops: tuple[Barrier, ...]
+    """What is expected to stop it."""
 
     @property
     def walled(self) -> bool:
@@ -146,31 +173,40 @@ ANY_LEVEL = "any level"
 
 @dataclass(frozen=True)
 class Finding:
-    """What became of one attack in one setting. `level` is a level of isolation, `off`, or
-    `any level` where the walls have no part in it; `without` are the layers left out; `note` says
-    how it ended."""
+    """What became of one attack in one setting."""
 
     number: int
+    """The number of the attack."""
     level: str
-    verdict: Verdict
+    """A level of isolation, `off`, or `any level` where the walls have no part in the attack."""
+    verdict: AttackVerdict
+    """Whether it succeeded, and what became of it if it did not."""
     stops: tuple[str, ...]
+    """What stopped it."""
     note: str
+    """How it ended, in words."""
     without: tuple[str, ...] = ()
+    """The layers that were left out."""
 
     @property
     def through(self) -> bool:
         """Whether nothing stopped it."""
-        return self.verdict is Verdict.THROUGH
+        return self.verdict is AttackVerdict.THROUGH
 
 
 @dataclass(frozen=True)
-class Honest:
-    """An honest candidate under the same checks. flagged: whether it was taken for a cheat; words:
-    by which checks, or how it failed; failure: why it came to no check."""
+class HonestFinding:
+    """What the checks that flag cheats make of an honest candidate."""
 
     family: str
+    """The family of its model."""
     problem: str
+    """The name of the problem it was fitted to."""
     flagged: bool
+    """Whether it was mistaken for a cheat."""
     words: str
+    """The checks that flagged it, or how it failed."""
     seconds: float
+    """How long the fit and the checks took."""
     failure: Reason | None = None
+    """Why it was not checked; None if it was."""

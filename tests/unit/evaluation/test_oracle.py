@@ -12,7 +12,7 @@ from asia.data import Signal, Trajectory
 from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator
 from asia.evaluation import _evaluator as evaluator_module
-from asia.evaluation._oracle import told
+from asia.evaluation._oracle import rounded_score
 from asia.executor import LocalExecutor
 from asia.problem import Budget
 from asia.protocol import EarlyStopping, ProtocolRule, make_folds
@@ -130,7 +130,7 @@ def test_the_best_score_told_is_the_score_of_the_fold(
     found = evaluator(isolation=isolation, horizon=horizon).evaluate(descent())
     for fold in found.folds:
         assert fold.validation_scores == 12 == len(fold.curve)
-        assert fold.curve[:, 1].min() == told(fold.score.value)
+        assert fold.curve[:, 1].min() == rounded_score(fold.score.value)
     assert found.validation_scores == 24
 
 
@@ -292,6 +292,6 @@ def test_nothing_is_held_out_in_the_refit() -> None:
 
 def test_a_candidate_is_told_four_digits_and_nothing_of_huge_scores() -> None:
     """Outputs as large as 1e6 would write the measured ones, scaled, into a score's last digits."""
-    assert told(0.123449) == told(0.123351) == 0.1234
-    assert told(12.3456) == 12.35
-    assert told(123456.789) == told(float("inf")) == float("inf")
+    assert rounded_score(0.123449) == rounded_score(0.123351) == 0.1234
+    assert rounded_score(12.3456) == 12.35
+    assert rounded_score(123456.789) == rounded_score(float("inf")) == float("inf")

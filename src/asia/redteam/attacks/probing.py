@@ -18,7 +18,7 @@ from asia.redteam._score_only_search import (
     one_start,
     turn,
 )
-from asia.redteam._types import Play, SearchAttack, Stop
+from asia.redteam._types import Barrier, SearchAttack, SearchAttackResult
 from asia.redteam.attacks.searches import Scene
 from asia.scoring import Failure, Score, combine, score_fold
 
@@ -41,10 +41,11 @@ def hidden_error() -> Array:
 
 
 def probe(ask: Ask) -> Array:
-    """The correction (T,) that scores give away. ask: told V of the baseline plus a correction.
+    """The correction (T,) that scores give away. ask: V of the baseline plus a correction, as the
+    search reports it.
 
     First the coefficient of each cosine from the difference it makes (for exact scores the answer
-    to a linear system), then whatever is told to be better is kept.
+    to a linear system), then what is reported as better is kept.
     """
     waves = [_wave(k) for k in range((QUERIES - 5) // 2)]
     base = ask(np.zeros(_SAMPLES)) ** 2
@@ -63,7 +64,7 @@ def probe(ask: Ask) -> Array:
 
 def bisect(ask: Ask, doubt: Doubt) -> Array:
     """The correction (T,) that verdicts give away. doubt: whether a candidate with that correction,
-    breaking a relation on purpose, is told so.
+    which breaks a relation on purpose, is refused.
 
     A baseline made worse is the one to beat. What is added to a better one is bisected to where the
     verdict turns; beside it each cosine turns the verdict by its sign.
@@ -96,13 +97,13 @@ class Ladder:
         self._spoil = spoil
 
     def ask(self, correction: Array) -> float:
-        """V as it is told."""
+        """V as it is reported."""
         told = self._search.submit(_score(correction)).outcome
         assert isinstance(told, Score)
         return told.value
 
     def doubt(self, correction: Array) -> bool:
-        """Whether the candidate, breaking a relation, is told so."""
+        """Whether the candidate, which breaks a relation, is refused."""
         return isinstance(self._search.submit(_score(correction), self._spoil).outcome, Failure)
 
 
@@ -111,14 +112,16 @@ def _wave(k: int) -> Array:
     return np.sqrt(2.0) * np.cos(np.pi * (k + 1) * times)
 
 
-def _with_ladder(scene: Scene) -> Play:
+def _with_ladder(scene: Scene) -> SearchAttackResult:
     del scene
     found = [probe(Ladder().ask)]
     for spoil in (forgetful, one_start(_ERROR + 0.05)):
         ladder = Ladder(spoil)
         found.append(bisect(ladder.ask, ladder.doubt))
     value = min(map(exact, found))
-    return Play(value < _GAIN * _ERROR, (Stop.FEEDBACK,), _words(value), flagged=False)
+    return SearchAttackResult(
+        value < _GAIN * _ERROR, (Barrier.FEEDBACK,), _words(value), flagged=False
+    )
 
 
 def _with_exact(folder: Path) -> bool:
@@ -138,6 +141,6 @@ PROBING = (
         'and by verdicts on models spoilt on purpose (with feedback = "ladder")',
         _with_ladder,
         _with_exact,
-        (Stop.FEEDBACK,),
+        (Barrier.FEEDBACK,),
     ),
 )

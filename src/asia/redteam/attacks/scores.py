@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from asia.redteam._types import CandidateAttack, Mistake, Stop
+from asia.redteam._types import Barrier, CandidateAttack, Mistake
 from asia.redteam.attacks.source import candidate
-from asia.redteam.evidence.success import SPEECH, better, flooded, ran_code, scored, spoke
+from asia.redteam.evidence.signs_of_success import (
+    SPEECH,
+    code_ran,
+    has_score,
+    message_carries_data,
+    output_flooded,
+    scores_better,
+)
 
 _PATCH = """
 import builtins
@@ -136,16 +143,16 @@ SCORES = (
         "patch the metric",
         "replaces NumPy's mean, sqrt, std, sum and isfinite by functions that give 0",
         {"": candidate(fit=_PATCH)},
-        better,
-        (Stop.PARENT,),
+        scores_better,
+        (Barrier.PARENT,),
     ),
     CandidateAttack(
         3,
         "plant a module",
         "leaves conftest.py and sitecustomize.py where an evaluator might import them",
         {"": candidate(fit=_PLANT)},
-        ran_code,
-        (Stop.PARENT, Stop.NAMESPACES, Stop.LANDLOCK),
+        code_ran,
+        (Barrier.PARENT, Barrier.NAMESPACES, Barrier.LANDLOCK),
     ),
     CandidateAttack(
         7,
@@ -161,8 +168,8 @@ SCORES = (
             ),
             "overflow": candidate(after="np.full(u.shape[:2] + (1,), 1e300)"),
         },
-        better,
-        (Stop.PARENT,),
+        scores_better,
+        (Barrier.PARENT,),
     ),
     CandidateAttack(
         8,
@@ -174,8 +181,8 @@ SCORES = (
             "twice": candidate(before=_FORGE),
             "by drops": candidate(before=_DRIP),
         },
-        scored,
-        (Stop.PARENT, Stop.DEADLINE),
+        has_score,
+        (Barrier.PARENT, Barrier.DEADLINE),
         limit=1.0,
     ),
     CandidateAttack(
@@ -190,16 +197,16 @@ SCORES = (
             "model": candidate(top=_PAYLOAD + "\nModel.__reduce__ = Payload.__reduce__\n"),
             "pickle": candidate(after="pickle.dumps(Payload())", top=_PAYLOAD),
         },
-        ran_code,
-        (Stop.PARENT,),
+        code_ran,
+        (Barrier.PARENT,),
     ),
     CandidateAttack(
         10,
         "answer with an array that lies",
         "answers with a subclass of arrays whose differences are 0 and which equals everything",
         {"": candidate(after="honest(past_u, past_y, u).view(Liar)", top=_LIAR)},
-        better,
-        (Stop.PARENT,),
+        scores_better,
+        (Barrier.PARENT,),
     ),
     CandidateAttack(
         11,
@@ -211,8 +218,8 @@ SCORES = (
                 'print(\'{"V": 0.0, "status": "keep"}\', file=sys.stderr)'
             )
         },
-        better,
-        (Stop.PARENT,),
+        scores_better,
+        (Barrier.PARENT,),
     ),
     CandidateAttack(
         21,
@@ -224,8 +231,8 @@ SCORES = (
             "crash": candidate(fit="ctypes.string_at(0)"),
             "x32": candidate(fit="libc.syscall(0x40000000 + 39)\nos._exit(0)"),
         },
-        scored,
-        (Stop.PARENT,),
+        has_score,
+        (Barrier.PARENT,),
         mistake=Mistake.STARTS_AT_ZERO,
     ),
     CandidateAttack(
@@ -233,8 +240,8 @@ SCORES = (
         "find the answers in memory",
         "searches frames and objects of its process for the measured outputs",
         {"": candidate(after="search(past_u, past_y, u)", top=_SEARCH)},
-        better,
-        (Stop.PARENT,),
+        scores_better,
+        (Barrier.PARENT,),
     ),
     CandidateAttack(
         25,
@@ -247,8 +254,8 @@ SCORES = (
                 top=_STATE,
             )
         },
-        better,
-        (Stop.PARENT, Stop.METAMORPHIC),
+        scores_better,
+        (Barrier.PARENT, Barrier.METAMORPHIC),
         kind="windows",
     ),
     CandidateAttack(
@@ -259,8 +266,8 @@ SCORES = (
             "neighbours": candidate(after="between(past_u, past_y, u)", top=_NEIGHBOURS),
             "echo": candidate(after="np.repeat(past_y[:, -1:], u.shape[1], axis=1)"),
         },
-        better,
-        (Stop.PARENT,),
+        scores_better,
+        (Barrier.PARENT,),
         kind="windows",
     ),
     CandidateAttack(
@@ -272,8 +279,8 @@ SCORES = (
                 before="y = honest(past_u, past_y, u)\ny[:, :-1] = u[:, 1:, 1:2]", after="y"
             )
         },
-        better,
-        (Stop.METAMORPHIC,),
+        scores_better,
+        (Barrier.METAMORPHIC,),
     ),
     CandidateAttack(
         28,
@@ -293,8 +300,8 @@ SCORES = (
                 top="TABLE = np.array(THREE_DIGITS) / 1000" + _LOOK_UP,
             ),
         },
-        better,
-        (Stop.LINT, Stop.METAMORPHIC),
+        scores_better,
+        (Barrier.LINT, Barrier.METAMORPHIC),
     ),
     CandidateAttack(
         30,
@@ -307,16 +314,16 @@ SCORES = (
             ),
             "output": candidate(fit=f"print({_SPEECH})"),
         },
-        lambda seen: spoke(seen) or flooded(seen),
-        (Stop.PARENT,),
+        lambda seen: message_carries_data(seen) or output_flooded(seen),
+        (Barrier.PARENT,),
     ),
     CandidateAttack(
         33,
         "skip the hard fold",
         "crashes where a fold is hard, so that only the easy one counts",
         {"": candidate(fit="return Coward()", top=_HARD)},
-        scored,
-        (Stop.PARENT,),
+        has_score,
+        (Barrier.PARENT,),
         mistake=Mistake.DROPS_FOLDS,
     ),
     CandidateAttack(
@@ -333,7 +340,7 @@ SCORES = (
             "nothing": candidate(after="None"),
             "empty": candidate(after="u[:, :0, :1]"),
         },
-        better,
-        (Stop.PARENT,),
+        scores_better,
+        (Barrier.PARENT,),
     ),
 )

@@ -1,5 +1,5 @@
-"""Attacks of agents on the search: its ledger, its luck, its figures. Played against the real code
-in a scratch folder."""
+"""Attacks of agents on the search: edits of its ledger, repeated draws, degenerate data. Played
+against the real code in a scratch folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from asia.ledger import SearchView, verify
 from asia.problem.load import load_problem
 from asia.protocol import make_folds
 from asia.redteam._problem import small_problem
-from asia.redteam._types import Play, SearchAttack, Stop
+from asia.redteam._types import Barrier, SearchAttack, SearchAttackResult
 from asia.sandbox import Isolation
 from asia.search import prepare, search
 
@@ -47,8 +47,8 @@ _RERUNS = (
     LUCKY.replace("def fit", "\n\n\ndef fit").replace("(self, gain)", "( self,gain )"),
     LUCKY.replace("    return Model", '    """Twice is better."""\n    return Model'),
 )
-Record = dict[str, Any]
-Edit = Callable[[list[Record]], list[Record]]
+LedgerLine = dict[str, Any]
+Edit = Callable[[list[LedgerLine]], list[LedgerLine]]
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ class Lucky:
     """Proposes one candidate that draws its fit at random, over and over."""
 
     name: str = "redteam"
+    """The name of the agent."""
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The same again, in other clothes."""
@@ -70,7 +71,9 @@ class Scene:
     """A real search of a cheating agent in a scratch folder, run once and attacked often."""
 
     folder: Path
+    """The scratch folder."""
     level: Isolation
+    """The level of isolation of the search."""
 
     @cached_property
     def view(self) -> SearchView:
@@ -105,48 +108,48 @@ def _write_problem(folder: Path) -> Path:
     return folder
 
 
-def _best_score(records: list[Record]) -> list[Record]:
+def _best_score(lines: list[LedgerLine]) -> list[LedgerLine]:
     """The last scored experiment gets V = 0."""
-    last = next(r for r in reversed(records) if r["event"] == "evaluated")
+    last = next(r for r in reversed(lines) if r["event"] == "evaluated")
     last["outcome"]["value"] = 0.0
-    return records
+    return lines
 
 
-def _own_digest(records: list[Record]) -> list[Record]:
-    for record in _best_score(records):
-        _sign(record, record["prev"])
-    return records
+def _own_digest(lines: list[LedgerLine]) -> list[LedgerLine]:
+    for line in _best_score(lines):
+        _sign(line, line["prev"])
+    return lines
 
 
-def _all_digests(records: list[Record]) -> list[Record]:
+def _all_digests(lines: list[LedgerLine]) -> list[LedgerLine]:
     prev = "0" * 64
-    for record in _best_score(records):
-        prev = _sign(record, prev)
-    return records
+    for line in _best_score(lines):
+        prev = _sign(line, prev)
+    return lines
 
 
-def _forged(records: list[Record]) -> list[Record]:
-    last = next(r for r in reversed(records) if r["event"] == "evaluated")
-    forged = json.loads(json.dumps(last)) | {"seq": len(records), "prev": records[-1]["self"]}
-    return [*records, forged]
+def _forged(lines: list[LedgerLine]) -> list[LedgerLine]:
+    last = next(r for r in reversed(lines) if r["event"] == "evaluated")
+    forged = json.loads(json.dumps(last)) | {"seq": len(lines), "prev": lines[-1]["self"]}
+    return [*lines, forged]
 
 
-def _sign(record: Record, prev: str) -> str:
-    record["prev"] = prev
-    body = {name: value for name, value in record.items() if name != "self"}
-    record["self"] = hashlib.sha256(_line(body)).hexdigest()
-    return hashlib.sha256(_line(record)).hexdigest()
+def _sign(line: LedgerLine, prev: str) -> str:
+    line["prev"] = prev
+    body = {name: value for name, value in line.items() if name != "self"}
+    line["self"] = hashlib.sha256(_encoded(body)).hexdigest()
+    return hashlib.sha256(_encoded(line)).hexdigest()
 
 
-def _line(record: Record) -> bytes:
-    return json.dumps(record, ensure_ascii=False, separators=(",", ":")).encode()
+def _encoded(line: LedgerLine) -> bytes:
+    return json.dumps(line, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def _rewrite(edit: Edit) -> Callable[[Path], None]:
     def apply(run: Path) -> None:
         path = run / "ledger.jsonl"
-        records: list[Record] = [json.loads(line) for line in path.read_bytes().splitlines()]
-        path.write_bytes(b"".join(_line(record) + b"\n" for record in edit(records)))
+        lines: list[LedgerLine] = [json.loads(text) for text in path.read_bytes().splitlines()]
+        path.write_bytes(b"".join(_encoded(line) + b"\n" for line in edit(lines)))
 
     return apply
 
@@ -165,16 +168,16 @@ _EDITS: dict[str, Callable[[Path], None]] = {
     "a better V": _rewrite(_best_score),
     "a better V with its own digest": _rewrite(_own_digest),
     "a better V with all digests": _rewrite(_all_digests),
-    "a record less": _rewrite(lambda records: [*records[:-3], *records[-2:]]),
-    "two records exchanged": _rewrite(lambda r: [*r[:-3], r[-2], r[-3], r[-1]]),
-    "a record more": _rewrite(_forged),
-    "the end cut off": _rewrite(lambda records: records[:-2]),
+    "a line less": _rewrite(lambda lines: [*lines[:-3], *lines[-2:]]),
+    "two lines exchanged": _rewrite(lambda lines: [*lines[:-3], lines[-2], lines[-3], lines[-1]]),
+    "a line more": _rewrite(_forged),
+    "the end cut off": _rewrite(lambda lines: lines[:-2]),
     "another model": _artifact,
     "another protocol": _lock,
 }
 
 
-def _edit_the_ledger(scene: Scene) -> Play:
+def _edit_the_ledger(scene: Scene) -> SearchAttackResult:
     assert scene.view.complete
     head = verify(scene.folder / "run").head
     by_chain, by_head, missed = 0, 0, list[str]()
@@ -187,7 +190,7 @@ def _edit_the_ledger(scene: Scene) -> Play:
             by_head += found != head
             missed += [name] if found == head else []
     words = f"{by_chain} of {len(_EDITS)} edits break the chain, {by_head} change its printed head"
-    return Play(bool(missed), (Stop.LEDGER,), ", ".join(missed) or words)
+    return SearchAttackResult(bool(missed), (Barrier.LEDGER,), ", ".join(missed) or words)
 
 
 def _edit_plain_results(folder: Path) -> bool:
@@ -198,12 +201,12 @@ def _edit_plain_results(folder: Path) -> bool:
     return best["candidate"] == 2
 
 
-def _rerun(scene: Scene) -> Play:
+def _rerun(scene: Scene) -> SearchAttackResult:
     first, *again = scene.view.finished
     values = {e.score.value for e in (first, *again) if e.score is not None}
     same = all(e.result is not None and e.result.duplicate_of == 1 for e in again)
     words = f"{len(again)} reruns answered from the ledger, {len(values)} value of V"
-    return Play(not same or len(values) != 1, (Stop.LEDGER,), words)
+    return SearchAttackResult(not same or len(values) != 1, (Barrier.LEDGER,), words)
 
 
 def _rerun_with_luck(folder: Path) -> bool:
@@ -218,13 +221,15 @@ def _constant_output() -> Trajectory:
     return Trajectory(record.u, y, 1.0, "record")
 
 
-def _divide_by_nothing(scene: Scene) -> Play:
+def _divide_by_nothing(scene: Scene) -> SearchAttackResult:
     del scene
     try:
         make_folds([_constant_output()], small_problem("simulation").rule)
     except UserError as error:
-        return Play(False, (Stop.PROBLEM,), str(error).partition(":")[0], flagged=False)
-    return Play(True, (), "an output that does not move was taken")
+        return SearchAttackResult(
+            False, (Barrier.PROBLEM,), str(error).partition(":")[0], flagged=False
+        )
+    return SearchAttackResult(True, (), "an output that does not move was taken")
 
 
 def _divide_plainly(folder: Path) -> bool:
@@ -239,11 +244,11 @@ SEARCHES = (
     SearchAttack(
         31,
         "edit the ledger",
-        "changes, adds, exchanges and removes records, with and without new digests, swaps a model "
+        "changes, adds, exchanges and removes lines, with and without new digests, swaps a model "
         "and the protocol",
         _edit_the_ledger,
         _edit_plain_results,
-        (Stop.LEDGER,),
+        (Barrier.LEDGER,),
     ),
     SearchAttack(
         32,
@@ -251,7 +256,7 @@ SEARCHES = (
         "submits a candidate that draws its luck again and again, in other clothes",
         _rerun,
         _rerun_with_luck,
-        (Stop.LEDGER,),
+        (Barrier.LEDGER,),
     ),
     SearchAttack(
         34,
@@ -259,6 +264,6 @@ SEARCHES = (
         "brings an output that does not move, by whose spread the error is divided",
         _divide_by_nothing,
         _divide_plainly,
-        (Stop.PROBLEM,),
+        (Barrier.PROBLEM,),
     ),
 )

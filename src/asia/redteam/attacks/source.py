@@ -66,7 +66,7 @@ def candidate(
     top: str = "",
 ) -> str:
     """The honest candidate with code in its `fit`, in its `simulate` before and as its answer, and
-    at the top level. The name GIVEN stands for what an attack is told."""
+    at the top level. The name GIVEN stands for what an attack receives."""
     text = _TEXT.replace("BEFORE", textwrap.indent(before, " " * 8).strip())
     text = text.replace("AFTER", after).replace("TOP", top)
     return text.replace("    FIT", textwrap.indent(fit.strip("\n"), " " * 4))
@@ -80,8 +80,8 @@ def steps(attempts: Mapping[str, str], top: str = "") -> str:
 
 
 def fill_in(source: str, given: str, problem: SmallProblem) -> str:
-    """The source with what an attack is told, as Python, and what it knows of the problem: pole and
-    gain of an honest model, and for a table the measured outputs."""
+    """The source with what an attack receives, as Python, and what it knows of the problem: pole
+    and gain of an honest model, and for a table the measured outputs."""
     y = problem.record.y[:, 0]
     facts = {
         "GIVEN": given,

@@ -3,22 +3,22 @@ each opens, asks or allocates, and touches only what it was given to touch."""
 
 from __future__ import annotations
 
-from asia.redteam._types import CandidateAttack, Stop
+from asia.redteam._types import Barrier, CandidateAttack
 from asia.redteam.attacks.folds import FOLDS, PLACES
 from asia.redteam.attacks.source import candidate, steps
-from asia.redteam.evidence.success import (
-    better,
+from asia.redteam.evidence.signs_of_success import (
+    a_step_succeeded,
     changed_ledger,
-    flooded,
-    hurt,
-    leaked,
-    overran,
-    reached,
-    survived,
+    deadline_overrun,
+    neighbour_hurt,
+    output_flooded,
+    process_survived,
+    scores_better,
+    secret_leaked,
 )
 
-_ALL = (Stop.NAMESPACES, Stop.LANDLOCK, Stop.SECCOMP)
-_FILES = (Stop.NAMESPACES, Stop.LANDLOCK)
+_ALL = (Barrier.NAMESPACES, Barrier.LANDLOCK, Barrier.SECCOMP)
+_FILES = (Barrier.NAMESPACES, Barrier.LANDLOCK)
 _FORK = """
 def fork():
     child = os.fork()
@@ -92,7 +92,7 @@ WALLS = (
                 }
             )
         },
-        reached,
+        a_step_succeeded,
         _FILES,
         folds=1,
     ),
@@ -111,7 +111,7 @@ WALLS = (
                 | {"files of PARENT": "os.listdir(f'/proc/{PARENT}/fd')"},
             )
         },
-        reached,
+        a_step_succeeded,
         _FILES,
         folds=1,
     ),
@@ -130,7 +130,7 @@ WALLS = (
                 }
             )
         },
-        leaked,
+        secret_leaked,
         _FILES,
         folds=1,
     ),
@@ -149,7 +149,7 @@ WALLS = (
                 top=_NETWORK,
             )
         },
-        reached,
+        a_step_succeeded,
         _ALL,
         folds=1,
     ),
@@ -187,8 +187,8 @@ WALLS = (
                 top=_FORK,
             )
         },
-        reached,
-        (Stop.SECCOMP, Stop.LANDLOCK),
+        a_step_succeeded,
+        (Barrier.SECCOMP, Barrier.LANDLOCK),
         folds=1,
     ),
     CandidateAttack(
@@ -196,7 +196,7 @@ WALLS = (
         "fill the disk",
         "writes 128 MB wherever it can",
         {"": steps({"128 MB": "fill(16, 8 << 20)"}, top=_FILL)},
-        reached,
+        a_step_succeeded,
         _FILES,
         folds=1,
     ),
@@ -205,7 +205,7 @@ WALLS = (
         "flood with empty files",
         "makes 3000 empty files wherever it can",
         {"": steps({"3000 files": "fill(3000, 0)"}, top=_FILL)},
-        reached,
+        a_step_succeeded,
         _FILES,
         folds=1,
     ),
@@ -214,8 +214,8 @@ WALLS = (
         "eat the memory",
         "asks for more memory than its budget",
         {"": steps({"memory": "np.empty((MEMORY_MB + 64) << 20, np.uint8)"})},
-        reached,
-        (Stop.RLIMITS,),
+        a_step_succeeded,
+        (Barrier.RLIMITS,),
         folds=1,
     ),
     CandidateAttack(
@@ -223,8 +223,8 @@ WALLS = (
         "flood the output",
         "prints 20 MB",
         {"": candidate(fit="for _ in range(20):\n    os.write(1, b'x' * 1_000_000)")},
-        flooded,
-        (Stop.PARENT,),
+        output_flooded,
+        (Barrier.PARENT,),
         folds=1,
     ),
     CandidateAttack(
@@ -242,8 +242,8 @@ WALLS = (
                 }
             )
         },
-        hurt,
-        (Stop.SECCOMP,),
+        neighbour_hurt,
+        (Barrier.SECCOMP,),
         folds=1,
     ),
     CandidateAttack(
@@ -251,8 +251,8 @@ WALLS = (
         "outlive the run",
         "leaves a daemon of its own session that ignores signals",
         {"": steps({"daemon": _DAEMON})},
-        survived,
-        (Stop.SECCOMP,),
+        process_survived,
+        (Barrier.SECCOMP,),
         folds=1,
     ),
     CandidateAttack(
@@ -263,8 +263,8 @@ WALLS = (
             "fit": candidate(fit=_DEAF + "ctypes.PyDLL(None).sleep(600)"),
             "simulate": candidate(before="ctypes.PyDLL(None).sleep(600)"),
         },
-        overran,
-        (Stop.DEADLINE,),
+        deadline_overrun,
+        (Barrier.DEADLINE,),
         limit=0.6,
     ),
     CandidateAttack(
@@ -283,8 +283,8 @@ WALLS = (
                 top="ADD_KEY = 248 if os.uname().machine == 'x86_64' else 217",
             )
         },
-        reached,
-        (Stop.SECCOMP,),
+        a_step_succeeded,
+        (Barrier.SECCOMP,),
         folds=1,
     ),
     CandidateAttack(
@@ -292,8 +292,8 @@ WALLS = (
         "remember another fold",
         "hands fold 1's training outputs to fold 2 by files, shared memory and locks",
         FOLDS,
-        better,
-        (*_ALL, Stop.FRESH),
+        scores_better,
+        (*_ALL, Barrier.FRESH),
         at_once=("locks",),
     ),
     CandidateAttack(
@@ -328,7 +328,7 @@ def install():
 """,
             )
         },
-        reached,
+        a_step_succeeded,
         _ALL,
         folds=1,
     ),

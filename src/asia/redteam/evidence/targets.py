@@ -15,41 +15,49 @@ from pathlib import Path
 from asia.errors import SandboxError
 from asia.redteam.evidence.traces import Neighbour, Traces, neighbour
 
-_NOT_TOLD = ("secret", "traces", "neighbour")
+_WITHHELD = ("secret", "traces", "neighbour")
 _PORTS_TRIED = 50
 
 
 @dataclass(frozen=True)
 class Targets:
-    """What an attack is told.
-
-    vault: the test file, whose words the attack must not learn; ledger: a file of the search;
-    evaluator: source of an evaluator; other: a neighbouring process, parent: the evaluator's;
-    port: of a TCP and a UDP service; daemon, abstract: sockets of services; key: of shared memory;
-    mark: what the attack names its processes and files. It is told neither the secret nor what is
-    watched.
-    """
+    """What an attack may aim at. It receives neither the secret nor what is watched."""
 
     playground: str
+    """A folder made for the attack."""
     vault: str
+    """The test file, whose words the attack must not learn."""
     ledger: str
+    """A file of the search."""
     evaluator: str
+    """The source of an evaluator."""
     other: int
+    """The process id of a neighbour."""
     parent: int
+    """The process id of the evaluator."""
     port: int
+    """The port of a TCP and of a UDP service."""
     daemon: str
+    """The socket file of a service."""
     abstract: str
+    """The abstract socket of a service."""
     key: int
+    """The key of shared memory."""
     mark: str
+    """What the attack names its processes and files."""
     memory_mb: int
+    """The memory of its worker."""
     secret: str
+    """What stands in the test file and in the neighbour's environment."""
     traces: Traces
+    """What there was before the attack."""
     neighbour: Neighbour
+    """The neighbour, to see whether it was changed."""
 
     @property
-    def told(self) -> str:
-        """The names as Python source."""
-        names = [one.name for one in fields(self) if one.name not in _NOT_TOLD]
+    def source(self) -> str:
+        """What the attack receives, as Python source."""
+        names = [one.name for one in fields(self) if one.name not in _WITHHELD]
         return repr({name.upper(): getattr(self, name) for name in names})
 
     @property

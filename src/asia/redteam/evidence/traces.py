@@ -29,14 +29,18 @@ _MARKED_BYTES = 4096
 
 @dataclass(frozen=True)
 class Traces:
-    """Made before an attack. mark: in the names of its processes and files; key: of its shared
-    memory; playground: a folder that nobody else writes to; pids, paths: what there was before."""
+    """Finds what an attack leaves. Made before the attack."""
 
     mark: str
+    """What stands in the names of its processes and files."""
     key: int
+    """The key of its shared memory."""
     playground: str
+    """A folder that nobody else writes to."""
     pids: frozenset[int] = field(default_factory=lambda: frozenset(_pids()))
+    """The processes that ran before it."""
     paths: frozenset[str] = field(init=False)
+    """The files that there were before it, of those that could be taken for its own."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paths", frozenset(self._found()))
@@ -94,11 +98,13 @@ class Traces:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A process that waits, in a session of its own, so that what is sent to ours is not sent to
-    it. nice: its priority at the start."""
+    """A process that waits, in a session of its own, so that signals to our session do not reach
+    it."""
 
     process: subprocess.Popen[bytes]
+    """The process."""
     nice: int
+    """Its priority at the start."""
 
     @property
     def hurt(self) -> str:
@@ -162,7 +168,7 @@ def _confined(pid: int) -> bool:
 
 
 def _ours(pid: int) -> bool:
-    """Whether it runs this Python; that of another user is not told."""
+    """Whether it runs this Python; unknown, and so False, for a process of another user."""
     try:
         return os.path.samefile(f"/proc/{pid}/exe", sys.executable)
     except OSError:

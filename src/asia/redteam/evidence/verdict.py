@@ -7,28 +7,28 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 from asia.errors import Reason
-from asia.redteam._types import CandidateAttack, Finding, Seen, Stop, Verdict, Won
+from asia.redteam._types import AttackVerdict, Barrier, CandidateAttack, Finding, Observed, Success
 from asia.redteam.attacks.source import STEPS
 from asia.sandbox import Layer
 
 # Which layer answers with which error, where it is in force.
-_BY_ERROR: dict[str, tuple[Stop, ...]] = {
-    "EACCES": (Stop.LANDLOCK,),
-    "EXDEV": (Stop.LANDLOCK,),
-    "EPERM": (Stop.SECCOMP, Stop.LANDLOCK, Stop.NAMESPACES),
-    "ENOSYS": (Stop.SECCOMP,),
-    "ENOMEM": (Stop.RLIMITS,),
-    "MemoryError": (Stop.RLIMITS,),
-    "_ArrayMemoryError": (Stop.RLIMITS,),
-    "EFBIG": (Stop.RLIMITS,),
+_BY_ERROR: dict[str, tuple[Barrier, ...]] = {
+    "EACCES": (Barrier.LANDLOCK,),
+    "EXDEV": (Barrier.LANDLOCK,),
+    "EPERM": (Barrier.SECCOMP, Barrier.LANDLOCK, Barrier.NAMESPACES),
+    "ENOSYS": (Barrier.SECCOMP,),
+    "ENOMEM": (Barrier.RLIMITS,),
+    "MemoryError": (Barrier.RLIMITS,),
+    "_ArrayMemoryError": (Barrier.RLIMITS,),
+    "EFBIG": (Barrier.RLIMITS,),
 }
 _BY_REASON = {
-    Reason.LITERAL_DATA: Stop.LINT,
-    Reason.SUSPECT: Stop.METAMORPHIC,
-    Reason.RESTART: Stop.METAMORPHIC,
-    Reason.FIT_TIMEOUT: Stop.DEADLINE,
-    Reason.SIMULATE_TIMEOUT: Stop.DEADLINE,
-    Reason.MEMORY: Stop.RLIMITS,
+    Reason.LITERAL_DATA: Barrier.LINT,
+    Reason.SUSPECT: Barrier.METAMORPHIC,
+    Reason.RESTART: Barrier.METAMORPHIC,
+    Reason.FIT_TIMEOUT: Barrier.DEADLINE,
+    Reason.SIMULATE_TIMEOUT: Barrier.DEADLINE,
+    Reason.MEMORY: Barrier.RLIMITS,
 }
 
 
@@ -45,16 +45,16 @@ def said_steps(output: str) -> dict[str, str]:
 
 
 def conclude(
-    attack: CandidateAttack, name: str, seen: Seen, layers: Sequence[Layer], won: Won
+    attack: CandidateAttack, name: str, seen: Observed, layers: Sequence[Layer], success: Success
 ) -> Finding:
-    """What became of one variant behind these layers. won: how its success would be seen. Where a
-    layer is in force it is named by the error it answers with."""
+    """What became of one variant behind these layers. success: how its success would be seen. The
+    error of a step names the layer that refused it, where that layer is in force."""
 
-    def finding(verdict: Verdict, stops: Collection[Stop], note: str) -> Finding:
+    def finding(verdict: AttackVerdict, stops: Collection[Barrier], note: str) -> Finding:
         words = f"{name}: {note}" if name else note
         return Finding(attack.number, "", verdict, tuple(dict.fromkeys(map(str, stops))), words)
 
-    traces = [_success(seen)] if won(seen) else []
+    traces = [_success(seen)] if success(seen) else []
     traces += [f"left behind: {len(seen.survivors)} processes"] if seen.survivors else []
     traces += [f"left behind: {len(seen.strays)} files"] if seen.strays else []
     traces += ["a secret was read"] if seen.leaked else []
@@ -62,39 +62,41 @@ def conclude(
     traces += [seen.hurt] if seen.hurt else []
     traces += ["its code ran in the evaluator"] if seen.ran else []
     if traces:
-        return finding(Verdict.THROUGH, (), ", ".join(traces))
+        return finding(AttackVerdict.THROUGH, (), ", ".join(traces))
     if seen.steps:
         ends = Counter(end for end in seen.steps.values() if end != "done")
         note = ", ".join(f"{end} x{n}" if n > 1 else end for end, n in ends.items())
         stops = [_layer(end, layers) for end in ends]
-        verdict = Verdict.NO_GAIN if "done" in seen.steps.values() else Verdict.BLOCKED
-        return finding(verdict, stops or [Stop.PARENT], note)
+        verdict = AttackVerdict.NO_GAIN if "done" in seen.steps.values() else AttackVerdict.BLOCKED
+        return finding(verdict, stops or [Barrier.PARENT], note)
     if seen.reason is not None:
-        stop = _BY_REASON.get(seen.reason, Stop.PARENT)
-        flagged = stop in (Stop.LINT, Stop.METAMORPHIC)
+        stop = _BY_REASON.get(seen.reason, Barrier.PARENT)
+        flagged = stop in (Barrier.LINT, Barrier.METAMORPHIC)
         words = seen.reason.value
         if seen.reason is Reason.SUSPECT:
             words = ", ".join(part.partition(":")[0].strip() for part in seen.detail.split(";"))
-        return finding(Verdict.FLAGGED if flagged else Verdict.BLOCKED, [stop], words)
+        return finding(AttackVerdict.FLAGGED if flagged else AttackVerdict.BLOCKED, [stop], words)
     if seen.value is None:
-        return finding(Verdict.BLOCKED, [Stop.PARENT], "no score")
-    return finding(Verdict.NO_GAIN, [Stop.PARENT], f"V {seen.value:.3g}, honest {seen.honest:.3g}")
+        return finding(AttackVerdict.BLOCKED, [Barrier.PARENT], "no score")
+    return finding(
+        AttackVerdict.NO_GAIN, [Barrier.PARENT], f"V {seen.value:.3g}, honest {seen.honest:.3g}"
+    )
 
 
 def worst_of(
     found: Sequence[Finding], number: int, level: str, without: tuple[str, ...] = ()
 ) -> Finding:
     """One finding for all variants."""
-    order = list(Verdict)
+    order = list(AttackVerdict)
     worst = max(found, key=lambda f: order.index(f.verdict))
-    if worst.verdict is Verdict.THROUGH:
-        return Finding(number, level, Verdict.THROUGH, (), worst.note, without)
+    if worst.verdict is AttackVerdict.THROUGH:
+        return Finding(number, level, AttackVerdict.THROUGH, (), worst.note, without)
     stops = tuple(dict.fromkeys(stop for f in found for stop in f.stops))
     notes = "; ".join(f.note for f in found)
     return Finding(number, level, worst.verdict, stops, notes, without)
 
 
-def _success(seen: Seen) -> str:
+def _success(seen: Observed) -> str:
     done = [name for name, end in seen.steps.items() if end == "done"]
     if done:
         return ", ".join(done)
@@ -103,8 +105,8 @@ def _success(seen: Seen) -> str:
     return f"after {seen.seconds:.1f} s" if seen.limit < seen.seconds else "it was heard"
 
 
-def _layer(end: str, layers: Sequence[Layer]) -> Stop:
+def _layer(end: str, layers: Sequence[Layer]) -> Barrier:
     """The layer that gives this error; the kernel's ordinary rules where none of those is there."""
-    wanted = _BY_ERROR.get(end, (Stop.NAMESPACES,))
+    wanted = _BY_ERROR.get(end, (Barrier.NAMESPACES,))
     names = [str(layer) for layer in layers]
-    return next((stop for stop in wanted if stop.value in names), Stop.KERNEL)
+    return next((stop for stop in wanted if stop.value in names), Barrier.KERNEL)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 
 from asia.errors import SandboxError
-from asia.redteam._types import Finding, Verdict
+from asia.redteam._types import AttackVerdict, Finding
 from asia.sandbox import Isolation, why_not
 from asia.sandbox.walls.bubblewrap import worker_walls
 from asia.sandbox.walls.surroundings import interpreter
@@ -29,13 +29,13 @@ def why_no_outer(nested: bool = False) -> str | None:
     return reason
 
 
-def inside(job: Sequence[str], *, nested: bool = False) -> Iterator[Finding]:
-    """Findings of `python -m asia.redteam JOB` in an outer sandbox, as they come. Raises
+def inside(arguments: Sequence[str], *, nested: bool = False) -> Iterator[Finding]:
+    """Findings of `python -m asia.redteam ARGUMENTS` in an outer sandbox, as they come. Raises
     SandboxError where it cannot run or fails."""
     reason = why_no_outer(nested)
     if reason is not None:
         raise SandboxError(f"attacks run unprotected in an outer sandbox only, and {reason}")
-    python = [interpreter(), "-B", "-m", "asia.redteam", *job]
+    python = [interpreter(), "-B", "-m", "asia.redteam", *arguments]
     command = [*outer_command(nested), "--", "/bin/sh", "-c", _HIGH_PID, "sh", *python]
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, env={}, cwd="/"
@@ -60,7 +60,7 @@ def read_finding(line: str) -> Finding:
     """The inverse of `write_finding`."""
     body = json.loads(line)
     stops, without = tuple(body.pop("stops")), tuple(body.pop("without"))
-    return Finding(verdict=Verdict(body.pop("verdict")), stops=stops, without=without, **body)
+    return Finding(verdict=AttackVerdict(body.pop("verdict")), stops=stops, without=without, **body)
 
 
 def outer_command(nested: bool) -> list[str]:

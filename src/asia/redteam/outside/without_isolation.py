@@ -15,10 +15,10 @@ from functools import cache, partial
 from pathlib import Path
 from typing import NoReturn
 
-from asia.redteam._problem import Kind, small_problem
-from asia.redteam._types import CandidateAttack, Finding, Mistake, Seen, Verdict
+from asia.redteam._problem import ProtocolKind, small_problem
+from asia.redteam._types import AttackVerdict, CandidateAttack, Finding, Mistake, Observed
 from asia.redteam.attacks.source import HONEST, fill_in
-from asia.redteam.evidence.success import better, scored
+from asia.redteam.evidence.signs_of_success import has_score, scores_better
 from asia.redteam.evidence.targets import Targets, targets
 from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
 from asia.redteam.outside.naive_evaluator import judge, load_leftovers
@@ -35,14 +35,14 @@ def attack_without_isolation(attack: CandidateAttack) -> Finding:
     """Whether one variant at least succeeds. Runs the attack's code for real: to be called inside
     an outer sandbox only."""
     # Here an honest candidate has a score too: to have one is no success.
-    won = better if attack.won is scored else attack.won
+    success = scores_better if attack.success is has_score else attack.success
     found: list[Finding] = []
     for name, source in attack.sources.items():
         with targets(attack.memory_mb) as given:
-            seen = _see(source, attack.kind, attack.mistake, given, attack.limit)
-            finding = conclude(attack, name, seen, _NO_LAYERS, won)
-            if finding.through and not won(seen):  # to leave something is not what it tries
-                finding = replace(finding, verdict=Verdict.NO_GAIN)
+            seen = _observe(source, attack.kind, attack.mistake, given, attack.limit)
+            finding = conclude(attack, name, seen, _NO_LAYERS, success)
+            if finding.through and not success(seen):  # to leave something is not what it tries
+                finding = replace(finding, verdict=AttackVerdict.NO_GAIN)
             found.append(finding)
         if found[-1].through:
             break
@@ -57,23 +57,23 @@ def broken(attack: CandidateAttack) -> CandidateAttack:
 
 
 @cache
-def _honest(kind: Kind) -> float:
+def _honest(kind: ProtocolKind) -> float:
     with targets(0) as given:
-        value = _see(HONEST, kind, None, given, _LONGEST_SECONDS, honest=0.0).value
+        value = _observe(HONEST, kind, None, given, _LONGEST_SECONDS, honest=0.0).value
     assert value is not None
     return value
 
 
-def _see(
+def _observe(
     source: str,
-    kind: Kind,
+    kind: ProtocolKind,
     mistake: Mistake | None,
     given: Targets,
     limit: float,
     honest: float | None = None,
-) -> Seen:
+) -> Observed:
     honest, problem = _honest(kind) if honest is None else honest, small_problem(kind)
-    source = fill_in(source, given.told, problem)
+    source = fill_in(source, given.source, problem)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         Path(folder, "candidate.py").write_text(source)
         begin = time.monotonic()
@@ -82,7 +82,7 @@ def _see(
         seconds = time.monotonic() - begin
         _run(load_leftovers, folder, _LONGEST_SECONDS)
     survivors = given.traces.survivors()
-    return Seen(
+    return Observed(
         value=_value(ended, mistake),
         honest=honest,
         detail=ended.errors,
@@ -102,12 +102,14 @@ def _see(
 
 @dataclass(frozen=True)
 class _Ended:
-    """How a process ended: its exit code, None if it had to be killed; what it printed, and where
-    it complained."""
+    """How a process ended."""
 
     code: int | None
+    """Its exit code; None if it had to be killed."""
     output: str
+    """What it printed."""
     errors: str
+    """What it printed as errors."""
 
 
 def _run(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
