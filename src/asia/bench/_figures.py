@@ -14,8 +14,8 @@ from asia.report import (
     ArmCurves,
     ArmsPicture,
     BenchPictures,
+    ComparedValue,
     Curve,
-    Level,
     PublishedMee,
     draw_bench,
 )
@@ -86,12 +86,16 @@ def _curve(run: FinishedSearch) -> Curve:
 
 def _levels(
     plan: ComparisonPlan, setting: EarlyStopping, runs: Sequence[FinishedSearch]
-) -> tuple[Level, ...]:
+) -> tuple[ComparedValue, ...]:
     """The linear model, and the paper's searches where they were measured alike."""
     rungs = [rung for run in runs[:1] for rung in run.view.rungs if rung.name == "linear model"]
-    levels = [Level("linear model", r.outcome.value) for r in rungs if isinstance(r.outcome, Score)]
+    levels = [
+        ComparedValue("linear model", r.outcome.value)
+        for r in rungs
+        if isinstance(r.outcome, Score)
+    ]
     if setting == "validation" and plan.paper is not None:
         searches = ("expert", "random-paper")
         values = [v for v in plan.paper.values if v.row in searches]
-        levels += [Level(f"paper: {v.model}", v.value) for v in values]
+        levels += [ComparedValue(f"paper: {v.model}", v.value) for v in values]
     return tuple(levels)

@@ -12,8 +12,8 @@ from asia.report._comparison import (
     ArmCurves,
     ArmsPicture,
     BenchPictures,
+    ComparedValue,
     Curve,
-    Level,
     PublishedMee,
 )
 from asia.report._leaderboard import Entry, leaderboard
@@ -25,9 +25,9 @@ __all__ = [
     "ArmCurves",
     "ArmsPicture",
     "BenchPictures",
+    "ComparedValue",
     "Curve",
     "Entry",
-    "Level",
     "PublishedMee",
     "draw_bench",
     "draw_problem",

@@ -32,11 +32,13 @@ class ArmCurves:
 
 
 @dataclass(frozen=True)
-class Level:
-    """A V to compare with."""
+class ComparedValue:
+    """A V to compare searches with."""
 
     label: str
+    """Whose V it is."""
     value: float
+    """V."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class ArmsPicture:
     name: str
     title: str
     sides: tuple[ArmCurves, ...]
-    levels: tuple[Level, ...]
+    levels: tuple[ComparedValue, ...]
     metric: str
 
 

@@ -19,8 +19,8 @@ from asia.report import (
     ArmCurves,
     ArmsPicture,
     BenchPictures,
+    ComparedValue,
     Curve,
-    Level,
     PublishedMee,
     draw_bench,
     leaderboard,
@@ -167,7 +167,10 @@ def make_sides(seeds: int) -> ArmsPicture:
             ("random, paper's space", 0.4),
         )
     )
-    levels = (Level("linear model", 0.39), Level("paper: agentic search, best of 15", 0.25))
+    levels = (
+        ComparedValue("linear model", 0.39),
+        ComparedValue("paper: agentic search, best of 15", 0.25),
+    )
     return ArmsPicture("arms", "tanks: expert against random search", sides, levels, "rmse")
 
 

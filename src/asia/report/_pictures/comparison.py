@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from asia.report._comparison import ArmCurves, ArmsPicture, Level
+from asia.report._comparison import ArmCurves, ArmsPicture, ComparedValue
 from asia.report._pictures.progress import log_values
 from asia.report._pictures.style import (
     BLUE,
@@ -56,7 +56,9 @@ def draw_arms(picture: ArmsPicture) -> Figure:
     return figure
 
 
-def _scale(axes: Axes, sides: Sequence[ArmCurves], levels: Sequence[Level], length: int) -> None:
+def _scale(
+    axes: Axes, sides: Sequence[ArmCurves], levels: Sequence[ComparedValue], length: int
+) -> None:
     steps = [c.best_so_far(length) for s in sides for c in s.curves]
     values = np.concatenate([*steps, np.array([level.value for level in levels])])
     values = values[np.isfinite(values)]
@@ -108,6 +110,6 @@ def _side(axes: Axes, side: ArmCurves, colour: str, length: int, shift: float) -
     axes.step(*ends, where="post", color=colour, lw=2.0, zorder=5, label=label)
 
 
-def _level(axes: Axes, level: Level, dashes: tuple[float, ...]) -> None:
+def _level(axes: Axes, level: ComparedValue, dashes: tuple[float, ...]) -> None:
     label = f"{plain(level.label, 44)}: {number(level.value)}"
     axes.axhline(level.value, color=INK, lw=0.9, dashes=dashes, zorder=2, label=label)
