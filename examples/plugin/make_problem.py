@@ -19,6 +19,8 @@ source = "tables:records"
 past_inputs = 5
 past_outputs = 5
 metric = "p95"
+[protocol.test]
+metrics = ["rmse", "p95"]
 
 [budget]
 experiments = 5

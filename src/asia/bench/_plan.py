@@ -36,7 +36,7 @@ class Arm:
     fixed: int | None = None
     """How many given candidates it evaluates, and no more, only where early stopping sees the
     validation fold; None for an agent that searches."""
-    settings: Mapping[str, str] = field(default_factory=dict[str, str])
+    settings: Mapping[str, str] = field(default_factory=dict[str, str], hash=False)
     """What the ledger holds of the agent's settings."""
 
 
