@@ -22,9 +22,10 @@ _HONEST_MB = 2048
 
 
 class _Thinned(Evaluator):
-    """An evaluator whose workers go without some layers; for an outer sandbox only."""
+    """An evaluator whose workers lack some layers; for an outer sandbox only."""
 
     without: Collection[Layer] = ()
+    """The layers that they lack."""
 
     @contextmanager
     def _worker(self) -> Generator[Worker]:

@@ -1,4 +1,4 @@
-"""To end early what runs in other threads."""
+"""Ends early what runs in other threads."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from asia.sandbox import Worker
 
 
 class Interruption:
-    """Whether all is to end, and the workers that are ended with it."""
+    """Whether the run is to end, and the workers to end with it."""
 
     def __init__(self) -> None:
         self.begun = False
         self._workers: set[Worker] = set()
 
     def begin(self) -> None:
-        """End the workers that work, and those that are about to."""
+        """End the workers that run, and those that start later."""
         self.begun = True
         for worker in list(self._workers):
             worker.abort()
 
     @contextmanager
     def ends(self, worker: Worker) -> Generator[None]:
-        """The worker is one of them while this is open."""
+        """While this is open, the worker is ended with the run."""
         self._workers.add(worker)
         try:
             if self.begun:

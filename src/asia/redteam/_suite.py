@@ -155,7 +155,7 @@ def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]
 
 
 def _jobs(plan: RedTeamPlan, interruption: Interruption) -> Iterator[Job]:
-    """Quick and slow ones in turns, so that none of the slow ones is left for the end."""
+    """Attacks and fits in turns, so that no slow job is left for the end."""
     honest: list[Job] = [
         partial(_honest, p, row, plan.levels[0], interruption) for p, row in plan.honest
     ]
@@ -164,7 +164,7 @@ def _jobs(plan: RedTeamPlan, interruption: Interruption) -> Iterator[Job]:
         first.append(partial(_outside, OFF, (), plan.attacks))
     searches = [a for a in plan.attacks if isinstance(a, SearchAttack)]
     if searches:
-        first.append(partial(_played, searches, plan.levels[0]))
+        first.append(partial(_play_searches, searches, plan.levels[0]))
     candidates = [a for a in plan.attacks if isinstance(a, CandidateAttack)]
     for level in plan.levels:
         if LEVELS[level].confined:
@@ -191,21 +191,21 @@ def _honest(
     yield try_honest(problem, row, level, interruption)
 
 
-def _played(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Result]:
-    """Once: the walls have no part in it."""
+def _play_searches(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Result]:
+    """Attacks on the search, played once: the walls have no part in them."""
     with tempfile.TemporaryDirectory(prefix="asia-redteam-") as folder:
         scene = Scene(Path(folder), level)
         for attack in attacks:
-            play = attack.play(scene)
-            verdict = AttackVerdict.FLAGGED if play.flagged else AttackVerdict.BLOCKED
-            verdict = AttackVerdict.THROUGH if play.succeeded else verdict
-            stops = () if play.succeeded else tuple(map(str, play.stops))
-            yield Finding(attack.number, ANY_LEVEL, verdict, stops, play.note)
+            result = attack.play(scene)
+            verdict = AttackVerdict.FLAGGED if result.flagged else AttackVerdict.BLOCKED
+            verdict = AttackVerdict.THROUGH if result.succeeded else verdict
+            stops = () if result.succeeded else tuple(map(str, result.stops))
+            yield Finding(attack.number, ANY_LEVEL, verdict, stops, result.note)
 
 
 def _run(jobs: Sequence[Job], on_result: OnResult, interruption: Interruption) -> list[Result]:
-    """The first failure or interrupt ends it: what has not begun is not begun, a job of many
-    attacks ends with the one it is at, and a fit at once."""
+    """Results of all jobs. The first failure or interrupt ends the run: no further job begins, a
+    job of many attacks ends after the current one, and a fit ends at once."""
     results: list[Result] = []
 
     def collect(job: Job) -> None:

@@ -21,8 +21,10 @@ class Barrier(StrEnum):
     LANDLOCK = "landlock"
     SECCOMP = "seccomp"
     RLIMITS = "rlimits"
-    KERNEL = "kernel"  # its ordinary rules about users and files
-    PARENT = "parent"  # it alone computes, checks and parses
+    KERNEL = "kernel"
+    """Its ordinary rules about users and files."""
+    PARENT = "parent"
+    """The evaluator's process, which alone computes and checks scores."""
     DEADLINE = "deadline"
     FRESH = "fresh worker"
     LINT = "lint"
@@ -33,8 +35,8 @@ class Barrier(StrEnum):
 
 
 class Mistake(StrEnum):
-    """What an evaluation without isolation does wrong for one attack alone, as others would succeed
-    by failing."""
+    """A mistake that the evaluation without isolation makes for one attack alone: with it, all
+    others would succeed by failing."""
 
     DROPS_FOLDS = "failed folds are left out"
     STARTS_AT_ZERO = "an end without a score counts as 0"

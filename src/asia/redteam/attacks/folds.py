@@ -1,4 +1,5 @@
-"""Candidates that hand what one fold trains on, another fold's answers, to the worker of that."""
+"""Candidates that pass the training outputs of one fold, which another fold holds out, to the
+worker of that fold."""
 
 from __future__ import annotations
 
@@ -75,7 +76,7 @@ def tell(records):
         time.sleep(0.01)
 """
 
-# The model takes along what it was told, so that it simulates the same in a fresh worker.
+# The model keeps what it received, so that it simulates the same in a fresh worker.
 _RETURN = "\nmodel = Model()\nmodel.kept = KEPT\nreturn model"
 _AFTER = "recall(self.kept, past_u, past_y, u)"
 

@@ -56,9 +56,9 @@ def probe(ask: Ask) -> Array:
             solved += wave * (_SIZE**2 - gap) / (2 * _SIZE)
     least = ask(solved)
     for wave in waves:
-        told = ask(greedy + 0.1 * wave)
-        if told < least:
-            greedy, least = greedy + 0.1 * wave, told
+        reported = ask(greedy + 0.1 * wave)
+        if reported < least:
+            greedy, least = greedy + 0.1 * wave, reported
     return min((solved, greedy, np.zeros(_SAMPLES)), key=ask)
 
 
@@ -98,9 +98,9 @@ class Ladder:
 
     def ask(self, correction: Array) -> float:
         """V as it is reported."""
-        told = self._search.submit(_score(correction)).outcome
-        assert isinstance(told, Score)
-        return told.value
+        reported = self._search.submit(_score(correction)).outcome
+        assert isinstance(reported, Score)
+        return reported.value
 
     def doubt(self, correction: Array) -> bool:
         """Whether the candidate, which breaks a relation, is refused."""
@@ -130,7 +130,7 @@ def _with_exact(folder: Path) -> bool:
 
 
 def _words(value: float) -> str:
-    return f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries told on a ladder of {LADDER_STEP:g}"
+    return f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries on a ladder of {LADDER_STEP:g}"
 
 
 PROBING = (
