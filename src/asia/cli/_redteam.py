@@ -99,7 +99,7 @@ def _run(plan: RedTeamPlan, json: bool) -> None:
 
     begin, names = time.monotonic(), {a.number: a.name for a in plan.attacks}
     with _one_interrupt():
-        report = run_suite(plan, lambda result: _tell(result, names, json))
+        report = run_suite(plan, lambda result: _print_result(result, names, json))
     if json:
         counts = {
             "attacks": len(plan.attacks),
@@ -142,7 +142,7 @@ def _show_without(
         )
     names = {attack.number: attack.name for attack in attacks}
     with _one_interrupt():
-        found = without_layers(settings, attacks, lambda result: _tell(result, names, json))
+        found = without_layers(settings, attacks, lambda result: _print_result(result, names, json))
     if not json:
         print(without_table(found, attacks))
 
@@ -172,7 +172,7 @@ def _one_interrupt() -> Generator[None]:
             signal.signal(one, handler)
 
 
-def _tell(result: Finding | HonestFinding, names: dict[int, str], json: bool) -> None:
+def _print_result(result: Finding | HonestFinding, names: dict[int, str], json: bool) -> None:
     from asia.redteam import line
 
     print(line(result, names), file=sys.stderr, flush=True)

@@ -136,7 +136,7 @@ class Evaluator:
             source = executed_source(source)
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
-        jobs = [partial(self._guarded_fold, source, fold) for fold in self.folds]
+        jobs = [partial(self._fold_or_failure, source, fold) for fold in self.folds]
         try:
             ends = self._run(jobs)
         except CandidateError as error:
@@ -153,14 +153,17 @@ class Evaluator:
         same as the worker that fitted it, and answers like a model (see `suspicions`). RESTART
         depends on held-out outputs: it is the reason only if no other relation fails in any fold.
         """
-        jobs = [partial(self._doubt, source, f, r) for f, r in zip(self.folds, folds, strict=True)]
+        jobs = [
+            partial(self._fold_objection, source, f, r)
+            for f, r in zip(self.folds, folds, strict=True)
+        ]
         try:
             found = [f for f in self._run(jobs) if f is not None]
             return min(found, key=lambda f: f.reason is Reason.RESTART, default=None)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
-    def _doubt(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
+    def _fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
         place, seed = fold.index + 1, derive_seed(self._context.seed, self._salt, fold.index)
         with self._worker() as worker:
             try:
@@ -198,7 +201,7 @@ class Evaluator:
             except CandidateError as error:
                 models.append(error)
 
-        self._run([on_all, lambda: results.append(self._guarded_fold(source, fold).result)])
+        self._run([on_all, lambda: results.append(self._fold_or_failure(source, fold).result)])
         return Refit(models[0], fold.index + 1, results[0])
 
     def simulate(
@@ -213,13 +216,13 @@ class Evaluator:
         more. Raises CandidateError when somebody ended the worker both times. Workers still open
         at the end are those of an interrupted run."""
         try:
-            return self._executor.run([partial(self._twice, job) for job in jobs])
+            return self._executor.run([partial(self._with_one_retry, job) for job in jobs])
         finally:
             self._interrupted = bool(self._open)
             for worker in list(self._open):
                 worker.abort()
 
-    def _twice(self, job: Callable[[], T]) -> T:
+    def _with_one_retry(self, job: Callable[[], T]) -> T:
         try:
             return job()
         except SandboxError:
@@ -263,7 +266,7 @@ class Evaluator:
             deadline=time.monotonic() + self._limits.fit_seconds,
         )
 
-    def _guarded_fold(self, source: str, fold: Fold) -> _FoldEnd:
+    def _fold_or_failure(self, source: str, fold: Fold) -> _FoldEnd:
         oracle = Oracle(self._worker, source, self._context, fold, self._rule)
         try:
             result, output = self._run_fold(source, fold, oracle)

@@ -62,9 +62,9 @@ def score_rungs(
         "training mean": lambda: score(_training_mean),
         "last output held": lambda: score(_last_output),
     }
-    moving = _moving(evaluator)
-    if moving is not None:
-        rungs["constant velocity"] = lambda: score(moving)
+    at_constant_velocity = _constant_velocity_simulation(evaluator)
+    if at_constant_velocity is not None:
+        rungs["constant velocity"] = lambda: score(at_constant_velocity)
     rungs["linear model"] = lambda: evaluator.evaluate(LINEAR).outcome
     if truth is not None:
         rungs[TRUTH] = lambda: score(lambda _, block: truth[block.record][block.start : block.stop])
@@ -84,7 +84,7 @@ def _last_output(fold: Fold, block: Block) -> Array:
     return np.tile(past[-1], (len(block.y), 1)) if len(past) else _training_mean(fold, block)
 
 
-def _moving(evaluator: Evaluator) -> Callable[[Fold, Block], Array] | None:
+def _constant_velocity_simulation(evaluator: Evaluator) -> Callable[[Fold, Block], Array] | None:
     """Simulation at constant velocity, None where nothing gives one: in long simulations, without
     past outputs, and where one past output is all and no output is another's rate."""
     horizon, folds = evaluator.horizon, evaluator.folds

@@ -22,19 +22,19 @@ def main(arguments: list[str]) -> None:
     for attack in ATTACKS:
         if str(attack.number) not in numbers:
             continue
-        print(write_finding(_played(attack, level, without)), flush=True)
+        print(write_finding(_finding(attack, level, without)), flush=True)
 
 
-def _played(attack: Attack, level: str, without: list[Layer]) -> Finding:
+def _finding(attack: Attack, level: str, without: list[Layer]) -> Finding:
     if level == OFF:
-        return _unprotected(attack)
+        return _unprotected_finding(attack)
     assert isinstance(attack, CandidateAttack)
     if level == CONTROL:
         return attack_without_isolation(broken(attack))
     return attack_candidate(attack, Isolation(level), without)
 
 
-def _unprotected(attack: Attack) -> Finding:
+def _unprotected_finding(attack: Attack) -> Finding:
     if isinstance(attack, CandidateAttack):
         return attack_without_isolation(attack)
     with TemporaryDirectory() as folder:

@@ -21,7 +21,7 @@ _HONEST_SECONDS = 60.0
 _HONEST_MB = 2048
 
 
-class _Thinned(Evaluator):
+class _EvaluatorWithoutLayers(Evaluator):
     """An evaluator whose workers lack some layers; for an outer sandbox only."""
 
     without: Collection[Layer] = ()
@@ -62,22 +62,24 @@ def _observe(
     attack: CandidateAttack, name: str, level: Isolation, without: Collection[Layer]
 ) -> Observed:
     problem, honest = small_problem(attack.kind), honest_value(attack.kind, level)
-    kind = _Thinned if without else Evaluator
+    kind = _EvaluatorWithoutLayers if without else Evaluator
     at_once = 2 if name in attack.at_once else 1
     evaluator = problem.evaluator(
         kind, level, attack.limit, attack.memory_mb, attack.folds, at_once
     )
-    if isinstance(evaluator, _Thinned):
+    if isinstance(evaluator, _EvaluatorWithoutLayers):
         evaluator.without = without
     with targets(attack.memory_mb) as given:
         begin = time.monotonic()
         least = honest if attack.folds > 1 else 0.0
-        evaluation = _judged(evaluator, fill_in(attack.sources[name], given.source, problem), least)
+        evaluation = _evaluate_as_searches_do(
+            evaluator, fill_in(attack.sources[name], given.source, problem), least
+        )
         seconds = time.monotonic() - begin
-        return _look(evaluation, given, honest, seconds, attack.limit)
+        return _observed(evaluation, given, honest, seconds, attack.limit)
 
 
-def _judged(evaluator: Evaluator, source: str, least: float) -> Evaluation:
+def _evaluate_as_searches_do(evaluator: Evaluator, source: str, least: float) -> Evaluation:
     """As the search judges: a score below `least`, which would win, is examined."""
     evaluation = evaluator.evaluate(source)
     outcome = evaluation.outcome
@@ -87,7 +89,7 @@ def _judged(evaluator: Evaluator, source: str, least: float) -> Evaluation:
     return evaluation
 
 
-def _look(
+def _observed(
     evaluation: Evaluation, given: Targets, honest: float, seconds: float, limit: float
 ) -> Observed:
     outcome, output = evaluation.outcome, evaluation.output

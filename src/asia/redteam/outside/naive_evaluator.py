@@ -26,7 +26,7 @@ from asia.redteam._types import Mistake
 _MODEL, _RESULT, _LOG = "model.bin", "result.npy", "log.txt"
 
 
-def judge(source: str, problem: SmallProblem, mistake: Mistake | None) -> None:
+def print_score(source: str, problem: SmallProblem, mistake: Mistake | None) -> None:
     """Print the mean over the folds; what is no number counts as 0. Raises what a fold fails with,
     unless failed folds are left out."""
     scores: list[float] = []

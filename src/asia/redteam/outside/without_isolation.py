@@ -21,7 +21,7 @@ from asia.redteam.attacks.source import HONEST, fill_in
 from asia.redteam.evidence.signs_of_success import has_score, scores_better
 from asia.redteam.evidence.targets import Targets, targets
 from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
-from asia.redteam.outside.naive_evaluator import judge, load_leftovers
+from asia.redteam.outside.naive_evaluator import load_leftovers, print_score
 from asia.sandbox import Layer
 
 OFF, CONTROL = "off", "control"
@@ -78,12 +78,12 @@ def _observe(
         Path(folder, "candidate.py").write_text(source)
         begin = time.monotonic()
         patience = min(limit + _PATIENCE_SECONDS, _LONGEST_SECONDS)
-        ended = _run(partial(judge, source, problem, mistake), folder, patience)
+        ended = _run_forked(partial(print_score, source, problem, mistake), folder, patience)
         seconds = time.monotonic() - begin
-        _run(load_leftovers, folder, _LONGEST_SECONDS)
+        _run_forked(load_leftovers, folder, _LONGEST_SECONDS)
     survivors = given.traces.survivors()
     return Observed(
-        value=_value(ended, mistake),
+        value=_printed_score(ended, mistake),
         honest=honest,
         detail=ended.errors,
         output=ended.output,
@@ -112,7 +112,7 @@ class _Ended:
     """What it printed as errors."""
 
 
-def _run(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
+def _run_forked(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
     """In a process of its own, forked, as to start Python anew takes most of the time."""
     child = os.fork()
     if child == 0:
@@ -145,7 +145,7 @@ def _child(job: Callable[[], None], folder: str) -> NoReturn:
         os._exit(status)
 
 
-def _value(ended: _Ended, mistake: Mistake | None) -> float | None:
+def _printed_score(ended: _Ended, mistake: Mistake | None) -> float | None:
     """The first score that was printed, if the evaluation came to its end; None without one."""
     said = _SAID.search(ended.output)
     if ended.code != 0:
