@@ -130,14 +130,17 @@ def _parsed(text: str) -> ast.Module:
 
 
 def _docstrings(tree: ast.Module) -> set[ast.Constant]:
+    """Texts that describe: of modules, functions and classes, and below a field or a constant."""
     found: set[ast.Constant] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            match node.body:
-                case [ast.Expr(value=ast.Constant(value=str()) as words), *_]:
-                    found.add(words)
-                case _:
-                    pass
+            several = not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+            for statement in node.body if several else node.body[:1]:
+                match statement:
+                    case ast.Expr(value=ast.Constant(value=str()) as words):
+                        found.add(words)
+                    case _:
+                        pass
     return found
 
 

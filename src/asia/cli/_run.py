@@ -20,6 +20,15 @@ if TYPE_CHECKING:
 
 NOTHING_FOUND = 3
 
+Space = Annotated[
+    str | None,
+    typer.Option(help="What random draws from: library (default), or the paper's: paper."),
+]
+Sinks = Annotated[
+    list[str] | None,
+    typer.Option(help="Give the events to an installed sink, or module:Name; repeatable."),
+]
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -35,15 +44,9 @@ def run(
             help="Who proposes: expert, random, bayes, llm, command:NAME, or your module:Class."
         ),
     ] = "expert",
-    space: Annotated[
-        str | None,
-        typer.Option(help="What random draws from: library (default), or the paper's: paper."),
-    ] = None,
+    space: Space = None,
     options: SearchOptions,
-    sink: Annotated[
-        list[str] | None,
-        typer.Option(help="Give the events to an installed sink, or module:Name; repeatable."),
-    ] = None,
+    sink: Sinks = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
     models: ModelOptions,

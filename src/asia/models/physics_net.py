@@ -28,7 +28,7 @@ from asia.models._data.records import check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
-from asia.models._equations.measured_cell import MeasuredCell, NetworkKind, limits
+from asia.models._equations.measured_cell import MeasuredCell, NetworkKind, limits, signal_sizes
 from asia.models._equations.measured_terms import TermPenalties, fit_equations
 from asia.models._equations.ode import Equations, equations
 from asia.models._networks.layers import dense, zeros
@@ -303,7 +303,7 @@ def _fixed(
     moved = np.concatenate([t.y[span:] - t.y[:-span] for t in trajectories])
     rate = moved[:, order].std(axis=0) / (span * context.sampling_time)
     rate = np.where(rate > 0, rate, 1.0)[list(cell.dynamic)]
-    mean, std = _signal_sizes(cell, trajectories)
+    mean, std = signal_sizes(cell, trajectories)
     values = {
         "y_mean": scaling.y_mean,
         "y_std": scaling.y_std,
@@ -316,21 +316,3 @@ def _fixed(
         "s_std": std,
     }
     return {k: np.asarray(v, np.float32) for k, v in values.items()}
-
-
-def _signal_sizes(cell: MeasuredCell, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
-    import jax
-    import jax.numpy as jnp
-
-    every = max(1, sum(len(t) for t in trajectories) // 2000)
-    y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.order)]
-    u = np.concatenate([t.u[::every] for t in trajectories])
-    with jax.enable_x64(True):
-        p = cell.physical(jnp.zeros(len(cell.ranges)))
-        values = np.asarray(
-            jax.vmap(lambda a, b: cell.equations.named(cell.read, p, a, b))(
-                jnp.asarray(y), jnp.asarray(u)
-            )
-        )
-    std = values.std(axis=0)
-    return values.mean(axis=0), np.where(std > 0, std, 1.0)

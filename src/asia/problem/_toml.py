@@ -45,7 +45,11 @@ def read_table(path: Path, schema: type[T]) -> T:
         raise UserError(f"{path} is not valid TOML: {error}") from error
     try:
         # As JSON, where strictness takes a list for a tuple and a table for a dataclass.
-        return TypeAdapter(schema).validate_json(json.dumps(raw, default=_refuse_date))
+        text = json.dumps(raw, default=_refuse_date)
+    except RecursionError as error:
+        raise UserError(f"{path}: its tables are nested too deeply") from error
+    try:
+        return TypeAdapter(schema).validate_json(text)
     except ValidationError as error:
         found = [_sentence(e, schema) for e in error.errors(include_url=False)]
         more = len(found) - _SHOWN

@@ -66,7 +66,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
     assert set(answer) == {
         "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
         "early_stopping", "validation_scores", "best", "rungs",
-        "control", "stopped", "usage",
+        "control", "stopped", "usage", "metric",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
     assert answer["problem"] == "toy"

@@ -10,12 +10,15 @@ the mean acceleration; net is a network. Everything learned is without effect at
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from asia.data import Array, Trajectory
 from asia.models import recurrent
 from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations
@@ -179,3 +182,19 @@ class MeasuredCell:
 def limits(mean: Any, std: Any) -> tuple[Any, Any]:
     """Bounds (nx,) that keep a simulation finite."""
     return mean - _FAR * std, mean + _FAR * std
+
+
+def signal_sizes(cell: MeasuredCell, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
+    """Mean and standard deviation, (n,) each, of the signals that the equations read."""
+    every = max(1, sum(len(t) for t in trajectories) // 2000)
+    y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.order)]
+    u = np.concatenate([t.u[::every] for t in trajectories])
+    with jax.enable_x64(True):
+        p = cell.physical(jnp.zeros(len(cell.ranges)))
+        values = np.asarray(
+            jax.vmap(lambda a, b: cell.equations.named(cell.read, p, a, b))(
+                jnp.asarray(y), jnp.asarray(u)
+            )
+        )
+    std = values.std(axis=0)
+    return values.mean(axis=0), np.where(std > 0, std, 1.0)

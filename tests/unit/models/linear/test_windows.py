@@ -120,7 +120,7 @@ def test_windows_are_bounded_in_number_and_come_from_every_record(runs, context)
     records = scaled(runs, Scaling.of(runs))
     windows = cut_windows(records, context, 20)
     assert isinstance(windows, HorizonWindows)
-    assert 15 <= len(windows) <= 24
+    assert 15 <= len(windows.u) <= 24
     assert windows.u.shape[1:] == (HORIZON, 1)
     for record in records:
         firsts = record.y[1 : len(record) - HORIZON + 1]

@@ -7,8 +7,7 @@ from asia.cli._output.experiment import describe
 from asia.cli._output.words import duration, experiment_line
 from asia.ledger import error_value, open_run
 from asia.scoring import Score
-
-from .conftest import Searched
+from tests.unit.cli.conftest import Searched
 
 
 def test_numbers() -> None:

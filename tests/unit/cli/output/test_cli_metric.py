@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.unit.cli.conftest import Asia, Done, command_line
 from tests.unit.made_up_parts import installed
 from tests.unit.search.toy import write_problem
-
-from .conftest import Asia, Done, command_line
 
 MODULE = """
 import numpy as np
