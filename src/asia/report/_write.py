@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from asia.ledger import Run, TestedModel, control, open_run
 from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
+from asia.report._drawing.style import DPI, drawing
 from asia.report._leaderboard import leaderboard
 from asia.report._pictures.data import draw_data
 from asia.report._pictures.equations import draw_equations
@@ -18,7 +19,6 @@ from asia.report._pictures.progress import draw_progress
 from asia.report._pictures.residuals import draw_residuals
 from asia.report._pictures.simulation import draw_simulation, draw_test
 from asia.report._pictures.standing import draw_standing
-from asia.report._pictures.style import DPI, drawing
 from asia.report._pictures.windows import draw_horizon, draw_test_horizon
 
 Picture = tuple[str, Callable[[], Figure]]

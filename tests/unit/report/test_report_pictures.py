@@ -21,8 +21,8 @@ from asia.errors import UserError
 from asia.ledger import open_run
 from asia.problem.load import Seal, load_problem, lock_text
 from asia.report import draw_problem, write_report
+from asia.report._drawing.style import drawing, plain
 from asia.report._pictures.data import draw_data
-from asia.report._pictures.style import drawing, plain
 from asia.report._write import pictures, save
 
 from .made_up import BENCHMARK, Outcomes, Shape, make_problem, write_run

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from asia.ledger import Run, open_run
 from asia.problem.load import Problem
 from asia.protocol import EarlyStopping
-from asia.report._pictures.style import drawing
+from asia.report._drawing.style import drawing
 from asia.report._write import pictures
 
 from .made_up import Shape, make_problem, write_run

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asia.report._pictures.tags import Surroundings, Tag, crosses, place
+from asia.report._drawing.tags import Surroundings, Tag, crosses, place
 
 FRAME = (0.0, 0.0, 800.0, 400.0)
 NO_LINES = np.empty((0, 4))

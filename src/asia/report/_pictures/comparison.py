@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from asia.report._comparison import ArmCurves, ArmsPicture, ComparedValue
-from asia.report._pictures.progress import log_values
-from asia.report._pictures.style import (
+from asia.report._drawing.style import (
     BLUE,
     GREEN,
     INK,
@@ -26,6 +25,7 @@ from asia.report._pictures.style import (
     quiet_grid,
     v_axis_label,
 )
+from asia.report._pictures.progress import log_values
 
 _HEIGHT = 4.2
 _LOG_FROM = 6.0

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from asia.data import Array
 from asia.problem.load import Problem
 from asia.protocol import Fold, make_folds
-from asia.report._pictures.style import (
+from asia.report._drawing.style import (
     BLUE,
     INK,
     ORANGE,
@@ -25,7 +25,7 @@ from asia.report._pictures.style import (
     quiet_grid,
     shown,
 )
-from asia.report._pictures.time import Stretch, TimeAxis, last_sample, lay_out, time_unit
+from asia.report._drawing.time import Stretch, TimeAxis, last_sample, lay_out, time_unit
 
 _MOST_INPUTS = 6
 _MOST_OUTPUTS = 12

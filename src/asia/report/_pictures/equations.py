@@ -12,7 +12,7 @@ from sympy.printing.latex import greek_letters_set, latex
 
 from asia.problem import Physics
 from asia.problem.physics.expressions import parse_expression
-from asia.report._pictures.style import INK, QUIET, WIDTH
+from asia.report._drawing.style import INK, QUIET, WIDTH
 
 _SHORT_NAME = re.compile(r"[A-Za-z]{1,2}\d*(_\w{1,3})?")
 _WHOLE_FLOAT = re.compile(r"(?<![\d.])(\d+)\.0(?!\d)")

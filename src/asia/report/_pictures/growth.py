@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from asia.data import Array
-from asia.report._pictures.style import (
+from asia.report._drawing.style import (
     BLUE,
     FAINT,
     GREEN,

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from asia.data import Array, Signal
-from asia.report._pictures.layout import PlotWithStrip, arrange
-from asia.report._pictures.style import (
+from asia.report._drawing.layout import PlotWithStrip, arrange
+from asia.report._drawing.style import (
     BLUE,
     FAINT,
     INK,
@@ -26,7 +26,7 @@ from asia.report._pictures.style import (
     plain,
     quiet_grid,
 )
-from asia.report._pictures.time import Stretch, TimeAxis, last_sample, lay_out, time_unit
+from asia.report._drawing.time import Stretch, TimeAxis, last_sample, lay_out, time_unit
 
 MOST_PANELS = 8
 _SINGLE_COLUMN = 3

@@ -18,7 +18,7 @@ from scipy.optimize import isotonic_regression
 
 from asia.data import Array
 from asia.ledger import Control, Experiment, SearchView
-from asia.report._pictures.style import (
+from asia.report._drawing.style import (
     BLUE,
     FAINT,
     GREEN,
@@ -31,7 +31,7 @@ from asia.report._pictures.style import (
     quiet_grid,
     v_axis_label,
 )
-from asia.report._pictures.tags import Surroundings, Tag, place
+from asia.report._drawing.tags import Surroundings, Tag, place
 from asia.scoring import Score
 
 _HEIGHT = 4.3

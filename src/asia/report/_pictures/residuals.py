@@ -15,9 +15,9 @@ from asia.ledger import Experiment, Run
 from asia.problem.load import Problem
 from asia.protocol import Fold
 from asia.report._artifacts import fold_outputs
+from asia.report._drawing.style import BLUE, INK, SHADE, WIDTH, headline, plain, quiet_grid, shown
 from asia.report._pictures.correlation import cross_correlation, independent_band, white_band
 from asia.report._pictures.simulation import lowest, worst_fits
-from asia.report._pictures.style import BLUE, INK, SHADE, WIDTH, headline, plain, quiet_grid, shown
 
 _LAGS = 40
 _MOST_ROWS = 4

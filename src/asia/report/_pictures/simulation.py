@@ -12,8 +12,8 @@ from asia.ledger import Experiment, Run, TestedModel, Unsealed
 from asia.problem.load import Problem
 from asia.protocol import Fold, find_metric
 from asia.report._artifacts import fold_outputs, opened_windows
+from asia.report._drawing.style import number, plain, quantity, shown
 from asia.report._pictures.overlay import MOST_PANELS, Heading, Panel, Piece, Words, draw_overlay
-from asia.report._pictures.style import number, plain, quantity, shown
 from asia.report._pictures.windows import telling
 from asia.scoring import FoldScore, Score, fit_index
 

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from asia.data import Array, Signal
-from asia.report._leaderboard import Entry
-from asia.report._pictures.style import (
+from asia.report._drawing.style import (
     BLUE,
     INK,
     ORANGE,
@@ -24,6 +23,7 @@ from asia.report._pictures.style import (
     quantity,
     quiet_grid,
 )
+from asia.report._leaderboard import Entry
 
 
 def draw_standing(

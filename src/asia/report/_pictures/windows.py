@@ -13,8 +13,8 @@ from asia.problem.load import Problem
 from asia.protocol import Fold, OutputGroup
 from asia.report._artifacts import fold_outputs, opened_windows
 from asia.report._comparison import PublishedMee
+from asia.report._drawing.style import plain, shown
 from asia.report._pictures.growth import MOST_PANELS, ErrorCurve, Growth, Marks, draw_growth
-from asia.report._pictures.style import plain, shown
 from asia.scoring import mee_table
 
 
