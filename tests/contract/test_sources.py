@@ -154,6 +154,18 @@ def test_a_problem_names_a_source_of_another_package(
     assert load_lock(lock).data == problem.data == Loggers(source, ("log2",))
 
 
+def test_a_source_without_training_records_is_refused(
+    tmp_path: Path, plugged: Callable[[str], None]
+) -> None:
+    plugged("Loggers")
+    (tmp_path / "problem.toml").write_text(
+        'sampling_time = 0.5\ninputs = ["u"]\noutputs = ["y"]\n[data]\n'
+        f'source = "loggers:{tmp_path}"\n'
+    )
+    with pytest.raises(UserError, match="has no training records"):
+        load_problem(tmp_path)
+
+
 class NoPlaces(DataSet):
     """Says nowhere where its records lie."""
 

@@ -11,7 +11,7 @@ from asia.ledger._chain import read_lines
 from asia.ledger._events import Started
 from asia.ledger._run import open_run
 
-# Agents that need nothing and no one, and so are no controlled ones.
+# Agents without a control: the control itself, and those that are controls too.
 FREE = ("expert", "random", "random-paper", "bayes")
 CONTROL = "expert"
 
@@ -52,7 +52,7 @@ def control_words(found: Control, start: Started) -> str:
     """One line for people."""
     if found.run is None:
         return (
-            "none yet; what the expert finds without a language model: asia run "
+            "none yet; what the expert, which is free, finds: asia run "
             f"{start.problem} --experiments {found.experiments} --seed {start.seed}"
         )
     value = "no score" if found.value is None else f"V={found.value:.4f}"

@@ -136,6 +136,10 @@ def _assemble(
     data = data_source(file.data, root)
     records = data.records("train", channels)
     names = [t.name for t in records.trajectories]
+    if not names:
+        raise UserError(
+            f"data.source '{file.data.source}' has no training records: name a folder that has them"
+        )
     rule = with_groups(file.protocol.rule(), file.data.groups, names)
     require_length(records.trajectories, rule)
     _require_motion(records.trajectories, channels.outputs)

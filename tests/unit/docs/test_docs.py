@@ -5,14 +5,17 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from asia.data import Signal, Trajectory, sources
 from asia.problem import Budget
 from asia.problem.physics.expressions import FUNCTIONS
 from asia.protocol import ProtocolRule
+from asia.testing import check_source
 
 ROOT = Path(__file__).parents[3]
 README = (ROOT / "README.md").read_text()
@@ -73,6 +76,21 @@ def test_the_problem_page_names_the_defaults() -> None:
         assert f"| `{key}` | {value} |" in page
     for name in FUNCTIONS:
         assert re.search(rf"\b{name}\b", page), f"{name} is not documented"
+
+
+def test_the_source_of_the_page_on_parts_conforms(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "extending.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    names = {name: getattr(sources, name) for name in ("DataSet", "SourceData")}
+    made = {**names, "dataclass": dataclass, "np": np, "Path": Path, "Trajectory": Trajectory}
+    made["__name__"] = __name__  # where dataclasses look names up
+    exec(next(block for block in blocks if "class Loggers" in block), made)
+    for number, name in enumerate(("train1", "train2", "test1")):
+        records = np.random.default_rng(number).normal(size=(90, 2))
+        np.save(tmp_path / f"{name}.npy", records)
+    table = sources.DataTable(source=f"loggers:{tmp_path.name}")
+    source = made["Loggers"].from_table(table, tmp_path.parent)
+    check_source(lambda: source, sources.Channels((Signal("u"),), (Signal("y"),), 0.5))
 
 
 def test_every_benchmark_is_listed() -> None:

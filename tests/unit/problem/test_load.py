@@ -167,7 +167,7 @@ def test_missing_benchmark_says_which_file_to_put_where(
         (("[data]", "[budget]\nhours = 0\n[data]"), "budget.hours is 0, expected a number above 0"),
         (("[data]", "[protocol]\npast_inputs = -1\n[data]"), "is -1, expected at least 0"),
         (("[data]", '[protocol]\npast_inputs = "5"\n[data]'), 'is "5", expected a whole number'),
-        (("[data]", '[protocol]\nmetric = "mse"\n[data]'), "expected 'rmse' or 'mae'"),
+        (("[data]", '[protocol]\nmetric = "mse"\n[data]'), "is 'mse', expected 'rmse'"),
         (("0.1", "nan"), "expected a finite number"),
         (('inputs = ["u"]', ""), "'inputs' is missing in the top level"),
         (('["u"]', "[]"), "inputs is [], expected at least one entry"),

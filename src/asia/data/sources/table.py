@@ -52,7 +52,7 @@ def source_class(text: str) -> type[Source]:
         return SOURCES[name]
     plugged = {part.name: part for part in parts_of(GROUP)}
     if name not in plugged:
-        forms = [source.usage for source in SOURCES.values()] + list(plugged)
+        forms = [source.usage or name for name, source in SOURCES.items()] + list(plugged)
         raise UserError(
             f"data.source is '{text}', expected {', '.join(map(repr, forms))}; CSV files are named "
             f"in data.train and data.test{suggestion(name, [*SOURCES, *plugged])}"

@@ -67,4 +67,4 @@ def test_without_the_package_the_run_can_still_be_looked_at(
     assert "agree y" in asia("show", "--runs", run[0]).out
     report = asia("report", "--runs", run[0])
     assert report.code == 2
-    assert "protocol.metric is 'agree', expected 'rmse' or 'mae'" in report.err
+    assert "protocol.metric is 'agree', expected 'rmse'" in report.err
