@@ -17,8 +17,22 @@ def test_every_family_has_one_row():
     assert sorted(row.name for row in all_families() if row.package == MODELS) == sorted(public)
 
 
-@pytest.mark.parametrize("row", all_families(), ids=lambda row: row.name)
+FIRST_OF_A_KIND = {row.kind: row.name for row in reversed(all_families())}
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        pytest.param(
+            row,
+            id=row.name,
+            marks=() if row.name in FIRST_OF_A_KIND.values() else pytest.mark.slow,
+        )
+        for row in all_families()
+    ],
+)
 def test_a_family_conforms(row):
+    """The first family of each kind at every change, all of them in the slow tier."""
     check_family(row)
 
 

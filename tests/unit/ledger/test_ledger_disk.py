@@ -18,7 +18,7 @@ from asia.ledger import (
     Stopped,
     Store,
     _disk,
-    _record,
+    _lines,
     brief,
     open_run,
     verify,
@@ -199,7 +199,7 @@ def test_a_clock_that_is_set_back_changes_times_and_nothing_else(
             cls.hours -= 30
             return datetime(2020, 1, 1, tzinfo=UTC) + timedelta(hours=cls.hours)
 
-    monkeypatch.setattr(_record, "datetime", Backwards)
+    monkeypatch.setattr(_lines, "datetime", Backwards)
     with Chain(whole / "ledger.jsonl") as chain:
         for text in "one", "two":
             chain.append(Steered(text))

@@ -27,6 +27,7 @@ def test_half_the_error_of_the_best_linear_model() -> None:
     assert data.ratio(model) < 0.5 * data.ratio(line)
 
 
+@pytest.mark.slow
 def test_past_window_sets_the_state_of_the_reservoir() -> None:
     data = case(filtered, noise=0.01)
     model = fitted(esn, esn.Config(longest=10.0), data, LeastSquares())

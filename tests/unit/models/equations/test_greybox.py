@@ -83,6 +83,7 @@ def test_a_case_does_not_depend_on_its_batch(duffing: greybox.GreyBox) -> None:
         np.testing.assert_allclose(together[i], duffing.simulate(*case)[0], rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_same_seed_gives_bitwise_the_same_model(duffing_context: Context) -> None:
     record = duffing_record(60, 2, NOISE)
     method = LevenbergMarquardt(iterations=5, starts=2)
@@ -129,6 +130,7 @@ def tank_record(samples: int, seed: int) -> Trajectory:
     return Trajectory(u, x[:, 1:] + noise, 1.0, "tanks")
 
 
+@pytest.mark.slow
 def test_finds_the_limit_and_the_spilled_fraction_of_a_full_tank() -> None:
     context = context_for(TANKS, "pump", "level", 1.0)
     record = tank_record(300, 4)
@@ -148,6 +150,7 @@ def test_finds_an_input_delay() -> None:
     assert model.parameters()["force delay"] == pytest.approx(2.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_additions_explain_what_the_equations_lack(duffing_context: Context) -> None:
     """A constant force and a bias of the sensor, which the equations do not know."""
     record, new = (duffing_record(200, seed, NOISE) for seed in (0, 8))
@@ -175,6 +178,7 @@ def lag_record(seed: int) -> Trajectory:
     return Trajectory(u, x[:, 1:] + noise, 0.3)
 
 
+@pytest.mark.slow
 def test_linear_term_finds_a_coupling_that_the_equations_lack() -> None:
     physics = Physics(
         ("x1", "x2"),
@@ -189,6 +193,7 @@ def test_linear_term_finds_a_coupling_that_the_equations_lack() -> None:
     assert error(model, lag_record(1)) < 4 * NOISE
 
 
+@pytest.mark.slow
 def test_a_strong_ridge_holds_additions_at_no_effect(duffing_context: Context) -> None:
     record = duffing_record(150, 0, NOISE)
     plain = fitted(greybox.Config(), [record], duffing_context)
@@ -201,6 +206,7 @@ def test_a_strong_ridge_holds_additions_at_no_effect(duffing_context: Context) -
     np.testing.assert_allclose(held.simulate(*case), plain.simulate(*case), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_robust_loss_withstands_outliers(duffing_context: Context) -> None:
     record = duffing_record(200, 0, NOISE)
     spoiled = record.y.copy()
@@ -221,6 +227,7 @@ KINEMATICS = Physics(
 
 
 @pytest.mark.parametrize(("n_past_u", "n_past_y"), [(0, 1), (3, 1), (1, 3), (0, 0)])
+@pytest.mark.slow
 def test_known_kinematics_with_two_inputs_and_outputs(n_past_u: int, n_past_y: int) -> None:
     context = context_for(
         KINEMATICS, "v heading", "east north", 0.1, n_past_u=n_past_u, n_past_y=n_past_y
@@ -256,6 +263,7 @@ def first_error(model: greybox.GreyBox, n_past_u: int, n_past_y: int) -> float:
 @pytest.mark.parametrize(
     ("n_past_u", "n_past_y", "times"), [(0, 5, 7.0), (3, 12, 2.0), (5, 12, 1.2)]
 )
+@pytest.mark.slow
 def test_start_state_is_found_from_more_past_outputs_than_inputs(
     n_past_u: int, n_past_y: int, times: float, duffing: greybox.GreyBox, duffing_context: Context
 ) -> None:
@@ -266,6 +274,7 @@ def test_start_state_is_found_from_more_past_outputs_than_inputs(
     assert first_error(model, n_past_u, n_past_y) < times * first_error(duffing, 5, 5)
 
 
+@pytest.mark.slow
 def test_the_unit_of_the_output_does_not_matter() -> None:
     u = held_steps(150, 0, -1.0, 1.0)
     truth = simulated(lambda x, v: np.array([x[1], v[0] - 0.5 * x[1] - 2.0 * x[0]]), u, [1, 0], 0.2)
@@ -292,6 +301,7 @@ def test_the_unit_of_the_output_does_not_matter() -> None:
         np.testing.assert_allclose(found(unit), plain, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_with_a_horizon_it_learns_from_windows(duffing_context: Context) -> None:
     context = replace(duffing_context, horizon=30)
     records = [duffing_record(140, 0, NOISE), duffing_record(100, 1, NOISE)]

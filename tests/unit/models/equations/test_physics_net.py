@@ -86,6 +86,7 @@ def test_known_kinematics_get_a_gain() -> None:
     assert model.network.params["gain"][0] == pytest.approx(-0.1, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_network_learns_what_the_equations_lack() -> None:
     system = {"cubic": 1.5}
     alone = fitted(physics_net.Config(linear=True, lag=False), **system)
@@ -130,6 +131,7 @@ def test_what_it_cannot_be_used_on(change: dict[str, object], words: str) -> Non
         physics_net.build(physics_net.Config(), replace(CONTEXT, **change))  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.slow
 def test_dropout_leaves_the_outputs_alone_and_bounds_hold() -> None:
     """With no step taken the network says nothing, whatever is dropped."""
     physics = replace(PHYSICS, bounds={"v": Bounds(max=0.1)})

@@ -77,6 +77,7 @@ def test_the_state_may_hold_several_past_samples(runs, context):
 @pytest.mark.parametrize(
     "method", [LevenbergMarquardt(6), Adam(steps=40, learning_rate=1e-3)], ids=["lm", "adam"]
 )
+@pytest.mark.slow
 def test_neural_state_space_keeps_the_past_window_as_its_state(runs, context, method):
     model = neural_ss.build(neural_ss.Config(hidden=3), context)
     model = neural_ss.train(model, runs[:3], context, method)

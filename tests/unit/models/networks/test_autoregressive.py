@@ -15,6 +15,7 @@ from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, wiener
 
 
+@pytest.mark.slow
 def test_training_learns_the_system() -> None:
     data = case(wiener)
     config = autoregressive.Config(cell="gru", hidden=12)

@@ -12,6 +12,7 @@ from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, wiener
 
 
+@pytest.mark.slow
 def test_training_learns_the_system() -> None:
     data = case(wiener)
     model = cascaded_ltc.build(cascaded_ltc.Config(slow=4, fast=8, width=16), data.context)

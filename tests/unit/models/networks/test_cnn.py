@@ -14,6 +14,7 @@ from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, wiener
 
 
+@pytest.mark.slow
 def test_training_learns_the_system() -> None:
     data = case(wiener)
     model = cnn.build(cnn.Config(receptive_field=32, width=8), data.context)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from asia.models import lru
 from asia.models._networks.layers import diagonal_states, poles
@@ -11,6 +12,7 @@ from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, wiener
 
 
+@pytest.mark.slow
 def test_training_learns_the_system() -> None:
     data = case(wiener)
     model = lru.build(lru.Config(layers=1, states=8, width=8, tau_max=20.0), data.context)

@@ -15,6 +15,7 @@ from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, wiener
 
 
+@pytest.mark.slow
 def test_training_learns_the_system() -> None:
     data = case(wiener)
     model = ltc.build(ltc.Config(hidden=16), data.context)
@@ -73,6 +74,7 @@ def test_uniform_start_and_linear_ends_are_what_they_say() -> None:
     np.testing.assert_allclose(trained.params["out_w"], p["out_w"], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_coupled_decay_acts_through_the_gradient() -> None:
     data = case(wiener, lengths=(100,))
     model = ltc.build(ltc.Config(hidden=4), data.context)

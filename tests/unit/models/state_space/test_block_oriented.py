@@ -39,6 +39,7 @@ def hammerstein(u: Array) -> Array:
         ("wiener_hammerstein", wiener_hammerstein, 3),
     ],
 )
+@pytest.mark.slow
 def test_own_system_is_simulated_below_the_noise(
     structure: str, system: object, order: int
 ) -> None:
@@ -62,6 +63,7 @@ def test_poles_are_shared_out_as_they_are_in_the_system() -> None:
     assert ((y - used[0].y)[50:] ** 2).mean() == pytest.approx(starts[0].error, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_two_inputs_and_outputs() -> None:
     data = case(two_by_two, channels=2, lengths=(200,))
     config = block_oriented.Config("wiener_hammerstein", order=3, hidden=2)
@@ -69,6 +71,7 @@ def test_two_inputs_and_outputs() -> None:
     assert data.ratio(model) < 1.0
 
 
+@pytest.mark.slow
 def test_windows_from_one_measured_state() -> None:
     config = block_oriented.Config("wiener_hammerstein", order=3, hidden=2)
     assert against_holding(block_oriented, config, LevenbergMarquardt(2), runs=3) < 0.8

@@ -32,6 +32,7 @@ def fitted(
         {"nonlinearity": "output", "basis": "polynomial", "degree": 5},
     ],
 )
+@pytest.mark.slow
 def test_wiener_system_is_simulated_below_the_noise(options: dict[str, Any]) -> None:
     data = case(wiener, lengths=(800,))
     line = linear.train(
@@ -41,6 +42,7 @@ def test_wiener_system_is_simulated_below_the_noise(options: dict[str, Any]) -> 
     assert data.ratio(model) < min(1.0, 0.5 * data.ratio(line))
 
 
+@pytest.mark.slow
 def test_a_few_channels_suffice_for_a_function_of_one_signal() -> None:
     data = case(lambda u: filtered(np.tanh(2 * u)), lengths=(800,))
     config = neural_ss.Config(order=2, channels=1)
@@ -56,6 +58,7 @@ def test_no_iterations_leave_the_linear_model() -> None:
     np.testing.assert_allclose(data.simulated(model), data.simulated(line), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_delay_and_two_channels() -> None:
     data = case(late, lengths=(300,))
     model = fitted(neural_ss.Config(order=2, delay=None), data, LevenbergMarquardt(5))
@@ -64,6 +67,7 @@ def test_delay_and_two_channels() -> None:
     assert data.ratio(fitted(neural_ss.Config(order=3), data, LevenbergMarquardt(5))) < 1.0
 
 
+@pytest.mark.slow
 def test_adam_improves_on_the_linear_start() -> None:
     data = case(wiener)
     before = fitted(neural_ss.Config(order=2), data, LevenbergMarquardt(0))
@@ -80,6 +84,7 @@ def test_same_seed_gives_the_same_model_whatever_the_precision_of_the_caller() -
     assert first.tobytes() == second.tobytes()
 
 
+@pytest.mark.slow
 def test_members_are_the_best_fits_and_answer_by_their_median() -> None:
     data = case(wiener, lengths=(150,))
     method = LevenbergMarquardt(10, starts=3)
