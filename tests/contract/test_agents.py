@@ -4,7 +4,13 @@ from asia.agents import AGENTS
 from asia.testing import check_agent
 
 
-@pytest.mark.parametrize("name", sorted(AGENTS))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "bayes" else ())
+        for name in sorted(AGENTS)
+    ],
+)
 def test_agent_conforms(name: str) -> None:
     check_agent(AGENTS[name])
 

@@ -14,7 +14,12 @@ CHOSEN = {"linear", "narx", "gp_narx", "esn", "recurrent", "cnn", "transformer"}
 
 
 @pytest.mark.parametrize(
-    "row", [r for r in all_families() if r.name in CHOSEN], ids=lambda row: row.name
+    "row",
+    [
+        pytest.param(r, id=r.name, marks=pytest.mark.slow if r.kind == "network" else ())
+        for r in all_families()
+        if r.name in CHOSEN
+    ],
 )
 def test_a_family_is_not_suspected(row):
     record, context = family_problem(row)

@@ -151,7 +151,14 @@ def test_a_huge_value_does_not_squeeze_the_others(tmp_path: Path) -> None:
     assert list(curves["off scale"].get_xdata()) == [6]
 
 
-@pytest.mark.parametrize(("shape", "trajectories"), [(BENCHMARK, 1), (MIMO, 3), (WIDE, 2)])
+@pytest.mark.parametrize(
+    ("shape", "trajectories"),
+    [
+        (BENCHMARK, 1),
+        pytest.param(MIMO, 3, marks=pytest.mark.slow),
+        pytest.param(WIDE, 2, marks=pytest.mark.slow),
+    ],
+)
 def test_every_picture_can_be_read(tmp_path: Path, shape: Shape, trajectories: int) -> None:
     figures = draw_all(tmp_path / "run", shape, FIVE, trajectories)
     with drawing():
