@@ -44,19 +44,14 @@ def try_(
 
     Exit code 3: judged, and it has no score. Interrupt it and the candidate is judged all the same.
     """
+    from asia._files import read_text
     from asia.agents import Proposal
     from asia.drive import CANDIDATE, Workspace
-    from asia.errors import UserError
 
     place = Workspace.find(folder)
     path = place.folder / CANDIDATE
-    if not path.is_file():
-        raise UserError(f"{path} does not exist: write the candidate there")
+    source = read_text(path, "write the candidate there, as Python source")
     desk = place.desk()
-    try:
-        source = path.read_text("utf-8")
-    except UnicodeDecodeError:
-        raise UserError(f"{path} is not UTF-8 text: write Python source") from None
     submission = desk.submit(Proposal(source, family, message, message, expect, parent))
     result = _waited(desk, submission)
     progress = desk.progress()

@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 from asia.agents import Proposal
 from asia.candidate import check_source
-from asia.drive._detached import SearchRequest, has_begun, runs
+from asia.drive._detached import SearchRequest, attended, has_begun, runs
 from asia.drive._queue import TEXT, TITLE, Queue
 from asia.errors import CandidateError, UserError
 from asia.ledger import (
@@ -136,6 +136,10 @@ class Desk(Protocol):
 
     def progress(self) -> SearchProgress:
         """Where the search stands."""
+        ...
+
+    def attended(self) -> bool:
+        """Whether a process is there that judges what is handed in."""
         ...
 
 
@@ -279,6 +283,10 @@ class RunDesk:
         run = self.run()
         return progress_of(replace(run, busy=runs(self._directory)))
 
+    def attended(self) -> bool:
+        """See `Desk.attended`."""
+        return attended(self._directory)
+
 
 def _ticket_of(experiment: Experiment) -> str:
     """What nobody handed in, such as the baseline, has a name too."""
@@ -291,13 +299,21 @@ def _submission_of(experiment: Experiment) -> Submission:
 
 
 def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], None]) -> Submission:
-    """Until the submission is done or the time is over; `tick` is called at every look."""
+    """Until it is done or the time is over; `tick` is called at every look. Raises UserError where
+    no search is there to judge it."""
     end = time.monotonic() + seconds
     while True:
+        there = desk.attended()  # asked first: what was judged at the last moment is not lost
         submission = desk.submission(ticket)
         tick(submission)
         if submission.state in ("done", "unknown") or time.monotonic() >= end:
             return submission
+        if not there:
+            when = "while" if submission.state == "running" else "before"
+            raise UserError(
+                f"the search's process has ended {when} it judged the candidate, which is kept: "
+                "give the same command again (the run's control/search.log may say why it ended)"
+            )
         time.sleep(_POLL)
 
 

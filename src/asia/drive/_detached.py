@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
@@ -9,6 +10,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -94,6 +97,11 @@ def _request_path(directory: Path) -> Path:
     return directory / "control" / "order.json"
 
 
+def log_path(directory: Path) -> Path:
+    """What the search's process writes to its outputs."""
+    return directory / "control" / "search.log"
+
+
 def start_search(directory: Path) -> None:
     """Start the process that empties the queue, unless one does; returns once its ledger has begun.
     Raises UserError with the last line it wrote when it fails at once; it may also find nothing to
@@ -105,7 +113,7 @@ def start_search(directory: Path) -> None:
     with (directory / "control" / "start.lock").open("wb") as one_at_a_time:
         fcntl.flock(one_at_a_time, fcntl.LOCK_EX)
         if not _ready(directory):
-            _start(directory, directory / "control" / "search.log")
+            _start(directory, log_path(directory))
 
 
 def _start(directory: Path, log: Path) -> None:
@@ -152,6 +160,33 @@ def runs(directory: Path) -> bool:
     """Whether the search is there."""
     ledger = directory / "ledger.jsonl"
     return ledger.is_file() and in_use(ledger)
+
+
+@contextmanager
+def attending(directory: Path) -> Generator[None]:
+    """While the search's process is there, also where no search holds the ledger: between one
+    request and the next. The lock is free again however the process ends."""
+    path = _presence_path(directory)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_SH)
+        yield
+
+
+def attended(directory: Path) -> bool:
+    """Whether a process is there that looks after the queue, or a search of another command."""
+    if runs(directory):
+        return True
+    with contextlib.suppress(FileNotFoundError), _presence_path(directory).open("rb") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return True
+    return False
+
+
+def _presence_path(directory: Path) -> Path:
+    return directory / "control" / "presence.lock"
 
 
 def has_begun(directory: Path) -> bool:

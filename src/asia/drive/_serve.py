@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from asia.agents import SubmittedAgent
-from asia.drive._detached import SearchRequest
+from asia.drive._detached import SearchRequest, attending
 from asia.drive._queue import Queue
 from asia.ledger import Event, Proposed, SearchView, open_run
 from asia.problem.load import Problem, load_problem
@@ -72,6 +72,11 @@ def serve(directory: Path, idle_seconds: float = IDLE_SECONDS) -> None:
     """Run to the end of the budget, or leave the run interrupted after `idle_seconds` without a
     submission."""
     directory = directory.resolve()
+    with attending(directory):
+        _serve(directory, idle_seconds)
+
+
+def _serve(directory: Path, idle_seconds: float) -> None:
     queue = Queue(directory)
     while True:
         request = SearchRequest.load(directory)

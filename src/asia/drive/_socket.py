@@ -52,7 +52,7 @@ class _SourceCall(_Call):
 
 
 class _PlainCall(_Call):
-    op: Literal["results", "progress"]
+    op: Literal["results", "progress", "attended"]
 
 
 _calls: TypeAdapter[_SubmitCall | _TicketCall | _SourceCall | _PlainCall] = TypeAdapter(
@@ -152,6 +152,8 @@ def _call(desk: Desk, call: _SubmitCall | _TicketCall | _SourceCall | _PlainCall
             return desk.source(call.experiment)
         case _PlainCall(op="results"):
             return [asdict(result) for result in desk.results()]
+        case _PlainCall(op="attended"):
+            return desk.attended()
         case _PlainCall():
             return asdict(desk.progress())
 
@@ -187,6 +189,10 @@ class SocketDesk:
     def progress(self) -> SearchProgress:
         """See `Desk.progress`."""
         return _progress.validate_python(self._ask({"op": "progress"}))
+
+    def attended(self) -> bool:
+        """See `Desk.attended`."""
+        return bool(self._ask({"op": "attended"}))
 
     def _ask(self, request: dict[str, Any]) -> Any:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as channel:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
+from asia._files import read_text
 from asia._nearest import suggestion
 from asia.data._trajectory import Signal, Trajectory
 from asia.data.sources import Channels, data_source, test_source
@@ -93,16 +95,12 @@ def _find(name_or_path: str | Path) -> Path:
 
 
 def _optional_text(path: Path) -> str | None:
-    return _text(path) if path.is_file() else None
+    there = os.path.lexists(path)
+    return read_text(path, "put a file of text there, or nothing") if there else None
 
 
 def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from error
+    return read_text(path, "problem.toml names it: put a file of text there, or leave it out")
 
 
 def _description(path: Path, named: str | None) -> str:

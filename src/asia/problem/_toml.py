@@ -13,6 +13,7 @@ from typing import Any, NoReturn, TypeVar, get_args, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
+from asia._files import read_file
 from asia._nearest import nearest
 from asia.errors import UserError
 from asia.problem._budget import LEAST_MEMORY_MB
@@ -36,9 +37,7 @@ T = TypeVar("T")
 def read_table(path: Path, schema: type[T]) -> T:
     """`path` checked against `schema`. Raises UserError, at most three sentences."""
     try:
-        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
+        raw = tomllib.loads(read_file(path, "name a problem file").decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from error
     except (ValueError, RecursionError) as error:

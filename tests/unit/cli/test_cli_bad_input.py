@@ -1,5 +1,6 @@
 """Whatever a person can mend: one sentence, exit code 2, nothing written."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -55,6 +56,22 @@ def not_a_number(rows: list[str]) -> list[str]:
     return [*rows[:9], "nan," + rows[9].split(",")[1], *rows[10:]]
 
 
+def scaled(factor: float, name: str = "train.csv") -> Spoil:
+    def scale(rows: list[str]) -> list[str]:
+        pairs = [row.split(",") for row in rows]
+        return [f"{u},{float(y) * factor!r}" for u, y in pairs]
+
+    return in_rows(scale, name)
+
+
+def replaced_by_pipe(name: str) -> Spoil:
+    def spoil(problem: Path) -> None:
+        (problem / name).unlink()
+        os.mkfifo(problem / name)
+
+    return spoil
+
+
 def without_header(problem: Path) -> None:
     rows = (problem / "train.csv").read_text().splitlines()[1:]
     (problem / "train.csv").write_text("\n".join(rows) + "\n")
@@ -86,6 +103,14 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "no such file": (lambda p: (p / "train.csv").unlink(), ("no such file", "train.csv")),
     "no such test": (lambda p: (p / "test.csv").unlink(), ("no such file", "test.csv")),
     "not a file": (replaced_by_directory, ("cannot read", "train.csv")),
+    "a pipe for records": (replaced_by_pipe("train.csv"), ("train.csv: it is a named pipe",)),
+    "a pipe for the baseline": (replaced_by_pipe("baseline.py"), ("baseline.py: it is a named",)),
+    "huge outputs": (
+        scaled(1e200),
+        ("output 'y' of training record 'train' is", "at sample 1,", "at most 1e+100", "divide"),
+    ),
+    "huge outputs in the test": (scaled(1e120, "test.csv"), ("test record 'test'", "1e+100")),
+    "tiny outputs": (scaled(1e-310), ("output 'y' moves by", "at least 1e-100", "multiply")),
     "not text": (lambda p: (p / "train.csv").write_bytes(b"\0\1\2"), ("train.csv", "text")),
     "undefined symbol": (physics("-b*x + u"), ("'b'", "[physics.dynamics] x")),
     "call that is not in the table": (physics("-a*system(x)"), ("system", "[physics.dynamics] x")),

@@ -2,13 +2,18 @@
 
 import json
 import os
+import subprocess
+import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from asia.drive._detached import attended
 from asia.ledger import in_use, open_run
 from tests.unit.cli.conftest import Asia
+from tests.unit.drive.desks import end_searches
 from tests.unit.search.toy import CRASH, arx, write_problem
 
 
@@ -85,3 +90,72 @@ def test_try_outside_a_workspace_says_how_to_make_one(tmp_path: Path, asia: Asia
     done = asia("try", "-m", "anything", "--dir", tmp_path)
     assert done.code == 2
     assert "asia workspace PROBLEM DIR" in done.err
+
+
+ASIA = "from asia.cli import main; main()"
+SLOW = "import time\n\n\ndef fit(trajectories, context):\n    time.sleep(60)\n"
+
+
+@pytest.mark.parametrize("state", ["running", "queued"])
+def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state: str) -> None:
+    problem = write_problem(tmp_path / "toy")
+    if state == "queued":
+        (problem / "baseline.py").write_text(SLOW)
+    folder, runs = tmp_path / "work", tmp_path / "runs"
+    assert asia("workspace", problem, folder, "--experiments", 3, "--runs", runs).code == 0
+    (folder / "candidate.py").write_text(SLOW)
+    (run,) = runs.iterdir()
+    command = [sys.executable, "-c", ASIA, "try", "-m", "a slow one", "--dir", str(folder)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as waiting:
+        assert waiting.stderr is not None
+        said = "#02 is being judged" if state == "running" else "the rungs and the baseline"
+        lines = iter(waiting.stderr.readline, "")
+        assert any(said in line for line in lines)
+        end_searches(run)
+        last = waiting.stderr.read()
+    assert waiting.returncode == 2
+    when = "while" if state == "running" else "before"
+    assert f"the search's process has ended {when} it judged the candidate" in last
+    assert "give the same command again" in last
+    assert last.count("\n") == 1
+    assert not attended(run)
+
+
+def a_folder(path: Path) -> None:
+    path.mkdir()
+
+
+def a_device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def a_loose_link(path: Path) -> None:
+    path.symlink_to("nowhere")
+
+
+def nothing(path: Path) -> None:
+    del path
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (os.mkfifo, "candidate.py: it is a named pipe"),
+        (a_folder, "candidate.py: it is a folder"),
+        (a_device, "candidate.py: it is a device"),
+        (a_loose_link, "candidate.py, a link that leads nowhere"),
+        (nothing, "no such file: "),
+    ],
+)
+def test_no_file_as_candidate(
+    tmp_path: Path, asia: Asia, make: Callable[[Path], object], words: str
+) -> None:
+    folder = tmp_path / "work"
+    problem = write_problem(tmp_path / "toy")
+    assert asia("workspace", problem, folder, "--runs", tmp_path / "runs").code == 0
+    (folder / "candidate.py").unlink()
+    make(folder / "candidate.py")
+    done = asia("try", "-m", "no file", "--dir", folder)
+    assert done.code == 2
+    assert words in done.err
+    assert done.err.endswith("write the candidate there, as Python source\n")

@@ -179,7 +179,7 @@ def test_missing_benchmark_says_which_file_to_put_where(
         (('["train.csv"]', '["nowhere.csv"]'), "no such file"),
         (('["train.csv"]', '[""]'), "data.train[0] = '' is not a file name"),
         (('["train.csv"]', '["a\\u0000b"]'), "is not a file name"),
-        (("[data]", 'description = "d.md"\n[data]'), "cannot read"),
+        (("[data]", 'description = "d.md"\n[data]'), "no such file"),
         (("[data]", "[data"), "is not valid TOML"),
         (('["u"]', '[""]'), "inputs[0] is a signal without a name"),
         (("0.1", "2026-01-01"), "2026-01-01 is a date or a time"),

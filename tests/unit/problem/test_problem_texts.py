@@ -38,5 +38,5 @@ def test_without_texts_the_lock_does_not_name_them(write_problem: Write, minimal
 
 
 def test_a_missing_text_is_named(write_problem: Write, minimal: str) -> None:
-    with pytest.raises(UserError, match=r"cannot read .*gone\.txt"):
+    with pytest.raises(UserError, match=r"no such file.*gone\.txt"):
         load_problem(write_problem('notes = "gone.txt"\n' + minimal))

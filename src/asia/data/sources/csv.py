@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from asia._files import read_file
 from asia._nearest import suggestion
 from asia.data._trajectory import Array, Trajectory
 from asia.errors import UserError
@@ -102,12 +103,7 @@ def _open(path: Path, wanted: Sequence[str], content: bytes | None = None) -> _F
 
 def read_whole(path: Path) -> bytes:
     """The bytes of a file. Raises UserError."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise UserError(f"no such file: {path}") from error
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    return read_file(path, "name a CSV file")
 
 
 def _text(path: Path, raw: bytes) -> str:

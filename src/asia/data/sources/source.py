@@ -12,11 +12,14 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field
 
 from asia._nearest import suggestion
+from asia.data._magnitudes import check_magnitudes, check_ranges
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 
 Subset = Literal["train", "test", "guard"]
 """Records to train on, the sealed test, and records that no fold and no agent sees."""
+
+_KINDS: dict[Subset, str] = {"train": "training", "test": "test", "guard": "guard"}
 
 
 @dataclass(frozen=True)
@@ -152,10 +155,13 @@ class Source(ABC):
         return ()
 
     def records(self, subset: Subset, channels: Channels) -> SourceData:
-        """The records of a subset. Raises UserError as `read`, and when they do not fit the
-        channels or two of them have one name."""
+        """The records of a subset. Raises UserError as `read`, when they do not fit the channels,
+        when two of them have one name, and for values whose squares a double cannot hold."""
         found = self.read(subset, channels)
         _check_channels(found.trajectories, channels)
+        check_magnitudes(found.trajectories, *channels.names, _KINDS[subset])
+        if subset == "train":
+            check_ranges(found.trajectories, *channels.names)
         for name, count in Counter(t.name for t in found.trajectories).items():
             if count > 1:
                 raise UserError(

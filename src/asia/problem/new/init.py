@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from asia.data._magnitudes import check_magnitudes, check_ranges
 from asia.data._store import PlainFile, key_folder
 from asia.data._trajectory import Trajectory
 from asia.data.sources.csv import read_csv, split_csv
@@ -114,7 +115,11 @@ def init_problem(
     else:
         plan = _split(train, columns, seal_fraction)
         records = [r[: len(r) - round(seal_fraction * len(r))] for r in records]
-    _check_test(plan.sealing.records if plan.sealing else _read(test, columns), rule)
+    tests = plan.sealing.records if plan.sealing else _read(test, columns)
+    _check_test(tests, rule)
+    check_magnitudes(records, inputs, outputs, "training")
+    check_ranges(records, inputs, outputs)
+    check_magnitudes(tests, inputs, outputs, "test")
     require_length(records, rule)
     files = (
         *plan.files,
