@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Callable
 from types import FrameType
 from typing import NoReturn
 
@@ -33,6 +34,7 @@ from asia.cli import (
     _verify,
     _workspace,
 )
+from asia.cli._options.groups import with_groups
 from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
@@ -50,12 +52,35 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-for _module in (_init, _check, _run, _status, _show, _unseal, _report):
-    _module.register(app)
-for _module in (_diff, _verify, _replay, _bench, _compare, _workspace, _try, _steer, _mcp):
-    _module.register(app)
-for _module in (_doctor, _redteam):
-    _module.register(app)
+# What a newcomer needs, then what comes with its capability.
+_FIRST: dict[str, Callable[..., None]] = {
+    "init": _init.init,
+    "check": _check.check,
+    "run": _run.run,
+    "status": _status.status,
+    "show": _show.show,
+    "unseal": _unseal.unseal,
+    "report": _report.report,
+}
+_MORE: dict[str, Callable[..., None]] = {
+    "diff": _diff.diff,
+    "verify": _verify.verify,
+    "replay": _replay.replay,
+    "bench": _bench.bench,
+    "compare": _compare.compare,
+    "workspace": _workspace.workspace,
+    "try": _try.try_,
+    "steer": _steer.steer,
+    "pause": _steer.pause,
+    "stop": _steer.stop,
+    "mcp": _mcp.mcp,
+    "mcp-config": _mcp.mcp_config,
+    "doctor": _doctor.doctor,
+    "redteam": _redteam.redteam,
+}
+for _panel, _commands in ((None, _FIRST), ("More commands", _MORE)):
+    for _name, _command in _commands.items():
+        app.command(_name, rich_help_panel=_panel)(with_groups(_command))
 
 
 @app.callback(invoke_without_command=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, Runs, YesProcess
+from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs, YesProcess
 
 if TYPE_CHECKING:
     from asia.bench import Arm, BenchResult, ComparisonPlan, Paper, PlannedRun
@@ -42,11 +42,6 @@ Arms = Annotated[
         metavar="ARM ...", help="Of expert, random, random-paper, references; default all."
     ),
 ]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("bench", rich_help_panel=MORE)(bench)
 
 
 def bench(

@@ -11,11 +11,6 @@ import typer
 from asia.cli._options.shared import DEFAULT_RUNS, Runs
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("check")(check)
-
-
 def check(
     problem: Annotated[str, typer.Argument(help="Built-in name, or a directory.")],
     runs: Runs = DEFAULT_RUNS,

@@ -7,17 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia.cli._bench import Lines, chosen_seeds, load_compared, print_result
-from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs
 
 if TYPE_CHECKING:
     from asia.bench import Arm
 
 LISTS = ("--seeds",)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("compare", rich_help_panel=MORE)(compare)
 
 
 def compare(

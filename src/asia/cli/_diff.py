@@ -7,13 +7,8 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options.shared import DEFAULT_RUNS, MORE, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Runs
 from asia.cli._show import split_arguments
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("diff", rich_help_panel=MORE)(diff)
 
 
 def diff(

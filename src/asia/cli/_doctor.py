@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-import typer
-
-from asia.cli._options.shared import MORE, Json
+from asia.cli._options.shared import Json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,11 +31,6 @@ class PluggedPart:
     """Where it is defined, `module:Name`."""
     failure: str | None
     """Why it cannot be loaded; None when it can."""
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("doctor", rich_help_panel=MORE)(doctor)
 
 
 def doctor(json: Json = False) -> None:

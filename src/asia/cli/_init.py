@@ -19,11 +19,6 @@ SEAL_FRACTION = 0.2
 LISTS = ("--train", "--test", "--inputs", "--outputs")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("init")(init)
-
-
 def init(
     name: Annotated[Path, typer.Argument(help="Directory to make; its name is the problem's.")],
     train: Annotated[list[Path], typer.Option(help="Training records, CSV with a header row.")],

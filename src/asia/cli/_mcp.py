@@ -11,18 +11,11 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options.groups import with_groups
 from asia.cli._options.search import SearchOptions
-from asia.cli._options.shared import DEFAULT_RUNS, MORE, ProblemName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, ProblemName, Runs
 
 # Clients start a server with little of their own environment.
 _HANDED_ON = ("ASIA_DATA_DIR",)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command("mcp", rich_help_panel=MORE)(with_groups(mcp))
-    app.command("mcp-config", rich_help_panel=MORE)(with_groups(mcp_config))
 
 
 def mcp(

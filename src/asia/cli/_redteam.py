@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._options.shared import MORE, Json
+from asia.cli._options.shared import Json
 from asia.errors import UserError
 
 if TYPE_CHECKING:
@@ -43,11 +43,6 @@ HonestOn = Annotated[
     typer.Option(metavar="PROBLEM ...", help="Try the families' own first candidates on these "
     "problems, in full, and no attack; takes long."),
 ]  # fmt: skip
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("redteam", rich_help_panel=MORE)(redteam)
 
 
 def redteam(

@@ -9,17 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, RunName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 if TYPE_CHECKING:
     from asia.search import Replayed, ReplayReport
 
 DIFFERS = 1
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("replay", rich_help_panel=MORE)(replay)
 
 
 def replay(

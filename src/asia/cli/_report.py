@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-import typer
-
 from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("report")(report)
 
 
 def report(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:

@@ -10,7 +10,7 @@ import typer
 
 from asia.cli._driver import agent_driver, named_agent, refuse_for_others
 from asia.cli._options.command import PREFIX, CommandOptions
-from asia.cli._options.groups import given, with_groups
+from asia.cli._options.groups import given
 from asia.cli._options.llm import LlmOptions, ModelOptions
 from asia.cli._options.search import SearchOptions
 from asia.cli._options.shared import DEFAULT_RUNS, Json, ProblemName, Runs
@@ -28,11 +28,6 @@ Sinks = Annotated[
     list[str] | None,
     typer.Option(help="Give the events to an installed sink, or module:Name; repeatable."),
 ]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("run")(with_groups(run))
 
 
 def run(

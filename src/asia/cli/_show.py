@@ -9,11 +9,6 @@ import typer
 from asia.cli._options.shared import DEFAULT_RUNS, Runs
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("show")(show)
-
-
 def split_arguments(words: list[str], numbers: int) -> tuple[str | None, list[int]]:
     """`[RUN] N ...` -> run name or None, and at most `numbers` experiment numbers."""
     from asia.errors import UserError

@@ -6,14 +6,7 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options.shared import DEFAULT_RUNS, MORE, RunName, Runs
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command("steer", rich_help_panel=MORE)(steer)
-    app.command("pause", rich_help_panel=MORE)(pause)
-    app.command("stop", rich_help_panel=MORE)(stop)
+from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
 
 def steer(

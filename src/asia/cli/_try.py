@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asia.cli._options.shared import MORE, Json
+from asia.cli._options.shared import Json
 from asia.errors import Reason
 
 if TYPE_CHECKING:
@@ -19,11 +19,6 @@ if TYPE_CHECKING:
 NO_SCORE = 3
 # What ASIA says of a candidate, not the candidate of itself.
 FOUND = (Reason.SUSPECT, Reason.RESTART, Reason.LITERAL_DATA, Reason.NOT_REPRODUCIBLE)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("try", rich_help_panel=MORE)(try_)
 
 
 def try_(

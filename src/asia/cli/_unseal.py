@@ -15,11 +15,6 @@ if TYPE_CHECKING:
     from asia.scoring import Failure, MeeTable
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("unseal")(unseal)
-
-
 def unseal(
     run: RunName = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,

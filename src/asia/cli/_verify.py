@@ -5,14 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 from dataclasses import asdict
 
-import typer
-
-from asia.cli._options.shared import DEFAULT_RUNS, MORE, Json, RunName, Runs
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("verify", rich_help_panel=MORE)(verify)
+from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 
 def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:

@@ -7,14 +7,8 @@ from typing import Annotated
 
 import typer
 
-from asia.cli._options.groups import with_groups
 from asia.cli._options.search import SearchOptions
-from asia.cli._options.shared import DEFAULT_RUNS, MORE, ProblemName, Runs
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("workspace", rich_help_panel=MORE)(with_groups(workspace))
+from asia.cli._options.shared import DEFAULT_RUNS, ProblemName, Runs
 
 
 def workspace(

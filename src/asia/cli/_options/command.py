@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,7 +19,10 @@ if TYPE_CHECKING:
     from asia.drive.command import CommandRules
 
 PREFIX = "command:"
-_PANEL = "Agent command:NAME (claude, codex, gemini, or a program of your own)"
+_option = partial(
+    typer.Option,
+    rich_help_panel="Agent command:NAME (claude, codex, gemini, or a program of your own)",
+)
 
 
 @dataclass(frozen=True)
@@ -27,47 +31,25 @@ class CommandOptions:
 
     command: Annotated[
         str | None,
-        typer.Option(
-            rich_help_panel=_PANEL,
-            help="Command line of an agent of your own, with {prompt} or {prompt_file} in it.",
-        ),
+        _option(help="Command line of an agent of your own, with {prompt} or {prompt_file} in it."),
     ] = None
-    agent_minutes: Annotated[
-        float | None, typer.Option(rich_help_panel=_PANEL, help="Most minutes of one sitting.")
-    ] = None
+    agent_minutes: Annotated[float | None, _option(help="Most minutes of one sitting.")] = None
     stuck_minutes: Annotated[
-        float,
-        typer.Option(
-            rich_help_panel=_PANEL, help="Stop it after so many without a new experiment."
-        ),
+        float, _option(help="Stop it after so many without a new experiment.")
     ] = 30.0
     network: Annotated[
-        bool,
-        typer.Option(
-            "--network",
-            rich_help_panel=_PANEL,
-            help="Let it reach the network, which hosted models need.",
-        ),
+        bool, _option("--network", help="Let it reach the network, which hosted models need.")
     ] = False
     agent_config: Annotated[
         list[Path] | None,
-        typer.Option(
-            rich_help_panel=_PANEL,
-            help="Folder or file of its own, such as ~/.claude; it gets a copy.",
-        ),
+        _option(help="Folder or file of its own, such as ~/.claude; it gets a copy."),
     ] = None
     agent_mount: Annotated[
         list[Path] | None,
-        typer.Option(
-            rich_help_panel=_PANEL,
-            help="Folder to show it, read-only, such as where it is installed.",
-        ),
+        _option(help="Folder to show it, read-only, such as where it is installed."),
     ] = None
     pass_env: Annotated[
-        list[str] | None,
-        typer.Option(
-            rich_help_panel=_PANEL, help="Environment variable to pass on, such as its key."
-        ),
+        list[str] | None, _option(help="Environment variable to pass on, such as its key.")
     ] = None
 
     def driver(self, agent: str, caps: ModelOptions) -> Driver:

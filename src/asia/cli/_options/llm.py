@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,33 +13,27 @@ if TYPE_CHECKING:
     from asia.agents import LlmAgent
 
 KEY_VARIABLE = "OPENAI_API_KEY"
-_MODELS = "Language models and coding agents (--agent llm, command:NAME)"
-_LLM = "Language model (--agent llm)"
+_shared = partial(
+    typer.Option, rich_help_panel="Language models and coding agents (--agent llm, command:NAME)"
+)
+_own = partial(typer.Option, rich_help_panel="Language model (--agent llm)")
 
 
 @dataclass(frozen=True)
 class ModelOptions:
     """The model and its caps, for language models and coding agents."""
 
-    model: Annotated[
-        str | None,
-        typer.Option(rich_help_panel=_MODELS, help="Name of the model, as its server calls it."),
-    ] = None
+    model: Annotated[str | None, _shared(help="Name of the model, as its server calls it.")] = None
     max_tokens: Annotated[
         int | None,
-        typer.Option(
+        _shared(
             min=1,
-            rich_help_panel=_MODELS,
             help="Stop before input and output tokens exceed this in all; no limit by default.",
         ),
     ] = None
     max_cost: Annotated[
         float | None,
-        typer.Option(
-            metavar="USD",
-            rich_help_panel=_MODELS,
-            help="Stop before the cost exceeds this; llm needs --prices.",
-        ),
+        _shared(metavar="USD", help="Stop before the cost exceeds this; llm needs --prices."),
     ] = None
 
 
@@ -48,66 +43,41 @@ class LlmOptions:
 
     base_url: Annotated[
         str | None,
-        typer.Option(
+        _own(
             envvar="OPENAI_BASE_URL",
-            rich_help_panel=_LLM,
             help="OpenAI-compatible server, such as http://localhost:8000/v1; default OpenAI's.",
         ),
     ] = None
     temperature: Annotated[
-        float | None,
-        typer.Option(min=0.0, rich_help_panel=_LLM, help="Sent as it is; left out by default."),
+        float | None, _own(min=0.0, help="Sent as it is; left out by default.")
     ] = None
     top_p: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0, max=1.0, rich_help_panel=_LLM, help="Sent as it is; left out by default."
-        ),
+        float | None, _own(min=0.0, max=1.0, help="Sent as it is; left out by default.")
     ] = None
     llm_seed: Annotated[
-        int | None,
-        typer.Option(
-            rich_help_panel=_LLM,
-            help="Seed for the server, which may heed it; left out by default.",
-        ),
+        int | None, _own(help="Seed for the server, which may heed it; left out by default.")
     ] = None
     extra_body: Annotated[
         str | None,
-        typer.Option(
-            metavar="JSON",
-            rich_help_panel=_LLM,
-            help="More fields of the request, such as '{\"top_k\": 20}'.",
-        ),
+        _own(metavar="JSON", help="More fields of the request, such as '{\"top_k\": 20}'."),
     ] = None
     api_key_env: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel=_LLM,
-            help="Environment variable that holds the key; local servers need none.",
+        _own(
+            metavar="NAME", help="Environment variable that holds the key; local servers need none."
         ),
     ] = KEY_VARIABLE
     max_reply_tokens: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            rich_help_panel=_LLM,
-            help="Limit of one reply, thoughts included; default 16384.",
-        ),
+        int | None, _own(min=1, help="Limit of one reply, thoughts included; default 16384.")
     ] = None
     prices: Annotated[
         str | None,
-        typer.Option(
-            metavar="IN,OUT",
-            rich_help_panel=_LLM,
-            help="USD for a million input and output tokens, such as 0.5,2.",
-        ),
+        _own(metavar="IN,OUT", help="USD for a million input and output tokens, such as 0.5,2."),
     ] = None
     anonymous: Annotated[
         bool,
-        typer.Option(
+        _own(
             "--anonymous",
-            rich_help_panel=_LLM,
             help="Hide names, units, description and equations: what is prior knowledge worth?",
         ),
     ] = False

@@ -30,5 +30,4 @@ YesProcess = Annotated[
 ProblemName = Annotated[
     str, typer.Argument(metavar="PROBLEM", help="Built-in name, or a directory with problem.toml.")
 ]
-MORE = "More commands"
 DEFAULT_RUNS = Path("runs")
