@@ -164,3 +164,21 @@ def test_a_process_that_does_not_die_is_left_behind_and_no_more_than_a_few(
         for worker in workers:
             worker._process.process.kill()
             worker._process.process.wait()
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_code_that_looks_like_a_kill_buys_no_second_fit(
+    level: Isolation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge = evaluator(level)
+    opened: list[Worker] = []
+
+    def counted(level: Isolation, limits: Limits) -> Worker:
+        opened.append(open_worker(level, limits))
+        return opened[-1]
+
+    monkeypatch.setattr(evaluator_module, "open_worker", counted)
+    outcome = judge.evaluate("import os\n\n\ndef fit(t, c):\n    os._exit(137)\n").outcome
+    assert isinstance(outcome, Failure)
+    assert outcome.reason is Reason.EXITED
+    assert len(opened) == len(judge.folds)

@@ -36,6 +36,8 @@ def decide(machine: str, number: int, *arguments: int, architecture: int | None 
         match operation:
             case 0x20:
                 (value,) = struct.unpack_from("<I", data, k)
+            case 0x54:
+                value &= k
             case 0x15 | 0x25 | 0x45:
                 holds = {0x15: value == k, 0x25: value > k, 0x45: bool(value & k)}[operation]
                 place += if_true if holds else if_false
@@ -53,7 +55,7 @@ def machine(request) -> str:
 def test_every_listed_call_is_denied_and_others_pass(machine):
     known = seccomp.numbers(machine)
     checked = {"clone", "clone3", "kill", "tgkill", "prlimit64", "fcntl", "ioctl", "prctl"}
-    checked |= {"futex"}
+    checked |= {"futex", "exit", "exit_group"}
     for name, number in known.items():
         if name not in checked | {"seccomp"}:
             assert decide(machine, number) == EPERM, name
@@ -70,9 +72,16 @@ def test_calls_with_arguments_are_decided_by_them(machine):
     assert decide(machine, known["clone"], thread | 0x10000000) == EPERM
     assert decide(machine, known["clone3"], 0) == ENOSYS
     for name in ("kill", "tgkill"):
-        assert decide(machine, known[name], PID) == ALLOW
+        before = () if name == "kill" else (PID,)
+        for sent in range(65):
+            verdict = decide(machine, known[name], PID, *before, sent)
+            assert verdict == (EPERM if sent == 9 else ALLOW), (name, sent)
         for other in (0, 1, -1, -PID, PID + 1):
             assert decide(machine, known[name], other) == EPERM
+    for name in ("exit", "exit_group"):
+        for code in range(600):
+            verdict = KILL if code % 256 == 137 else ALLOW
+            assert decide(machine, known[name], code) == verdict, code
     limits = known["prlimit64"]
     assert decide(machine, limits, 0, 7, 0) == ALLOW
     assert decide(machine, limits, PID, 7, 0) == ALLOW

@@ -46,23 +46,25 @@ setresgid 119 149; setgroups 116 159; setfsuid 122 151; setfsgid 123 152; capset
 personality 135 92; sethostname 170 161; setdomainname 171 162; settimeofday 164 170
 clock_settime 227 112; clock_adjtime 305 266; adjtimex 159 171; kexec_load 246 104
 kexec_file_load 320 294; init_module 175 105; finit_module 313 273; delete_module 176 106
-iopl 172 -; ioperm 173 -; modify_ldt 154 -
+iopl 172 -; ioperm 173 -; modify_ldt 154 -; timer_create 222 107
 """
 _CHECKED = """
 clone 56 220; clone3 435 435; kill 62 129; tgkill 234 131; prlimit64 302 261; fcntl 72 25
-ioctl 16 29; prctl 157 167; futex 202 98; seccomp 317 277
+ioctl 16 29; prctl 157 167; futex 202 98; seccomp 317 277; exit 60 93; exit_group 231 94
 """
 _LAST_KNOWN = 450  # set_mempolicy_home_node; to the worker, later ones do not exist
 _ARCHITECTURES = {"x86_64": (0xC000003E, 1), "aarch64": (0xC00000B7, 2)}
 _X32 = 0x40000000
 
 _LOAD, _JUMP_EQUAL, _JUMP_ABOVE, _JUMP_SET, _RETURN = 0x20, 0x15, 0x25, 0x45, 0x06
+_AND = 0x54
 _ALLOW, _ERROR, _TRAP, _KILL = 0x7FFF0000, 0x00050000, 0x00030000, 0x80000000
 _CLONE_THREAD, _CLONE_NEW = 0x00010000, 0x7E020000
 # Duplicates of a descriptor, its flags, the size of a pipe.
 _FCNTL = (0, 1, 2, 3, 4, 1030, 1032)
 # TCGETS and TCGETS2 (is it a terminal?), TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX.
 _IOCTL = (0x5401, 0x802C542A, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
+_KILLED = 128 + signal.SIGKILL
 _FUTEX_PRIVATE, _FUTEX_CLOCK = 0x80, 0x100
 _FUTEX_WAIT, _FUTEX_WAKE, _FUTEX_WAIT_BITSET = 0, 1, 9
 _PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS, _PR_GET_SECCOMP, _PR_SET_TIMERSLACK = 1, 38, 21, 29
@@ -120,8 +122,14 @@ def build(machine: str, pid: int) -> bytes:
     thread = _step(_LOAD, _low(0)) + _step(_JUMP_SET, _CLONE_THREAD, 0, 1)
     thread += _step(_JUMP_SET, _CLONE_NEW, 0, 1) + _deny() + _allow()
     code += _when(known["clone"], thread)
-    own = _step(_LOAD, _low(0)) + _step(_JUMP_EQUAL, pid, 0, 1) + _allow() + _deny()
-    code += _when(known["kill"], own) + _when(known["tgkill"], own)
+    # No worker ends itself by SIGKILL, nor by the code that stands for it: that is a word from
+    # outside.
+    for name, argument in (("kill", 1), ("tgkill", 2)):
+        own = _step(_LOAD, _low(0)) + _step(_JUMP_EQUAL, pid, 1, 0) + _deny()
+        code += _when(known[name], own + _unless(argument, signal.SIGKILL))
+    ends = _step(_LOAD, _low(0)) + _step(_AND, 0xFF) + _step(_JUMP_EQUAL, _KILLED, 0, 1)
+    ends += _step(_RETURN, _KILL) + _allow()
+    code += _when(known["exit"], ends) + _when(known["exit_group"], ends)
     # Reading one's own limits. A root could raise them again, a user those of other processes.
     reads = _step(_LOAD, _low(2)) + _step(_JUMP_EQUAL, 0, 1, 0) + _deny()
     reads += _step(_LOAD, _low(2) + 4) + _step(_JUMP_EQUAL, 0, 1, 0) + _deny()

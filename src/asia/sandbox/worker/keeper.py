@@ -74,6 +74,18 @@ def main(arguments: list[str]) -> NoReturn:
         import shutil
 
         shutil.rmtree(home, ignore_errors=True)
+    _end_alike(status)
+
+
+def _end_alike(status: int) -> NoReturn:
+    """End by the signal that ended the worker, else with its exit code: one is not the other."""
+    if status < 0:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        with contextlib.suppress(OSError):  # SIGKILL has no handler to be taken away
+            signal.signal(-status, signal.SIG_DFL)
+        os.kill(os.getpid(), -status)
     os._exit(status)
 
 
@@ -97,7 +109,8 @@ def _kill_all(worker: int) -> None:
 
 
 def _reap(worker: int) -> int | None:
-    """Collect whatever has ended; the worker's exit status (128 + signal) once it is among them."""
+    """Collect whatever has ended; the worker's exit code once it is among them, below 0 for a
+    signal."""
     status = None
     while True:
         try:
@@ -107,8 +120,7 @@ def _reap(worker: int) -> int | None:
         if pid == 0:
             return status
         if pid == worker:
-            code = os.waitstatus_to_exitcode(state)
-            status = code if code >= 0 else 128 - code
+            status = os.waitstatus_to_exitcode(state)
 
 
 if __name__ == "__main__":

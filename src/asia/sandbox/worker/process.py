@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from asia.errors import SandboxError
 
 _EXIT_SECONDS = 0.5
+_KILLED = 128 + signal.SIGKILL
 _PATIENCE_SECONDS = (2.0, 5.0)
 
 
@@ -25,6 +26,16 @@ class Pipes:
     """To read replies from."""
     output: int
     """To read from what the worker prints."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a worker ended by itself, or was ended by somebody else."""
+
+    code: int | None
+    """Its exit code, 128 + n for signal n; None if unknown."""
+    outside: int | None
+    """The signal that somebody else sent; None for an end of its own."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +59,18 @@ class WorkerProcess:
         """Whether the worker is still there."""
         return self.process.poll() is None
 
-    def exit_code(self) -> int | None:
-        """Exit code (128 + signal) of a worker that has just gone by itself, None if unknown;
-        negative: its guard was killed from outside."""
+    def ending(self) -> Ending:
+        """How a worker ended that has just gone, and that nobody here ended."""
         if not self._ended(_EXIT_SECONDS):
-            return None
+            return Ending(None, None)
         code = self.process.returncode
-        return code if code >= 0 or self.beyond_reach else 128 - code
+        if code >= 0:
+            # A guard of bubblewrap's ends with 128 + n where signal n ended the worker. The filter
+            # on system calls keeps a candidate from choosing that code itself for SIGKILL.
+            outside = self.beyond_reach and code == _KILLED
+            return Ending(code, signal.SIGKILL if outside else None)
+        outside = self.beyond_reach or code == -signal.SIGKILL
+        return Ending(128 - code, -code if outside else None)
 
     def end(self) -> bool:
         """End everything and wait; whether it ended. The kernel does not let a process die that

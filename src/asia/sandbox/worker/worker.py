@@ -6,7 +6,6 @@ import builtins
 import contextlib
 import math
 import pickle
-import signal
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -36,7 +35,6 @@ from asia.sandbox.worker.wire import (
 
 _START_SECONDS = 60.0
 _LAST_WORDS = 1500
-_KILLED = 128 + signal.SIGKILL
 _REASONS = {
     ReplyKind.SYNTAX: Reason.SYNTAX,
     ReplyKind.CONTRACT: Reason.CONTRACT,
@@ -268,16 +266,16 @@ class Worker:
             return self._failure(late, f"no answer within {seconds:g} s")
         if isinstance(error, UnsolicitedError):
             return self._failure(Reason.UNSOLICITED)
-        code = self._process.exit_code()
-        if code is not None and (code == _KILLED or (self._process.beyond_reach and code < 0)):
+        ending = self._process.ending()
+        if ending.outside is not None:
             self.close()
-            number = -code if code < 0 else code - 128
+            number = int(ending.outside)
             return WorkerKilledError(f"the worker was ended from outside by signal {number}")
         if self._cases_seen:
             return self._failure(Reason.EXITED)
         said = self._channel.take_output()[-_LAST_WORDS:].strip()
         starved = any(words in said.lower() for words in _OUT_OF_MEMORY)
-        how = "" if code is None else f"exit code {code}; "
+        how = "" if ending.code is None else f"exit code {ending.code}; "
         detail = f"{how}last printed: {said or 'nothing'}"
         return self._failure(Reason.MEMORY if starved else Reason.EXITED, detail)
 
