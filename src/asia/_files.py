@@ -1,4 +1,5 @@
-"""Files that a person names: read where they are ordinary files, else said what they are."""
+"""Files that a person names, read where they are ordinary files, else said what they are; folders
+put on the disk."""
 
 from __future__ import annotations
 
@@ -40,6 +41,15 @@ def read_text(path: Path, remedy: str) -> str:
         return read_file(path, remedy).decode("utf-8")
     except UnicodeDecodeError:
         raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from None
+
+
+def sync_folder(path: Path) -> None:
+    """The names in a folder are on the disk on return."""
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
 
 
 def _check_ordinary(path: Path, mode: int, remedy: str) -> None:

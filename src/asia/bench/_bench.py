@@ -14,7 +14,7 @@ from asia.bench._plan import ComparisonPlan, PlannedRun
 from asia.bench._rows import Comparison, FinishedSearch, compare
 from asia.bench._tables import TextTable, comparison_table
 from asia.bench._test import TestResult, read_test, test_tables
-from asia.ledger import Event, SearchView, open_run
+from asia.ledger import Event, SearchView, open_run, write_whole
 from asia.search import prepare, search, unseal
 
 
@@ -124,12 +124,10 @@ def _tables(
 
 
 def _write(plan: ComparisonPlan, tables: tuple[TextTable, ...]) -> Path:
-    plan.directory.mkdir(parents=True, exist_ok=True)
     path = plan.directory / f"{plan.problem.name}.md"
     head = f"# {plan.problem.name}: {plan.budget} experiments a search, seeds "
     head += ", ".join(str(seed) for seed in plan.seeds)
     head += "\n\nQuick: short fits, too few experiments to compare.\n" if plan.quick else "\n"
-    temporary = path.with_name(f".{path.name}.new")
-    temporary.write_text("\n".join([head, *(t.markdown() for t in tables)]), encoding="utf-8")
-    temporary.replace(path)
+    text = "\n".join([head, *(t.markdown() for t in tables)])
+    write_whole(path, text.encode(), durable=False)
     return path

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from asia.bench._plan import ComparisonPlan
 from asia.errors import UserError
+from asia.ledger import write_whole
 
 _FILE = "bench.json"
 
@@ -24,11 +25,8 @@ def declare(plan: ComparisonPlan) -> str | None:
     name = plan.candidate_for_test
     if name is None or (plan.runs / name / "ledger.jsonl").exists():
         return None
-    plan.directory.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"problem": plan.problem.name, "declared": name}, indent=2)
-    temporary = path.with_name(f".{_FILE}.new")
-    temporary.write_text(text + "\n", encoding="utf-8")
-    temporary.replace(path)
+    write_whole(path, f"{text}\n".encode())
     return name
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from asia.bench._bench import BenchResult
-from asia.bench._rows import Comparison, Row
+from asia.bench._rows import Comparison
 from asia.bench._test import test_object
 
 
@@ -24,25 +25,9 @@ def result_object(result: BenchResult) -> dict[str, Any]:
 def _comparison(comparison: Comparison) -> dict[str, Any]:
     return {
         "early_stopping": comparison.setting,
-        "rows": [_row(row) for row in comparison.rows],
+        "rows": [{**asdict(row), "V": row.median} for row in comparison.rows],
         "reached": [
-            {
-                "control": reached.control,
-                "seeds": list(reached.seeds),
-                "experiments": list(reached.experiments),
-            }
-            for reached in comparison.reached
+            {"control": r.control, "seeds": list(r.seeds), "experiments": list(r.experiments)}
+            for r in comparison.reached
         ],
-    }
-
-
-def _row(row: Row) -> dict[str, Any]:
-    return {
-        "key": row.key,
-        "model": row.model,
-        "V": row.median,
-        "values": list(row.values),
-        "runs": row.runs,
-        "paper": row.paper,
-        "scores_seen": row.scores_seen,
     }

@@ -83,13 +83,9 @@ def compare(
     published = {v.row: v.value for v in paper.values if v.row} if paper else {}
     rows = [*_rungs(own), *_baseline(own), *_references(own), *_arms(own)]
     if setting == "validation":
-        rows = [_beside(row, published) for row in rows]
+        rows = [replace(row, paper=published.get(row.key)) for row in rows]
         rows += _paper_only(paper, {row.key for row in rows})
     return Comparison(setting, tuple(rows), _reached(own))
-
-
-def _beside(row: Row, published: dict[str, float]) -> Row:
-    return replace(row, paper=published.get(row.key))
 
 
 def _paper_only(paper: Paper | None, ours: set[str]) -> list[Row]:

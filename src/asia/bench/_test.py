@@ -121,9 +121,8 @@ def _value(metric: str, model: TestedModel) -> tuple[str, ...]:
 
 def _mee_cells(model: TestedModel) -> tuple[str, ...]:
     assert model.mee is not None
-    horizons = model.mee.horizons
-    numbers = [(*(g.at(h) for h in horizons), g.total) for g in model.mee.groups]
-    return tuple(f"{value:.4g}" for group in numbers for value in group)
+    groups = model.mee.by_group().values()
+    return tuple(f"{value:.4g}" for group in groups for value in group.values())
 
 
 def _paper_cells(row: PaperMee) -> tuple[str, ...]:
@@ -185,8 +184,5 @@ def _model_object(model: TestedModel | Failure) -> dict[str, Any]:
         return {"failure": model.reason.value, "advice": model.advice}
     values: dict[str, Any] = {score.metric: score.value for score in model.scores}
     if model.mee is not None:
-        values["mee"] = {
-            g.name: {**{f"h{h}": g.at(h) for h in model.mee.horizons}, "sum": g.total}
-            for g in model.mee.groups
-        }
+        values["mee"] = model.mee.by_group()
     return values

@@ -63,10 +63,10 @@ def _print(directory: Path, found: Brief) -> None:
         duration,
         experiment_line,
         guard_words,
-        rung_value,
         stop_words,
         told,
         usage_words,
+        value_words,
     )
     from asia.ledger import control, control_words, metric_of
     from asia.protocol import metric_label
@@ -97,7 +97,7 @@ def _print(directory: Path, found: Brief) -> None:
     if beside is not None:
         print(f"control {control_words(beside, view.started)}")
     for rung in view.rungs:
-        print(f"rung    {rung.name:<18} V={rung_value(rung)}")
+        print(f"rung    {rung.name:<18} V={value_words(rung.outcome)}")
     shown = view.finished[-LAST:]
     if found.finished > len(shown):
         print(f"the last {len(shown)} of {found.finished} experiments; all are in results.tsv")

@@ -97,23 +97,15 @@ def _scores(record: Unsealed, model: TestedModel | Failure) -> dict[str, Any]:
     first = model.scores[0]
     return {
         **{score.metric: score.value for score in model.scores},
-        **({"mee": _table(model.mee)} if model.mee is not None else {}),
+        **({"mee": model.mee.by_group()} if model.mee is not None else {}),
         "per_channel": dict(zip(record.channels, first.per_channel, strict=True)),
         "per_trajectory": dict(zip(record.trajectories, first.per_trajectory, strict=True)),
     }
 
 
-def _table(mee: MeeTable) -> dict[str, dict[str, float]]:
-    """Group -> h10, h50, ..., sum."""
-    return {
-        group.name: {**{f"h{h}": group.at(h) for h in mee.horizons}, "sum": group.total}
-        for group in mee.groups
-    }
-
-
 def _table_lines(mee: MeeTable) -> list[str]:
     """Groups below each other, steps beside each other."""
-    rows = _table(mee)
+    rows = mee.by_group()
     width = max(len("group"), *(len(name) for name in rows))
     columns = next(iter(rows.values()))
     lines = [f"{'group':<{width}}" + "".join(f"{name:>10}" for name in columns)]

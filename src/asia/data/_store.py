@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 
+from asia._files import sync_folder
 from asia.errors import UserError
 
 if TYPE_CHECKING:
@@ -157,15 +158,6 @@ def open_store(path: Path, keys: Path) -> tuple[PlainFile, ...]:
         contents.append(PlainFile(file.name, plain[at : at + file.bytes]))
         at += file.bytes
     return tuple(contents)
-
-
-def sync_folder(folder: Path) -> None:
-    """The entries of a folder, on the disk."""
-    fd = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
 
 
 def _split(path: Path) -> tuple[SealHead, bytes]:

@@ -15,8 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
+from asia._files import sync_folder
 from asia.errors import UserError
-from asia.ledger._disk import make_folder, sync_folder, writing
+from asia.ledger._disk import make_folder, writing
 from asia.ledger._events import Event
 from asia.ledger._lines import BEGIN, Line, Position, decode, encode, scan
 from asia.ledger._view import Replay, SearchView

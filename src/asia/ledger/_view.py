@@ -52,6 +52,11 @@ class Experiment:
         outcome = self.result.outcome if self.result else None
         return outcome if isinstance(outcome, Failure) else None
 
+    @property
+    def kept(self) -> bool:
+        """Whether it was a new best."""
+        return self.result is not None and self.result.status == "keep"
+
 
 @dataclass(frozen=True)
 class SearchView:
@@ -90,7 +95,7 @@ class SearchView:
     @property
     def best(self) -> Experiment | None:
         """The incumbent: the last one kept."""
-        kept = [e for e in self.finished if e.result and e.result.status == "keep"]
+        kept = [e for e in self.finished if e.kept]
         return kept[-1] if kept else None
 
     @property

@@ -17,6 +17,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._config import check_at_least, check_choice
 from asia.models._data.lags import History, Lags, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
@@ -59,11 +60,9 @@ class Config:
     """Greatest delay tried where `delay` is None, in samples."""
 
     def __post_init__(self) -> None:
-        if self.structure not in ("arx", "oe"):
-            raise UserError(f"arx.Config: structure is '{self.structure}', expected arx or oe")
-        given = [n for n in (self.na, self.nb, self.max_order) if n is not None]
-        if min(given) < 1 or (self.delay or 0) < 0 or self.max_delay < 0:
-            raise UserError("arx.Config: na, nb, max_order must be >= 1, delay, max_delay >= 0")
+        check_choice(self, "structure", ("arx", "oe"))
+        check_at_least(1, self, "na", "nb", "max_order")
+        check_at_least(0, self, "delay", "max_delay")
 
 
 def build(config: Config, context: Context) -> FreeRunModel[Config]:

@@ -17,8 +17,8 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
-from asia.errors import UserError
 from asia.models import neural_ss
+from asia.models._config import check_choice
 from asia.models._data.records import check, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import window_pieces
@@ -71,12 +71,7 @@ class Config:
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
 
     def __post_init__(self) -> None:
-        known = (*_PLACES, "wiener_hammerstein")
-        if self.structure not in known:
-            raise UserError(
-                f"block_oriented.Config: structure is '{self.structure}', expected one of "
-                f"{', '.join(known)}"
-            )
+        check_choice(self, "structure", (*_PLACES, "wiener_hammerstein"))
         self.state_space()
 
     def state_space(self) -> neural_ss.Config:

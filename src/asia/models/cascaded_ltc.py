@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.errors import UserError
-from asia.models._config import check_at_least
+from asia.models._config import check_at_least, demand
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
 from asia.models._networks.features import check_features, drive_size
@@ -52,12 +51,8 @@ class Config:
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "slow", "fast", "width")
-        for low, high in (self.slow_min, self.slow_max), (self.fast_min, self.fast_max):
-            if not 0 < low < high:
-                raise UserError(
-                    f"cascaded_ltc.Config: time constants from {low} to {high} samples, "
-                    "expected 0 < min < max"
-                )
+        demand(self, "slow_min", 0 < self.slow_min < self.slow_max, "0 < slow_min < slow_max")
+        demand(self, "fast_min", 0 < self.fast_min < self.fast_max, "0 < fast_min < fast_max")
         check_features(self)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, check, past_length, scaled, window, windows
 from asia.models._data.scaling import Scaling
@@ -52,12 +53,10 @@ class Config:
     """Reservoirs with readouts of their own, whose outputs are averaged."""
 
     def __post_init__(self) -> None:
-        if min(self.units, self.members) < 1 or self.washout < 0 or not 0 < self.density <= 1:
-            raise UserError("esn.Config: units and members >= 1, washout >= 0, density in (0, 1]")
-        if not 0 < self.shortest <= self.longest or min(self.radius, self.input_scale) < 0:
-            raise UserError(
-                "esn.Config: 0 < shortest <= longest is needed, radius and input_scale >= 0"
-            )
+        check_at_least(1, self, "units", "members")
+        check_at_least(0, self, "washout", "radius", "input_scale")
+        demand(self, "density", 0 < self.density <= 1, "a share in (0, 1]")
+        demand(self, "shortest", 0 < self.shortest <= self.longest, "0 < shortest <= longest")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
-from asia.errors import UserError
+from asia.models._config import check_at_least, check_choice
 from asia.models._data.cuts import spread
 from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history, regressors
 from asia.models._data.records import ScaledData, check, past_length, scaled
@@ -67,14 +67,9 @@ class Config:
     """By how many times the width of the training range outputs in free run may leave it."""
 
     def __post_init__(self) -> None:
-        if self.mean not in ("linear", "hold"):
-            raise UserError(f"gp_narx.Config: mean is '{self.mean}', expected linear or hold")
-        given = [n for n in (self.na, self.nb, self.max_order, self.points) if n is not None]
-        if min(given) < 1 or (self.delay or 0) < 0 or self.margin < 0:
-            raise UserError(
-                "gp_narx.Config: na, nb, max_order and points must be at least 1, delay and "
-                "margin at least 0"
-            )
+        check_choice(self, "mean", ("linear", "hold"))
+        check_at_least(1, self, "na", "nb", "max_order", "points")
+        check_at_least(0, self, "delay", "margin")
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._config import check_at_least
 from asia.models._data.encoder import Encoder
 from asia.models._data.records import (
     ScaledData,
@@ -62,10 +63,8 @@ class Config:
     """Greatest delay tried where `delay` is None, in samples."""
 
     def __post_init__(self) -> None:
-        if self.order is not None and self.order < 1:
-            raise UserError(f"linear.Config: order is {self.order}, expected at least 1 or None")
-        if self.max_order < 1 or self.max_delay < 0 or (self.delay or 0) < 0:
-            raise UserError("linear.Config: max_order must be >= 1, delay and max_delay >= 0")
+        check_at_least(1, self, "order", "max_order")
+        check_at_least(0, self, "delay", "max_delay")
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
-from asia.errors import UserError
+from asia.models._config import check_at_least
 from asia.models._data.lags import Lags, OutputRange, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
@@ -79,14 +79,8 @@ class Config:
     least squares, against the mean squared error in z-scores."""
 
     def __post_init__(self) -> None:
-        given = [self.na, self.nb, self.degree, self.terms, self.max_terms, self.max_order]
-        if min(n for n in given if n is not None) < 1 or (self.delay or 0) < 0:
-            raise UserError(
-                "narx.Config: na, nb, degree, terms, max_terms and max_order must be at least 1, "
-                "delay at least 0"
-            )
-        if self.margin < 0 or self.coefficient_ridge < 0:
-            raise UserError("narx.Config: margin and coefficient_ridge must be at least 0")
+        check_at_least(1, self, "na", "nb", "degree", "terms", "max_terms", "max_order")
+        check_at_least(0, self, "delay", "margin", "coefficient_ridge")
 
 
 def build(config: Config, context: Context) -> FreeRunModel[Config]:

@@ -22,6 +22,7 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
+from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder, affine
 from asia.models._data.records import (
     ScaledData,
@@ -79,12 +80,10 @@ class Config:
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
 
     def __post_init__(self) -> None:
-        if min(self.hidden, self.members) < 1 or self.degree < 2 or (self.order or 1) < 1:
-            raise UserError("neural_ss.Config: order, hidden and members must be >= 1, degree >= 2")
-        if self.channels is not None and (self.channels < 1 or self.nonlinearity != "state"):
-            raise UserError(
-                "neural_ss.Config: channels must be >= 1 and go with nonlinearity state"
-            )
+        check_at_least(1, self, "order", "hidden", "members", "channels")
+        check_at_least(2, self, "degree")
+        placed = self.channels is None or self.nonlinearity == "state"
+        demand(self, "channels", placed, "None without nonlinearity state")
 
 
 @dataclass(frozen=True)

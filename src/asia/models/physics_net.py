@@ -24,6 +24,7 @@ from asia.candidate import VALIDATION_SCORES, Context, Model
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
+from asia.models._config import check_at_least, check_choice, demand
 from asia.models._data.records import check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import whole_windows
@@ -81,22 +82,11 @@ class Config:
     """Training windows at most."""
 
     def __post_init__(self) -> None:
-        if self.network not in (None, "mlp", "rnn", "gru", "lstm"):
-            raise UserError(
-                f"physics_net.Config: network is {self.network!r}, expected None, mlp, rnn, gru "
-                "or lstm"
-            )
-        if min(self.hidden, self.layers, self.windows) < 1 or self.equations < 0:
-            raise UserError(
-                "physics_net.Config: hidden, layers and windows must be at least 1, equations at "
-                "least 0"
-            )
-        if min(self.sparsity, self.ridge) < 0 or self.size <= 0:
-            raise UserError(
-                "physics_net.Config: sparsity and ridge must be 0 or more, size positive"
-            )
-        if self.robust is not None and self.robust <= 0:
-            raise UserError("physics_net.Config: robust must be positive or None")
+        check_choice(self, "network", (None, "mlp", "rnn", "gru", "lstm"))
+        check_at_least(1, self, "hidden", "layers", "windows")
+        check_at_least(0, self, "equations", "sparsity", "ridge")
+        demand(self, "size", self.size > 0, "a positive share")
+        demand(self, "robust", self.robust is None or self.robust > 0, "None or positive")
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
-from asia.errors import UserError
-from asia.models._config import check_at_least
+from asia.models._config import check_at_least, demand
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
 from asia.models._networks.features import check_features, drive_size
@@ -51,10 +50,7 @@ class Config:
     def __post_init__(self) -> None:
         check_at_least(1, self, "layers", "heads", "width", "inner", "encoder")
         check_at_least(2, self, "span")
-        if self.width % self.heads:
-            raise UserError(
-                f"transformer.Config: width {self.width} is no multiple of heads {self.heads}"
-            )
+        demand(self, "width", self.width % self.heads == 0, "a multiple of heads")
         check_features(self)
 
 

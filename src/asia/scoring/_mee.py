@@ -46,6 +46,13 @@ class MeeTable:
     horizons: tuple[int, ...]
     groups: tuple[GroupError, ...]
 
+    def by_group(self) -> dict[str, dict[str, float]]:
+        """Group -> h10, h50, ..., sum."""
+        return {
+            g.name: {**{f"h{h}": g.at(h) for h in self.horizons}, "sum": g.total}
+            for g in self.groups
+        }
+
 
 def mee_table(
     y: Sequence[Array],

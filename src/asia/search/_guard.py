@@ -24,7 +24,7 @@ def look_at_guard(
     """Score the ensembles of the last three new bests on the guard records, in the search's metric
     over the standard deviations of all training records. Where the same ones were looked at before,
     nothing new is learned and the look is not counted again."""
-    kept = [e for e in view.finished if e.result is not None and e.result.status == "keep"]
+    kept = [e for e in view.finished if e.kept]
     last = view.looks[-1] if view.looks else None
     wanted = [e.number for e in kept[-NEW_BESTS:]]
     if last is not None and [score.experiment for score in last.scores] == wanted:

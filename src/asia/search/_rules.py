@@ -30,7 +30,7 @@ def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
     recent = view.finished[view.extended_after :]
     refined = [e for e in recent if e.proposed.phase == "refine"]
     last = refined[-budget.patience :]
-    kept = any(e.result and e.result.status == "keep" for e in last)
+    kept = any(e.kept for e in last)
     return "saturated" if len(last) >= budget.patience and not kept else None
 
 

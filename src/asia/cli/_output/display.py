@@ -23,10 +23,10 @@ from asia.cli._output.words import (
     experiment_line,
     guard_words,
     last_line,
-    rung_value,
     stop_words,
     told,
     usage_words,
+    value_words,
 )
 from asia.evaluation import TRUTH
 from asia.ledger import (
@@ -200,7 +200,7 @@ class TextDisplay:
                 self._print(f"again    {words}")
             if view.looks:
                 self._print(f"guard    {guard_words(view)}")
-            rungs = " · ".join(f"{r.name} {rung_value(r)}" for r in view.rungs)
+            rungs = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.rungs)
             self._print(f"rungs    {rungs}")
         self._print(f"files    {self.prepared.directory}/results.tsv, search_journal.md")
         for picture in pictures:
@@ -239,7 +239,7 @@ class TextDisplay:
 
     def _rung(self, rung: RungScored) -> None:
         note = "   the noise floor" if rung.name == TRUTH else ""
-        self._print(f"rung    {rung.name:<18} V={rung_value(rung)}{note}", style="cyan")
+        self._print(f"rung    {rung.name:<18} V={value_words(rung.outcome)}{note}", style="cyan")
         if isinstance(rung.outcome, Failure):
             self._print(f"        {last_line(rung.outcome)}", style="dim")
 

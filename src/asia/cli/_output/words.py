@@ -16,7 +16,7 @@ from asia.ledger import (
     error_value,
     scores_told,
 )
-from asia.scoring import Failure, Score
+from asia.scoring import Failure, Outcome, Score
 
 NOT_LEAK_FREE = (
     "validation early stopping: candidates may ask for their score on the held-out parts, so V is "
@@ -42,9 +42,8 @@ def told(validation_scores: int) -> str:
     )
 
 
-def rung_value(rung: RungScored) -> str:
-    """V of a rung, or why there is none."""
-    outcome = rung.outcome
+def value_words(outcome: Outcome) -> str:
+    """V, or why there is none."""
     return error_value(outcome.value) if isinstance(outcome, Score) else outcome.reason.value
 
 
@@ -81,20 +80,14 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
 
 def incumbent_at(number: int, view: SearchView) -> Experiment | None:
     """The best experiment after experiment `number`."""
-    kept = [
-        e for e in view.finished if e.number <= number and e.result and e.result.status == "keep"
-    ]
+    kept = [e for e in view.finished if e.number <= number and e.kept]
     return kept[-1] if kept else None
 
 
 def guard_words(view: SearchView) -> str:
     """The last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, the winner is #07`."""
     look = view.looks[-1]
-    scores = ", ".join(
-        f"#{s.experiment:02d} "
-        + (error_value(s.outcome.value) if isinstance(s.outcome, Score) else s.outcome.reason.value)
-        for s in look.scores
-    )
+    scores = ", ".join(f"#{s.experiment:02d} {value_words(s.outcome)}" for s in look.scores)
     best = view.best
     winner = (
         "" if best is None or best.number == look.pick else f", the winner is #{best.number:02d}"

@@ -61,11 +61,6 @@ def read_csv(
     return CsvTrajectory(trajectory, warnings)
 
 
-def column_names(path: Path) -> tuple[str, ...]:
-    """Names in the header row. Raises UserError when there is none."""
-    return _open(path, ()).columns
-
-
 def split_csv(path: Path, wanted: Sequence[str], share: float) -> tuple[str, str]:
     """The file as two texts with its header, all columns kept: the first rows, and the last
     `share` (0 to 1) of them. Raises UserError when there is no header with data below it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from asia.errors import UserError
+from asia.models._config import check_at_least
 
 
 @dataclass(frozen=True)
@@ -16,8 +16,7 @@ class LeastSquares:
     inside the training data by the simulation error on stretches left out."""
 
     def __post_init__(self) -> None:
-        if self.ridge is not None and self.ridge < 0:
-            raise UserError(f"LeastSquares: ridge is {self.ridge}, expected at least 0 or None")
+        check_at_least(0, self, "ridge")
 
 
 @dataclass(frozen=True)
@@ -34,5 +33,5 @@ class MarginalLikelihood:
     with their cube."""
 
     def __post_init__(self) -> None:
-        if self.iterations < 0 or self.points < 2:
-            raise UserError("MarginalLikelihood: iterations must be >= 0 and points >= 2")
+        check_at_least(0, self, "iterations")
+        check_at_least(2, self, "points")

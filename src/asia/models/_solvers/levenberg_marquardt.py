@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from asia.errors import UserError
+from asia.models._config import check_at_least, demand
 
 Residual = Callable[[jax.Array], jax.Array]
 Linearised = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
@@ -41,14 +41,10 @@ class LevenbergMarquardt:
     last ones are kept."""
 
     def __post_init__(self) -> None:
-        if self.iterations < 0 or self.starts < 1:
-            raise UserError("LevenbergMarquardt: iterations must be >= 0 and starts >= 1")
-        if self.damping <= 0 or self.tolerance < 0:
-            raise UserError("LevenbergMarquardt: damping must be > 0 and tolerance >= 0")
-        if self.stop not in (None, "validation"):
-            raise UserError(
-                f"LevenbergMarquardt: stop is {self.stop!r}, expected None or 'validation'"
-            )
+        check_at_least(0, self, "iterations", "tolerance")
+        check_at_least(1, self, "starts")
+        demand(self, "damping", self.damping > 0, "a positive number")
+        demand(self, "stop", self.stop in (None, "validation"), "None or 'validation'")
 
 
 class LMResult(NamedTuple):

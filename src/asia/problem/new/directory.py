@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from asia.data._store import sync_folder
+from asia._files import sync_folder
 from asia.errors import UserError
 from asia.problem._load import load_problem
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from asia._files import sync_folder
 from asia.data._copies import shared_samples
 from asia.data._digest import data_digest
 from asia.data._store import (
@@ -18,7 +19,6 @@ from asia.data._store import (
     key_path,
     new_key,
     open_store,
-    sync_folder,
     write_store,
 )
 from asia.data._trajectory import Trajectory

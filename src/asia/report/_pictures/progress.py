@@ -104,8 +104,8 @@ def _gather(view: SearchView, beside: Control | None) -> _Points:
     if beside is not None and beside.value is not None:
         rungs = (*rungs, ("expert, same budget", beside.value))
     scored = [(e, e.score.value) for e in view.finished if e.score]
-    kept = tuple(_point(e, v) for e, v in scored if _is_kept(e))
-    others = [_point(e, v) for e, v in scored if not _is_kept(e)]
+    kept = tuple(_point(e, v) for e, v in scored if e.kept)
+    others = [_point(e, v) for e, v in scored if not e.kept]
     guard = _guarded(view)
     usual = [v for _, v in rungs] + [p.value for p in kept]
     ceiling = _OFF_SCALE * max(usual, default=float("inf"))
@@ -127,10 +127,6 @@ def _guarded(view: SearchView) -> list[_Point]:
         for s in scores
         if isinstance(s.outcome, Score)
     ]
-
-
-def _is_kept(e: Experiment) -> bool:
-    return e.result is not None and e.result.status == "keep"
 
 
 def _point(e: Experiment, value: float) -> _Point:

@@ -57,5 +57,5 @@ def test_outputs_depend_on_the_past_window_and_on_no_later_input() -> None:
 
 
 def test_heads_must_divide_the_width() -> None:
-    with pytest.raises(UserError, match="width 10 is no multiple of heads 4"):
+    with pytest.raises(UserError, match="width is 10, expected a multiple of heads"):
         transformer.Config(width=10)
