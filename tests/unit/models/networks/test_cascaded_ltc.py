@@ -42,5 +42,5 @@ def test_the_fast_layer_reads_the_slow_one_and_not_the_other_way() -> None:
 
 
 def test_bad_time_constants_are_refused() -> None:
-    with pytest.raises(UserError, match="slow_min is 5.0, expected 0 < slow_min < slow_max"):
+    with pytest.raises(UserError, match=r"slow_min is 5\.0, expected 0 < slow_min < slow_max"):
         cascaded_ltc.Config(slow_min=5.0, slow_max=1.0)
