@@ -1,12 +1,21 @@
 """Folds, sandbox and scoring put together. Holds targets and runs candidates, never both at once:
 what goes to a worker is a `Case`, what is scored stays here."""
 
-from asia.evaluation._evaluator import Evaluation, Evaluator, FoldResult, Refit, derive_seed
-from asia.evaluation._metamorphic import Suspicion, SuspicionKind, suspicions
+from asia.evaluation._evaluator import FAR_BELOW, Evaluator
+from asia.evaluation._metamorphic import dependences, suspicions
+from asia.evaluation._relations import Suspicion, SuspicionKind
 from asia.evaluation._requests import simulate_held_out
+from asia.evaluation._results import (
+    Evaluation,
+    FoldResult,
+    Refit,
+    derive_seed,
+    evidence_ratio,
+)
 from asia.evaluation._rungs import LINEAR, TRUTH, Rung, score_rungs
 
 __all__ = [
+    "FAR_BELOW",
     "LINEAR",
     "TRUTH",
     "Evaluation",
@@ -16,7 +25,9 @@ __all__ = [
     "Rung",
     "Suspicion",
     "SuspicionKind",
+    "dependences",
     "derive_seed",
+    "evidence_ratio",
     "score_rungs",
     "simulate_held_out",
     "suspicions",

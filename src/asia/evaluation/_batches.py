@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asia.data import Array
-from asia.evaluation._requests import held_out_requests
+from asia.evaluation._requests import held_out_requests, largest
 from asia.protocol import Block
 
 MOST_BATCHES = 6
@@ -31,6 +31,8 @@ class CaseBatch:
     """Simulated outputs, (B, H, ny)."""
     count: int
     """How many rows are cases; those after them repeat the first."""
+    followed: bool = False
+    """Whether data that come right after the block train."""
 
     def moved(
         self, size: float, scale: Array, random: np.random.Generator
@@ -48,20 +50,19 @@ class CaseBatch:
 
         return shifted(1.0), shifted(-1.0)
 
-    def spliced(self) -> tuple[CaseBatch, int]:
-        """The inputs of each case up to half its length, then those of the next one; a single case
-        continues with its own beginning. Also returns the sample of the splice."""
-        place = self.u.shape[1] // 2
-        u = self.u.copy()
-        if self.count > 1:
-            u[: self.count, place:] = np.roll(self.u[: self.count, place:], 1, axis=0)
-        else:
-            u[:, place:] = self.u[:, : u.shape[1] - place]
-        return replace(self, u=u), place
+    def prefix(self, length: int) -> CaseBatch:
+        """The same cases with their first `length` inputs alone."""
+        return replace(self, u=self.u[:, :length])
 
-    def reversed(self) -> CaseBatch:
-        """The last row first."""
-        return replace(self, past_u=self.past_u[::-1], past_y=self.past_y[::-1], u=self.u[::-1])
+    def ending(self, length: int) -> CaseBatch:
+        """The last `length` samples of the same cases, started from measured outputs."""
+        start = self.u.shape[1] - length
+        return replace(
+            self,
+            past_u=_past(self.past_u, self.u, start),
+            past_y=_past(self.past_y, self.y, start),
+            u=self.u[:, start:],
+        )
 
     def later_starts(self, number: int, scale: Array) -> Iterator[tuple[CaseBatch, list[int]]]:
         """The same stretches from `number` later starts in the first half, with the sample of each
@@ -87,9 +88,8 @@ class CaseBatch:
         """Each row from its own later start on."""
 
         def past(before: Array, values: Array) -> Array:
-            length = before.shape[1]
-            known = np.concatenate([before, values], axis=1)
-            return np.stack([row[s : s + length] for row, s in zip(known, starts, strict=True)])
+            rows = zip(before[:, None], values[:, None], starts, strict=True)
+            return np.concatenate([_past(*row) for row in rows])
 
         length = self.u.shape[1]
         held = np.concatenate([self.u, np.repeat(self.u[:, -1:], max(starts), axis=1)], axis=1)
@@ -99,25 +99,37 @@ class CaseBatch:
         )
 
 
+def _past(before: Array, values: Array, start: int) -> Array:
+    """The samples just before `start`, as many as `before` has of those before sample 0."""
+    return np.concatenate([before, values[:, :start]], axis=1)[:, start:]
+
+
 def batches(
     blocks: Sequence[Block],
     y_hat: Sequence[Array],
     horizon: int | None,
     random: np.random.Generator,
+    followed: Collection[int] = (),
 ) -> tuple[CaseBatch, ...]:
     """A few of the requests that `simulate_held_out` sends, drawn at random, in the same shapes and
-    order. y_hat: the answers (H, ny)."""
+    order. y_hat: the answers (H, ny); followed: which blocks have data that train right after
+    them."""
     requests = held_out_requests(blocks, horizon)
-    size = max((len(request) for request in requests), default=0)
     count = min(len(requests), MOST_BATCHES)
     places = np.sort(random.choice(len(requests), count, replace=False))
-    return tuple(_batch(blocks, y_hat, requests[place], size) for place in places)
+    return tuple(
+        _batch(blocks, y_hat, requests[place], largest(requests), followed) for place in places
+    )
 
 
 def _batch(
-    blocks: Sequence[Block], y_hat: Sequence[Array], request: Sequence[int], size: int
+    blocks: Sequence[Block],
+    y_hat: Sequence[Array],
+    request: Sequence[int],
+    rows_sent: int,
+    followed: Collection[int],
 ) -> CaseBatch:
-    rows = [*request, *[request[0]] * (size - len(request))]
+    rows = [*request, *[request[0]] * (rows_sent - len(request))]
     cases = [blocks[i].case for i in rows]
     return CaseBatch(
         past_u=np.stack([case.past_u for case in cases]),
@@ -126,4 +138,5 @@ def _batch(
         y=np.stack([blocks[i].y for i in rows]),
         y_hat=np.stack([y_hat[i] for i in rows]),
         count=len(request),
+        followed=all(i in followed for i in request),
     )

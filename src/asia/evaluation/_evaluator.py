@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
+import numpy as np
+
 from asia.candidate import Context, check_source, executed_source
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
-from asia.evaluation._metamorphic import SuspicionKind, suspicions
+from asia.evaluation._metamorphic import dependences, strangers, suspicions
 from asia.evaluation._oracle import Oracle
+from asia.evaluation._relations import Suspicion, SuspicionKind
 from asia.evaluation._requests import simulate_held_out, simulate_training
+from asia.evaluation._results import (
+    Evaluation,
+    FoldResult,
+    Refit,
+    derive_seed,
+    evidence_ratio,
+)
 from asia.executor import Executor
 from asia.problem import Budget
 from asia.protocol import Block, Fold, ProtocolRule, whole
 from asia.sandbox import FitReply, Isolation, Limits, Worker, WorkerKilledError, open_worker
 from asia.scoring import (
-    Diagnostics,
     Failure,
-    FoldScore,
     Outcome,
     combine,
     diagnose,
@@ -33,52 +40,10 @@ from asia.scoring import (
 T = TypeVar("T")
 
 _MOST_LEFT_BEHIND = 3
-
-
-@dataclass(frozen=True)
-class FoldResult:
-    """What the evaluation of one fold gives."""
-
-    score: FoldScore
-    """The errors on the held-out part."""
-    model: bytes
-    """The fitted model; never parsed outside a sandbox."""
-    y_hat: tuple[Array, ...]
-    """Simulated outputs (H, ny) of each held-out block."""
-    curve: Array
-    """Step and loss as logged by the candidate, (n, 2)."""
-    diagnostics: Diagnostics
-    """Residuals on the training records."""
-    seconds: float
-    """How long the fit took."""
-    validation_scores: int = 0
-    """How often the candidate asked for its score on the held-out part."""
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """The evaluation of one candidate."""
-
-    outcome: Outcome
-    """Its score, or why it failed."""
-    folds: tuple[FoldResult, ...] = ()
-    """The results of all folds; empty if one of them failed."""
-    output: str = ""
-    """What it printed during the first fold's fit, capped and stripped."""
-    validation_scores: int = 0
-    """How often it asked for its score on held-out parts, in all folds, failed ones included."""
-
-
-@dataclass(frozen=True)
-class Refit:
-    """A candidate fitted on all training records, and on one fold a second time."""
-
-    model: bytes | CandidateError
-    """The model fitted on all training records, or why there is none."""
-    fold: int
-    """The number of the fold that was fitted again, from 1."""
-    again: FoldResult | Failure
-    """The result of that second fit."""
+_STRANGERS_ASKED = 4
+# V over the training error, below which it takes more evidence; honest candidates lie above 0.9.
+FAR_BELOW = 0.6
+_UNLIKE = 1.5
 
 
 @dataclass(frozen=True)
@@ -91,12 +56,6 @@ class _FoldEnd:
     """What the candidate printed."""
     validation_scores: int
     """How often it asked for its score on the held-out part."""
-
-
-def derive_seed(root: int, *parts: object) -> int:
-    """31-bit seed from the search seed and what it is for, by sha256."""
-    text = ":".join(str(p) for p in (root, *parts))
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
 
 
 class Evaluator:
@@ -112,9 +71,11 @@ class Evaluator:
         isolation: Isolation,
         executor: Executor,
         salt: str = "",
+        without: Collection[SuspicionKind] = (),
     ) -> None:
         """salt: a text that no candidate or agent knows, so that none can predict which cases are
-        checked."""
+        checked; without: relations that are not checked, to show what each of them finds."""
+        self._without = frozenset(without)
         self.folds = tuple(folds)
         self.horizon = rule.horizon
         self._records = tuple(records)
@@ -159,30 +120,76 @@ class Evaluator:
         ]
         try:
             found = [f for f in self._run(jobs) if f is not None]
+            if not found and SuspicionKind.EVIDENCE not in self._without:
+                found = self._evidence_failures(source, folds)
             return min(found, key=lambda f: f.reason is Reason.RESTART, default=None)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
+    def _evidence_failures(self, source: str, folds: Sequence[FoldResult]) -> list[Failure]:
+        """Where V is far below the training error, the folds are fitted again one after the other,
+        in another order, so that none can tell another one anything; [] where V stays."""
+        if evidence_ratio(folds) >= FAR_BELOW:
+            return []
+        random = np.random.default_rng(self._check_seed(source, "evidence"))
+        again: list[float] = []
+        for place in random.permutation(len(folds)).tolist():
+            job = partial(self._fold_or_failure, source, self.folds[place])
+            result = self._run([job])[0].result
+            if isinstance(result, Failure):
+                words = f"{SuspicionKind.EVIDENCE}: fitted alone, a fold fails"
+                return [Failure(Reason.SUSPECT, words, place + 1)]
+            again.append(result.score.value)
+        if np.mean(again) <= _UNLIKE * np.mean([fold.score.value for fold in folds]):
+            return []
+        words = "V is far below the training error, but not with the folds fitted one by one"
+        return [Failure(Reason.SUSPECT, f"{SuspicionKind.EVIDENCE}: {words}")]
+
     def _fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
-        place, seed = fold.index + 1, derive_seed(self._context.seed, self._salt, fold.index)
+        place = fold.index + 1
+        followed = [i for i, known in enumerate(fold.followed) if known]
+        seed = self._check_seed(source, place)
+        ask = partial(
+            suspicions, scale=fold.scale, horizon=self.horizon, seed=seed, followed=followed,
+            without=self._without,
+        )  # fmt: skip
+        try:
+            found = self._ask_fresh(source, result.model, fold.validation, result.y_hat, ask)
+        except CandidateError as error:
+            return Failure(error.reason, error.detail, place)
+        return _suspected(found, place)
+
+    def _ask_fresh(
+        self,
+        source: str,
+        model: bytes,
+        blocks: Sequence[Block],
+        y_hat: Sequence[Array],
+        ask: Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]],
+    ) -> Sequence[Suspicion]:
+        """What `ask` finds in a worker that has seen no case. Raises CandidateError, with reason
+        NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
         with self._worker() as worker:
             try:
-                worker.load(executed_source(source), result.model, self._fold_context("load"))
-                y_hat = simulate_held_out(worker, fold.validation, self.horizon)
+                worker.load(executed_source(source), model, self._fold_context("load"))
             except CandidateError as error:
-                return Failure(Reason.NOT_REPRODUCIBLE, str(error), place)
-            pairs = zip(y_hat, result.y_hat, strict=True)
-            if any(again.tobytes() != first.tobytes() for again, first in pairs):
-                return Failure(Reason.NOT_REPRODUCIBLE, "", place)
+                raise CandidateError(Reason.NOT_REPRODUCIBLE, str(error)) from None
             try:
-                found = suspicions(worker, fold.validation, y_hat, fold.scale, self.horizon, seed)
+                found = ask(worker, blocks, y_hat)
             except CandidateError as error:
                 detail = f"next to the scored cases: {error.detail or error.reason.advice}"
-                return Failure(error.reason, detail, place)
-        known = [one for one in found if one.kind is not SuspicionKind.RESTART]
-        reason = Reason.SUSPECT if known else Reason.RESTART
-        words = "; ".join(f"{one.kind}: {one.words}" for one in known or found)
-        return Failure(reason, words, place) if found else None
+                raise CandidateError(error.reason, detail) from None
+        if any(one.kind is SuspicionKind.STRANGERS for one in found):
+            again = self._simulate_model(source, model, blocks)
+            pairs = zip(again, y_hat, strict=True)
+            if any(one.tobytes() != other.tobytes() for one, other in pairs):
+                raise CandidateError(Reason.NOT_REPRODUCIBLE)
+        return found
+
+    def _check_seed(self, source: str, *parts: object) -> int:
+        """Other requests for each source: whoever sees what is found learns nothing about the
+        next one."""
+        return derive_seed(self._context.seed, self._salt, source, *parts)
 
     def refit(self, source: str) -> Refit:
         """Fit on all training records, where nothing is held out, so that the candidate has no
@@ -207,8 +214,10 @@ class Evaluator:
     def simulate(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...]]:
-        """Simulate `blocks` with stored models, each in a fresh worker. Raises CandidateError."""
-        jobs = [partial(self._simulate_model, source, model, blocks) for model in models]
+        """Simulate `blocks` with stored models, each in a fresh worker, and ask a second one as
+        `dependences` does. Raises CandidateError, with reason SUSPECT where an answer depends on
+        what it must not."""
+        jobs = [partial(self._simulate_checked, source, model, blocks) for model in models]
         return self._run(jobs)
 
     def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
@@ -282,6 +291,7 @@ class Evaluator:
             model = worker.dump()
             y_hat = simulate_held_out(worker, fold.validation, self.horizon)
             train_y_hat = simulate_training(worker, inside, self.horizon)
+        self._ask_strangers(source, fold, model, y_hat)
         held_out, in_parts = [b.y for b in fold.validation], self._rule.ladder is not None
         score = score_fold(held_out, y_hat, fold.scale, metric, in_parts=in_parts)
         train_y = [b.y for b in inside]
@@ -292,6 +302,25 @@ class Evaluator:
         result = FoldResult(score, model, y_hat, reply.curve, evidence, reply.seconds, oracle.calls)
         return result, reply.output
 
+    def _ask_strangers(self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]) -> None:
+        """Where several requests go to one worker, a few of their cases in a fresh one. Raises
+        CandidateError."""
+        if self.horizon is None or SuspicionKind.STRANGERS in self._without:
+            return
+
+        def ask(
+            worker: Worker, blocks: Sequence[Block], y_hat: Sequence[Array]
+        ) -> Sequence[Suspicion]:
+            seed = self._check_seed(source, fold.index, "strangers")
+            found = strangers(
+                worker, blocks, y_hat, fold.scale, self.horizon, seed, _STRANGERS_ASKED
+            )
+            return () if found is None else (found,)
+
+        failure = _suspected(self._ask_fresh(source, model, fold.validation, y_hat, ask), None)
+        if failure is not None:
+            raise CandidateError(failure.reason, failure.detail)
+
     def _fit(self, worker: Worker, source: str, fold: Fold, oracle: Oracle) -> FitReply:
         context = self._fold_context(fold.index)
         if self._rule.early_stopping == "inner":
@@ -299,12 +328,35 @@ class Evaluator:
         with oracle:
             return worker.fit(source, fold.train, context, oracle)
 
+    def _simulate_checked(
+        self, source: str, model: bytes, blocks: Sequence[Block]
+    ) -> tuple[Array, ...]:
+        y_hat = self._simulate_model(source, model, blocks)
+        scale = np.concatenate([record.y for record in self._records]).std(axis=0)
+        ask = partial(
+            dependences, scale=scale, horizon=self.horizon, seed=self._check_seed(source, "other"),
+            without=self._without,
+        )  # fmt: skip
+        failure = _suspected(self._ask_fresh(source, model, blocks, y_hat, ask), None)
+        if failure is not None:
+            raise CandidateError(failure.reason, failure.detail)
+        return y_hat
+
     def _simulate_model(
         self, source: str, model: bytes, blocks: Sequence[Block]
     ) -> tuple[Array, ...]:
         with self._worker() as worker:
             worker.load(executed_source(source), model, self._fold_context("load"))
             return simulate_held_out(worker, blocks, self.horizon)
+
+
+def _suspected(found: Sequence[Suspicion], fold: int | None) -> Failure | None:
+    """The failure that the relations found broken come to. RESTART depends on held-out outputs:
+    it is the reason only where no other relation is broken."""
+    known = [one for one in found if one.kind is not SuspicionKind.RESTART]
+    reason = Reason.SUSPECT if known else Reason.RESTART
+    words = "; ".join(f"{one.kind}: {one.words}" for one in known or found)
+    return Failure(reason, words, fold) if found else None
 
 
 def score_outputs(

@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from asia.data import Array
 from asia.protocol import Block
-from asia.sandbox import Worker
 from asia.scoring import check_reply
 
 MOST_TRAINING_WINDOWS = 256
 
 
+class CaseSimulator(Protocol):
+    """A fitted model, or a worker that holds one. Raises CandidateError."""
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """As `asia.candidate.Model.simulate`; finite."""
+        ...
+
+
 def simulate_held_out(
-    worker: Worker, blocks: Sequence[Block], horizon: int | None
+    worker: CaseSimulator, blocks: Sequence[Block], horizon: int | None
 ) -> tuple[Array, ...]:
     """Simulated outputs (H, ny) of blocks whose outputs are kept back, in the order of `blocks`.
 
     A later past window is an earlier block's answer. Whole blocks go one a request, in time order;
     windows as `time_order` groups them. Raises CandidateError.
     """
-    return _replies(worker, blocks, held_out_requests(blocks, horizon))
+    requests = held_out_requests(blocks, horizon)
+    found = simulate_requests(worker, blocks, requests, largest(requests))
+    return tuple(found[i] for i in range(len(blocks)))
 
 
 def held_out_requests(blocks: Sequence[Block], horizon: int | None) -> list[list[int]]:
@@ -33,14 +43,35 @@ def held_out_requests(blocks: Sequence[Block], horizon: int | None) -> list[list
 
 
 def simulate_training(
-    worker: Worker, blocks: Sequence[Block], horizon: int | None
+    worker: CaseSimulator, blocks: Sequence[Block], horizon: int | None
 ) -> tuple[Array, ...]:
     """The same for blocks whose outputs the candidate was given: many windows a request."""
     if horizon is None:
         return simulate_held_out(worker, blocks, None)
     count = -(-len(blocks) // MOST_TRAINING_WINDOWS)
     requests = [part.tolist() for part in np.array_split(np.arange(len(blocks)), max(count, 1))]
-    return _replies(worker, blocks, requests)
+    found = simulate_requests(worker, blocks, requests, largest(requests))
+    return tuple(found[i] for i in range(len(blocks)))
+
+
+def largest(requests: Sequence[Sequence[int]]) -> int:
+    """The number of rows in which all of them are sent."""
+    return max((len(request) for request in requests), default=0)
+
+
+def among_strangers(
+    requests: Sequence[Sequence[int]], random: np.random.Generator
+) -> list[list[int]]:
+    """The same cases in requests of the same sizes, in random order and each among other cases.
+
+    A case keeps its row: rounding may depend on the row, on nothing else.
+    """
+    mixed: list[list[int]] = [[] for _ in requests]
+    for row in range(largest(requests)):
+        places = [k for k, request in enumerate(requests) if len(request) > row]
+        for place, source in zip(places, random.permutation(places).tolist(), strict=True):
+            mixed[place].append(requests[source][row])
+    return [mixed[k] for k in random.permutation(len(mixed)).tolist()]
 
 
 def time_order(records: Sequence[int]) -> list[list[int]]:
@@ -67,15 +98,14 @@ def time_order(records: Sequence[int]) -> list[list[int]]:
     return requests
 
 
-def _replies(
-    worker: Worker, blocks: Sequence[Block], requests: Sequence[Sequence[int]]
-) -> tuple[Array, ...]:
-    """One reply for each block. Smaller requests repeat their first case up to the size of the
-    largest, so that a model compiles once."""
+def simulate_requests(
+    worker: CaseSimulator, blocks: Sequence[Block], requests: Sequence[Sequence[int]], rows: int
+) -> dict[int, Array]:
+    """Simulated outputs (H, ny) of the blocks that are asked for. Requests with fewer than `rows`
+    cases repeat their first one, so that a model compiles once. Raises CandidateError."""
     found: dict[int, Array] = {}
-    size = max((len(request) for request in requests), default=0)
     for request in requests:
-        cases = [blocks[i].case for i in (*request, *[request[0]] * (size - len(request)))]
+        cases = [blocks[i].case for i in (*request, *[request[0]] * (rows - len(request)))]
         y_hat = worker.simulate(
             np.stack([case.past_u for case in cases]),
             np.stack([case.past_y for case in cases]),
@@ -84,4 +114,4 @@ def _replies(
         for index, simulated in zip(request, y_hat, strict=False):
             check_reply(simulated, blocks[index].y.shape)
             found[index] = simulated
-    return tuple(found[i] for i in range(len(blocks)))
+    return found

@@ -60,6 +60,8 @@ class Fold:
     scale: Array
     """Standard deviation (ny,), ddof 0, of each output over the training samples; with a horizon
     over the concatenated training windows."""
+    followed: tuple[bool, ...] = ()
+    """For each held-out block, whether later samples of its record train."""
 
 
 def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: int = 0) -> Block:
@@ -111,7 +113,9 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
     for k, split in enumerate(found):
         train = tuple(records[p.record][p.samples.start : p.samples.stop] for p in split.train)
         held_out = _blocks(records, split.held_out, rule)
-        folds.append(Fold(k, train, held_out, _scale(train, rule, k)))
+        last = {p.record: p.samples.stop for p in split.train}
+        followed = tuple(last.get(block.record, 0) > block.stop for block in held_out)
+        folds.append(Fold(k, train, held_out, _scale(train, rule, k), followed))
     return tuple(folds)
 
 

@@ -121,7 +121,7 @@ def try_honest(
     problem: HonestProblem, row: Family, level: Isolation, interruption: Interruption
 ) -> HonestFinding:
     """Fit the family on the first fold and put its model through lint and metamorphic checks, in
-    one worker."""
+    a worker that has answered nothing."""
     begin = time.monotonic()
     source = problem.source(row)
     fold = make_folds(problem.facts.records, problem.rule)[0]
@@ -131,7 +131,13 @@ def try_honest(
         with open_worker(level, limits) as worker, interruption.ends(worker):
             worker.fit(executed_source(source), fold.train, problem.context)
             y_hat = simulate_held_out(worker, fold.validation, horizon)
-            found = suspicions(worker, fold.validation, y_hat, fold.scale, horizon)
+            model = worker.dump()
+        with open_worker(level, limits) as worker, interruption.ends(worker):
+            worker.load(executed_source(source), model, problem.context)
+            followed = [i for i, known in enumerate(fold.followed) if known]
+            found = suspicions(
+                worker, fold.validation, y_hat, fold.scale, horizon, followed=followed
+            )
     except CandidateError as error:
         words, seconds = str(error)[:200], time.monotonic() - begin
         if error.reason in _ALARMS:

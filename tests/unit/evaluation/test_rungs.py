@@ -20,7 +20,7 @@ import numpy as np
 
 class Hold:
     def simulate(self, past_u, past_y, u):
-        assert u.shape[0] in (2, 8) and u.shape[1] == 10
+        assert u.shape[0] in (2, 8) and u.shape[1] <= 10
         return np.repeat(past_y[:, -1:], u.shape[1], axis=1)
 
 def fit(trajectories, context):

@@ -1,0 +1,242 @@
+"""The relations between the answers of one model, each on one request."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+
+from asia.data import Array
+from asia.errors import CandidateError, Reason
+from asia.evaluation._batches import CaseBatch
+from asia.evaluation._requests import CaseSimulator
+
+TINY, COARSE = 1e-6, 1e-2
+STARTS = 4
+
+# Errors and changes below are in standard deviations of the outputs.
+_SAME = 1e-3
+_STILL = 1e-9
+_MOVES = 1e-2
+_ISOLATED = 30.0
+_EARLY = 5
+_WORSE, _MUCH_WORSE = 0.1, 5.0
+_WORSE_END, _LAST_PART = 2.0, 20
+_OF_THE_MACHINE = (Reason.SIMULATE_TIMEOUT, Reason.MEMORY)
+_SHORTEST = 10
+
+
+class SuspicionKind(StrEnum):
+    """Which relation a model breaks."""
+
+    REPLAY = "replay"
+    STRANGERS = "strangers"
+    BLOCK_END = "block end"
+    CAUSALITY = "causality"
+    PERTURBATION = "perturbation"
+    TABLE = "table"
+    RESTART = "restart"
+    EVIDENCE = "evidence"
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """A relation that a model breaks."""
+
+    kind: SuspicionKind
+    """The relation."""
+    words: str
+    """How it is broken, without a number. Agents receive the words alone: a figure would carry
+    held-out data out."""
+    figure: float
+    """By how much, in standard deviations of the outputs; for `restart` the error from later starts
+    over the error from the scored one."""
+
+
+@dataclass(frozen=True)
+class RequestCheck:
+    """The relations on one request."""
+
+    simulator: CaseSimulator
+    """What answers."""
+    batch: CaseBatch
+    """The request and its scored answer."""
+    scale: Array
+    """Standard deviations of the outputs, (ny,)."""
+    random: np.random.Generator
+    """Draws the signs of perturbations."""
+
+    @cached_property
+    def nearby(self) -> tuple[Array | None, Array | None]:
+        """The answers to inputs and past moved by 1e-6, there and back."""
+        there, back = self.batch.moved(TINY, self.scale, self.random)
+        return self._ask(there), self._ask(back)
+
+    def perturbation(self) -> Suspicion | None:
+        """Answers to two cases close to the scored one must lie about as near to its answer as to
+        each other, and none may jump from the first sample on: chaos needs time to grow."""
+        first, second = self.nearby
+        if first is None or second is None:
+            words = "inputs moved by 1e-6 make the simulation diverge"
+            both = first is None and second is None
+            return Suspicion(SuspicionKind.PERTURBATION, words, np.inf) if both else None
+        jumps = [self._apart(y, self.batch.y_hat) for y in (first, second)]
+        least = min(_rms(jump) for jump in jumps)
+        between = _rms(self._apart(first, second))
+        at_once = all(
+            (part > _MOVES).mean() > 0.5 for jump in jumps for part in (jump[:, :_EARLY], jump)
+        )
+        isolated = least > _SAME and least > _ISOLATED * between
+        if not isolated and not at_once:
+            return None
+        words = "inputs moved by 1e-6 make the simulation jump"
+        return Suspicion(SuspicionKind.PERTURBATION, words, least)
+
+    def table(self) -> Suspicion | None:
+        """Outputs that move in time but depend on no input and no past output are stored data."""
+        near = self._ask(self.batch.moved(COARSE, self.scale, self.random)[0])
+        if near is None:
+            return None
+        y_hat = self.batch.y_hat[: self.batch.count]
+        moves = (y_hat.std(axis=1) / self.scale).max(axis=1)
+        still = self._apart(near, self.batch.y_hat).max(axis=1) <= _STILL
+        taped = moves[still & (moves > _MOVES)]
+        if taped.size == 0:
+            return None
+        words = "inputs and past moved by 1e-2 change no output, though the output moves in time"
+        return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
+
+    def causality(self, length: int, answer: Array | None) -> Suspicion | None:
+        """answer: that to the first `length` inputs alone, which must be the start of the answer
+        to all of them. It says nothing where 1e-6 of the inputs moves it as much."""
+        change = np.inf
+        if answer is not None:
+            change = self._beyond_rounding(answer, self.batch.y_hat[:, :length])
+        if change <= _SAME:
+            return None
+        words = "inputs after a sample move the output before it"
+        return Suspicion(SuspicionKind.CAUSALITY, words, change)
+
+    def block_end(self, lengths: tuple[int, int]) -> tuple[Suspicion | None, ...]:
+        """Started later, at two samples, a simulation that reaches the block's end is about as
+        good there as the scored one, and does not know the end before it gets there."""
+        short, long = lengths
+        later = self.batch.ending(long)
+        first = self._ask(later.prefix(short))
+        second, third = self._ask(later), self._ask(self.batch.ending(short))
+        if first is None or second is None or third is None:
+            return ()
+        ahead = self._beyond_rounding(first, second[:, :short])
+        last = max(self.batch.u.shape[1] // _LAST_PART, 1)
+        own = self._end_error(self.batch.y_hat, last)
+        other = min(self._end_error(answer, last) for answer in (second, third))
+        found: list[Suspicion | None] = []
+        if ahead > _SAME:
+            words = "the length of a simulation moves its output"
+            found.append(Suspicion(SuspicionKind.CAUSALITY, words, ahead))
+        if other - own > _WORSE and other > _WORSE_END * own:
+            words = "the simulation is right at the block's end from the scored start alone"
+            ratio = other / own if own > 0 else np.inf
+            found.append(Suspicion(SuspicionKind.BLOCK_END, words, ratio))
+        return tuple(found)
+
+    def _end_error(self, answer: Array, last: int) -> float:
+        rows = np.s_[: self.batch.count, -last:]
+        return _rms((answer[rows] - self.batch.y[rows]) / self.scale)
+
+    def _beyond_rounding(self, one: Array, other: Array) -> float:
+        """Largest difference, but for what chaos makes of rounding: less than of 1e-6."""
+        apart = self._apart(one, other)
+        near = [a for a in self.nearby if a is not None]
+        if len(near) == 2:
+            grown = self._apart(near[0], near[1])[:, : apart.shape[1]]
+            apart = np.where(apart > np.maximum.accumulate(grown, axis=1), apart, 0.0)
+        return float(apart.max(initial=0.0))
+
+    def replay(self) -> Suspicion | None:
+        """The answer to a case does not depend on the requests before it."""
+        answer = self._ask(self.batch)
+        change = np.inf if answer is None else float(self._apart(answer, self.batch.y_hat).max())
+        if change <= _SAME:
+            return None
+        words = "the same case asked again is answered otherwise"
+        return Suspicion(SuspicionKind.REPLAY, words, change)
+
+    def restart(self) -> tuple[float, list[float]] | None:
+        """Mean squared error over the end of the blocks, from the scored start and from later
+        ones; None where there is no later start to compare with."""
+        batch = self.batch
+        if batch.past_y.shape[1] == 0 or batch.u.shape[1] < _SHORTEST:
+            return None
+        end = batch.u.shape[1] * 3 // 5
+        wanted = np.s_[: batch.count, end:]
+        with np.errstate(over="ignore"):
+            own = float(np.mean(((batch.y_hat - batch.y)[wanted] / self.scale) ** 2))
+        others: list[float] = []
+        for later, starts in batch.later_starts(STARTS, self.scale):
+            answer = self._ask(later)
+            if answer is None:
+                others.append(np.inf)
+                continue
+            rows = [
+                (answer[i, end - s : len(answer[i]) - s] - batch.y[i, end:]) / self.scale
+                for i, s in enumerate(starts[: batch.count])
+            ]
+            with np.errstate(over="ignore"):
+                others.append(float(np.mean(np.square(rows))))
+        return own, others
+
+    def lengths(self, fractions: Sequence[float]) -> tuple[int, int] | None:
+        """Two lengths of prefixes, None where a case is too short to have any."""
+        whole = self.batch.u.shape[1]
+        if whole < _SHORTEST:
+            return None
+        short, long = (min(int(part * whole), whole - 1) for part in fractions)
+        return short, long
+
+    def ask_prefix(self, length: int) -> Array | None:
+        """The answer to the first inputs alone; None where it is not finite."""
+        return self._ask(self.batch.prefix(length))
+
+    def _ask(self, batch: CaseBatch) -> Array | None:
+        """The answer; None where it is not finite."""
+        try:
+            answer = self.simulator.simulate(batch.past_u, batch.past_y, batch.u)
+        except CandidateError as error:
+            if error.reason is Reason.NOT_FINITE:
+                return None
+            raise
+        return answer
+
+    def _apart(self, one: Array, other: Array) -> Array:
+        """(rows, H): largest difference over the outputs, of the rows that count."""
+        return (np.abs(one - other)[: self.batch.count] / self.scale).max(axis=2)
+
+
+def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:
+    """Over all requests: the best of the later starts against the scored one."""
+    try:
+        known = [error for check in checks if (error := check.restart()) is not None]
+    except CandidateError as error:
+        if error.reason in _OF_THE_MACHINE:
+            raise
+        words = "started later on the same record the simulation fails"
+        return Suspicion(SuspicionKind.RESTART, words, np.inf)
+    if not known:
+        return None
+    own = float(np.sqrt(np.mean([error for error, _ in known])))
+    later = np.sqrt(np.mean([others for _, others in known], axis=0))
+    best = float(later.min())
+    if best - own <= _WORSE or best <= _MUCH_WORSE * own:
+        return None
+    ratio = best / own if own > 0 else np.inf
+    words = "started later on the same record the simulation is far worse"
+    return Suspicion(SuspicionKind.RESTART, words, ratio)
+
+
+def _rms(values: Array) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.sqrt(np.mean(values**2)))

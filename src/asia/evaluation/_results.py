@@ -1,0 +1,72 @@
+"""What an evaluation gives."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+from asia.errors import CandidateError
+from asia.scoring import Diagnostics, Failure, FoldScore, Outcome
+
+
+@dataclass(frozen=True)
+class FoldResult:
+    """What the evaluation of one fold gives."""
+
+    score: FoldScore
+    """The errors on the held-out part."""
+    model: bytes
+    """The fitted model; never parsed outside a sandbox."""
+    y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each held-out block."""
+    curve: Array
+    """Step and loss as logged by the candidate, (n, 2)."""
+    diagnostics: Diagnostics
+    """Residuals on the training records."""
+    seconds: float
+    """How long the fit took."""
+    validation_scores: int = 0
+    """How often the candidate asked for its score on the held-out part."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The evaluation of one candidate."""
+
+    outcome: Outcome
+    """Its score, or why it failed."""
+    folds: tuple[FoldResult, ...] = ()
+    """The results of all folds; empty if one of them failed."""
+    output: str = ""
+    """What it printed during the first fold's fit, capped and stripped."""
+    validation_scores: int = 0
+    """How often it asked for its score on held-out parts, in all folds, failed ones included."""
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A candidate fitted on all training records, and on one fold a second time."""
+
+    model: bytes | CandidateError
+    """The model fitted on all training records, or why there is none."""
+    fold: int
+    """The number of the fold that was fitted again, from 1."""
+    again: FoldResult | Failure
+    """The result of that second fit."""
+
+
+def evidence_ratio(folds: Sequence[FoldResult]) -> float:
+    """V over the mean training error, both normalised by the same standard deviations."""
+    train = float(np.mean([fold.diagnostics.train_error for fold in folds]))
+    value = float(np.mean([fold.score.value for fold in folds]))
+    return value / train if train > 0 else float("inf")
+
+
+def derive_seed(root: int, *parts: object) -> int:
+    """31-bit seed from the search seed and what it is for, by sha256."""
+    text = ":".join(str(p) for p in (root, *parts))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
