@@ -14,7 +14,7 @@ import numpy as np
 from asia.candidate import Context, check_source, executed_source
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
-from asia.evaluation._metamorphic import dependences, strangers, suspicions
+from asia.evaluation._metamorphic import ROUNDING, dependences, strangers, suspicions
 from asia.evaluation._oracle import Oracle
 from asia.evaluation._relations import Suspicion, SuspicionKind
 from asia.evaluation._requests import simulate_held_out, simulate_training
@@ -151,7 +151,7 @@ class Evaluator:
         seed = self._check_seed(source, place)
         ask = partial(
             suspicions, scale=fold.scale, horizon=self.horizon, seed=seed, followed=followed,
-            without=self._without,
+            without=self._without, rounding=0.0,
         )  # fmt: skip
         try:
             found = self._ask_fresh(source, result.model, fold.validation, result.y_hat, ask)
@@ -184,7 +184,8 @@ class Evaluator:
             pairs = zip(again, y_hat, strict=True)
             if any(one.tobytes() != other.tobytes() for one, other in pairs):
                 raise CandidateError(Reason.NOT_REPRODUCIBLE)
-        return found
+        kind = SuspicionKind.STRANGERS
+        return [one for one in found if one.kind is not kind or one.figure > ROUNDING]
 
     def _check_seed(self, source: str, *parts: object) -> int:
         """Other requests for each source: whoever sees what is found learns nothing about the
@@ -313,7 +314,7 @@ class Evaluator:
         ) -> Sequence[Suspicion]:
             seed = self._check_seed(source, fold.index, "strangers")
             found = strangers(
-                worker, blocks, y_hat, fold.scale, self.horizon, seed, _STRANGERS_ASKED
+                worker, blocks, y_hat, fold.scale, self.horizon, seed, 0.0, _STRANGERS_ASKED
             )
             return () if found is None else (found,)
 
@@ -335,7 +336,7 @@ class Evaluator:
         scale = np.concatenate([record.y for record in self._records]).std(axis=0)
         ask = partial(
             dependences, scale=scale, horizon=self.horizon, seed=self._check_seed(source, "other"),
-            without=self._without,
+            without=self._without, rounding=0.0,
         )  # fmt: skip
         failure = _suspected(self._ask_fresh(source, model, blocks, y_hat, ask), None)
         if failure is not None:

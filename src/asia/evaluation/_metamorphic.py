@@ -30,7 +30,7 @@ from asia.evaluation._requests import (
 )
 from asia.protocol import Block
 
-_ROUNDING = 1e-6
+ROUNDING = 1e-6
 _PREFIXES = (0.25, 0.65), (0.65, 1.0)
 
 
@@ -44,6 +44,7 @@ def suspicions(
     *,
     followed: Collection[int] = (),
     without: Collection[SuspicionKind] = (),
+    rounding: float = ROUNDING,
 ) -> tuple[Suspicion, ...]:
     """The relations that a model breaks on held-out blocks; () for an honest one.
 
@@ -51,7 +52,8 @@ def suspicions(
     answers (H, ny) to `blocks`; scale (ny,): standard deviations of the outputs; horizon: that of
     the protocol; seed: for the choice of requests, of prefixes and of the signs of perturbations,
     unknown to whoever wrote the model; followed: the blocks right after which data train; without:
-    relations that are left out.
+    relations that are left out; rounding: by how many standard deviations other cases may move an
+    answer.
 
     First comes what `dependences` asks. Then, on at most six requests, inputs and past moved by
     1e-6 of their standard deviations, there and back (`perturbation`: an isolated answer, or a jump
@@ -63,7 +65,7 @@ def suspicions(
     ran out; one that is not finite breaks `perturbation`, `restart`, `replay`, `strangers` and
     `causality`, and says nothing about the others.
     """
-    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, followed)
+    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed)
     found = inquiry.dependences()
     checks = inquiry.checks
     for check in checks:
@@ -86,15 +88,17 @@ def dependences(
     seed: int = 0,
     *,
     without: Collection[SuspicionKind] = (),
+    rounding: float = ROUNDING,
 ) -> tuple[Suspicion, ...]:
     """The relations that need no measured output; arguments as for `suspicions`.
 
     The simulator is asked for the first inputs of at most six requests alone, at two random
     lengths (`causality`: the answer is not the start of the scored one), then for all cases in
-    another order and among other cases (`strangers`: an answer changes by 1e-6), so that it cannot
-    know what came before a case in the scored order, after it, or beside it.
+    another order and among other cases (`strangers`: an answer changes by more than rounding). So
+    it cannot know what came before a case in the scored order, after it, or beside it.
     """
-    return _worst(_Inquiry(simulator, blocks, y_hat, scale, horizon, seed).dependences(), without)
+    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding)
+    return _worst(inquiry.dependences(), without)
 
 
 def strangers(
@@ -104,6 +108,7 @@ def strangers(
     scale: Array,
     horizon: int | None,
     seed: int,
+    rounding: float = ROUNDING,
     most: int | None = None,
 ) -> Suspicion | None:
     """The relation `strangers` alone; most: about how many cases are asked, None for all."""
@@ -121,7 +126,7 @@ def strangers(
         apart = [np.abs(y - y_hat[i]) / scale for i, y in answers.items()]
         change = max((float(a.max(initial=0.0)) for a in apart), default=0.0)
     words = "a case asked in another order, among other cases, is answered otherwise"
-    return Suspicion(SuspicionKind.STRANGERS, words, change) if change > _ROUNDING else None
+    return Suspicion(SuspicionKind.STRANGERS, words, change) if change > rounding else None
 
 
 def _worst(
@@ -147,6 +152,7 @@ class _Inquiry:
         scale: Array,
         horizon: int | None,
         seed: int,
+        rounding: float,
         followed: Collection[int] = (),
     ) -> None:
         random = np.random.default_rng(seed)
@@ -154,8 +160,9 @@ class _Inquiry:
         self.fractions = [float(random.uniform(low, high)) for low, high in _PREFIXES]
         self.checks = [RequestCheck(simulator, batch, scale, random) for batch in chosen]
         self._strangers = partial(
-            strangers, simulator, blocks, y_hat, scale, horizon, int(random.integers(2**31))
-        )
+            strangers, simulator, blocks, y_hat, scale, horizon, int(random.integers(2**31)),
+            rounding,
+        )  # fmt: skip
 
     def dependences(self) -> list[Suspicion | None]:
         """Prefixes come before any whole case, and are compared when 1e-6 was tried too."""

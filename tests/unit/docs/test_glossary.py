@@ -18,7 +18,7 @@ SHOWN = (
     "ledger/_run.py",
     "protocol/_rules.py",
     "sandbox/_types.py",
-    "evaluation/_metamorphic.py",
+    "evaluation/_relations.py",
 )
 """Files whose Literal and enum values users read in messages, ledgers and problem files."""
 

@@ -116,8 +116,8 @@ def test_nobody_gets_to_see_it(
     view = search(ready, agent, lambda event, view: None, lambda view: None)
     assert len(seen) == 1
     held_back = [body for body in sent if np.float64(MARK).tobytes() in body]
-    # Its inputs, when the search is over: two folds of two candidates.
-    assert len(held_back) == 4
+    # Its inputs, when the search is over: two folds of two candidates, each asked twice.
+    assert len(held_back) == 8
     after = agent_view(problem_facts(problem), view, open_run(ready.directory).store)
     assert "7654" not in repr(after)
     order = SearchRequest(str(guarded), "workspace", 0, 3, None, None, None)

@@ -125,7 +125,11 @@ def test_what_is_checked_is_another_in_every_run(
 ) -> None:
     drawn: list[object] = []
     check = evaluator_module.suspicions
-    monkeypatch.setattr(evaluator_module, "suspicions", lambda *a: drawn.append(a[-1]) or check(*a))
+    monkeypatch.setattr(
+        evaluator_module,
+        "suspicions",
+        lambda *a, **named: drawn.append(named["seed"]) or check(*a, **named),
+    )
     for runs in ("one", "another"):
         go(problem, tmp_path / runs, arx(2))
     half = len(drawn) // 2
