@@ -9,8 +9,8 @@ from asia.evaluation._results import (
     Evaluation,
     FoldResult,
     Refit,
+    consistency,
     derive_seed,
-    evidence_ratio,
 )
 from asia.evaluation._rungs import LINEAR, TRUTH, Rung, score_rungs
 
@@ -25,9 +25,9 @@ __all__ = [
     "Rung",
     "Suspicion",
     "SuspicionKind",
+    "consistency",
     "dependences",
     "derive_seed",
-    "evidence_ratio",
     "score_rungs",
     "simulate_held_out",
     "suspicions",

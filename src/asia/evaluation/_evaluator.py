@@ -22,8 +22,8 @@ from asia.evaluation._results import (
     Evaluation,
     FoldResult,
     Refit,
+    consistency,
     derive_seed,
-    evidence_ratio,
 )
 from asia.executor import Executor
 from asia.problem import Budget
@@ -120,30 +120,30 @@ class Evaluator:
         ]
         try:
             found = [f for f in self._run(jobs) if f is not None]
-            if not found and SuspicionKind.EVIDENCE not in self._without:
-                found = self._evidence_failures(source, folds)
+            if not found and SuspicionKind.CONSISTENCY not in self._without:
+                found = self._inconsistent(source, folds)
             return min(found, key=lambda f: f.reason is Reason.RESTART, default=None)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
-    def _evidence_failures(self, source: str, folds: Sequence[FoldResult]) -> list[Failure]:
+    def _inconsistent(self, source: str, folds: Sequence[FoldResult]) -> list[Failure]:
         """Where V is far below the training error, the folds are fitted again one after the other,
         in another order, so that none can tell another one anything; [] where V stays."""
-        if evidence_ratio(folds) >= FAR_BELOW:
+        if consistency(folds) >= FAR_BELOW:
             return []
-        random = np.random.default_rng(self._check_seed(source, "evidence"))
+        random = np.random.default_rng(self._check_seed(source, "consistency"))
         again: list[float] = []
         for place in random.permutation(len(folds)).tolist():
             job = partial(self._fold_or_failure, source, self.folds[place])
             result = self._run([job])[0].result
             if isinstance(result, Failure):
-                words = f"{SuspicionKind.EVIDENCE}: fitted alone, a fold fails"
+                words = f"{SuspicionKind.CONSISTENCY}: fitted alone, a fold fails"
                 return [Failure(Reason.SUSPECT, words, place + 1)]
             again.append(result.score.value)
         if np.mean(again) <= _UNLIKE * np.mean([fold.score.value for fold in folds]):
             return []
         words = "V is far below the training error, but not with the folds fitted one by one"
-        return [Failure(Reason.SUSPECT, f"{SuspicionKind.EVIDENCE}: {words}")]
+        return [Failure(Reason.SUSPECT, f"{SuspicionKind.CONSISTENCY}: {words}")]
 
     def _fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
         place = fold.index + 1

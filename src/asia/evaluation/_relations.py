@@ -39,7 +39,7 @@ class SuspicionKind(StrEnum):
     PERTURBATION = "perturbation"
     TABLE = "table"
     RESTART = "restart"
-    EVIDENCE = "evidence"
+    CONSISTENCY = "consistency"
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ class Refit:
     """The result of that second fit."""
 
 
-def evidence_ratio(folds: Sequence[FoldResult]) -> float:
+def consistency(folds: Sequence[FoldResult]) -> float:
     """V over the mean training error, both normalised by the same standard deviations."""
     train = float(np.mean([fold.diagnostics.train_error for fold in folds]))
     value = float(np.mean([fold.score.value for fold in folds]))
