@@ -62,6 +62,7 @@ WIDE = Shape(
 
 def visible_texts(figure: Figure) -> list[tuple[str, Bbox]]:
     """What is written in the figure, and where, in pixels; tick labels out of view left out."""
+    canvas = FigureCanvasAgg(figure)
     figure.draw_without_rendering()
     hidden: set[int] = set()
     for axes in figure.findobj(Axes):
@@ -70,8 +71,6 @@ def visible_texts(figure: Figure) -> list[tuple[str, Bbox]]:
             for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
                 if not min(limits) - 1e-9 <= tick.get_loc() <= max(limits) + 1e-9:
                     hidden |= {id(tick.label1), id(tick.label2)}
-    canvas = figure.canvas
-    assert isinstance(canvas, FigureCanvasAgg)
     boxes: list[tuple[str, Bbox]] = []
     for text in figure.findobj(Text):
         assert isinstance(text, Text)

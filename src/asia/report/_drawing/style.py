@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from matplotlib import style
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from asia.data import Signal
@@ -109,6 +110,12 @@ def shown(*counts: tuple[int, int, str], why: str = "shown") -> str:
 def headline(text: str, width: float) -> str:
     """`text` as the title of a figure `width` inches wide, on as many lines as it needs."""
     return textwrap.fill(text, int(11.5 * width))
+
+
+def entitle(figure: Figure, title: str) -> None:
+    """The title above all panels, from the left edge on."""
+    text = headline(title, figure.get_figwidth())
+    figure.suptitle(text, x=0.01, ha="left", fontweight="bold")
 
 
 def v_axis_label(metric: str) -> str:

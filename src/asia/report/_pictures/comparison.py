@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -19,7 +18,7 @@ from asia.report._drawing.style import (
     ORANGE,
     QUIET,
     WIDTH,
-    headline,
+    entitle,
     number,
     plain,
     quiet_grid,
@@ -39,7 +38,6 @@ def draw_arms(picture: ArmsPicture) -> Figure:
     edge."""
     sides, levels = picture.sides, picture.levels
     figure = Figure(figsize=(WIDTH, _HEIGHT), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     length = max((len(c.values) for s in sides for c in s.curves), default=1)
     _scale(axes, sides, levels, length)
@@ -50,7 +48,7 @@ def draw_arms(picture: ArmsPicture) -> Figure:
         _level(axes, level, _DASHES[index % len(_DASHES)])
     axes.set_xlabel("Experiment")
     axes.set_ylabel(v_axis_label(picture.metric))
-    figure.suptitle(headline(picture.title, WIDTH), x=0.01, ha="left", fontweight="bold")
+    entitle(figure, picture.title)
     if axes.get_legend_handles_labels()[1]:
         figure.legend(loc="outside lower center", ncols=2, fontsize=7.5, handletextpad=0.6)
     return figure

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby, zip_longest
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from asia.data import Array
@@ -20,7 +19,7 @@ from asia.report._drawing.style import (
     SHADE,
     WIDTH,
     axis_label,
-    headline,
+    entitle,
     plain,
     quiet_grid,
     shown,
@@ -49,7 +48,6 @@ def draw_data(problem: Problem) -> Figure:
     columns = 1 if len(signals) <= _ONE_COLUMN else 2
     width, rows = WIDTH * (1.0 if columns == 1 else 1.45), -(-len(signals) // columns)
     figure = Figure(figsize=(width, 0.9 + 1.25 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
     panels: list[Axes] = list(grid.T.ravel())
     for axes, (signal, held, channel) in zip(panels, signals, strict=False):
@@ -67,8 +65,7 @@ def draw_data(problem: Problem) -> Figure:
         last.tick_params(labelbottom=True)
         figure.align_ylabels(list(grid[:, column]))
     panels[0].set_xlim(*axis.limits)
-    title = headline(_title(problem, len(inputs), len(outputs), len(chosen)), width)
-    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    entitle(figure, _title(problem, len(inputs), len(outputs), len(chosen)))
     _legend(figure, panels[0], problem)
     return figure
 

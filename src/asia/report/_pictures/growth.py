@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
@@ -23,7 +22,7 @@ from asia.report._drawing.style import (
     QUIET,
     RED,
     WIDTH,
-    headline,
+    entitle,
     plain,
     quiet_grid,
 )
@@ -75,7 +74,6 @@ def draw_growth(
     note = textwrap.wrap(caption, int(16 * width))
     below = _NOTE_LINE * len(note)
     figure = Figure(figsize=(width, 1.0 + rows * each + below), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[each] * rows + [below + 0.01])
     first: Axes | None = None
     last = max(len(line.values) for line in panels[0].lines)
@@ -97,7 +95,7 @@ def draw_growth(
         place.text(0.0, 1.0, "\n".join(note), va="top", fontsize=6.5, color=QUIET)
     if first is not None:
         figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    figure.suptitle(headline(title, width), x=0.01, ha="left", fontweight="bold")
+    entitle(figure, title)
     return figure
 
 

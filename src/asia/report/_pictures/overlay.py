@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -83,7 +82,6 @@ def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) ->
     columns = 1 if len(panels) <= _SINGLE_COLUMN else 2
     width = WIDTH if columns == 1 else 1.45 * WIDTH
     figure = Figure()
-    FigureCanvasAgg(figure)
     cells: list[PlotWithStrip] = []
     for index, (panel, axis) in enumerate(
         zip(panels, _time_axes(panels, sampling_time, words.pieces), strict=True)

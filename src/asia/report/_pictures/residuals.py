@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -15,7 +14,7 @@ from asia.ledger import Experiment, Run
 from asia.problem.load import Problem
 from asia.protocol import Fold
 from asia.report._artifacts import fold_outputs
-from asia.report._drawing.style import BLUE, INK, SHADE, WIDTH, headline, plain, quiet_grid, shown
+from asia.report._drawing.style import BLUE, INK, SHADE, WIDTH, entitle, plain, quiet_grid, shown
 from asia.report._pictures.correlation import cross_correlation, independent_band, white_band
 from asia.report._pictures.simulation import lowest, worst_fits
 
@@ -40,7 +39,6 @@ def draw_residuals(
     columns = 1 + min(len(problem.inputs), _MOST_INPUTS)
     lags = max(1, min(_LAGS, min(len(r) for r in residual) // 4))
     figure = Figure(figsize=(max(WIDTH, 2.9 * columns), 0.8 + 1.9 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col")
     for row, output in enumerate(chosen):
         e = [r[:, output] for r in residual]
@@ -54,8 +52,7 @@ def draw_residuals(
     figure.align_ylabels(list(grid[:, 0]))
     title = f"Experiment {experiment.number}, {plain(experiment.proposed.title, 40)}: "
     title += f"residuals of the held-out folds, 99 % bands{_left_out(problem)}"
-    title = headline(title, figure.get_figwidth())
-    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    entitle(figure, title)
     return figure
 
 

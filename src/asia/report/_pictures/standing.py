@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -19,6 +18,7 @@ from asia.report._drawing.style import (
     RED,
     SHADE,
     WIDTH,
+    entitle,
     plain,
     quantity,
     quiet_grid,
@@ -37,7 +37,6 @@ def draw_standing(
     one to point out, with its name."""
     values = np.array([e.test_rmse for e in entries])
     figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
-    FigureCanvasAgg(figure)
     box, bars = figure.subplots(1, 2, width_ratios=(1.0, 2.1))
     label = f"Test RMSE [{plain(output.unit, 16)}]" if output.unit else "Test RMSE"
     _box(box, values, ours)
@@ -45,27 +44,16 @@ def draw_standing(
     if mark is not None:
         box.plot([1.0], [mark[1]], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5, zorder=4)
         bars.axvline(mark[1], color=ORANGE, lw=1.4, dashes=(1.5, 1.5))
-        bars.plot(
-            [mark[1]],
-            [0.0],
-            "D",
-            mfc="white",
-            mec=ORANGE,
-            mew=1.6,
-            ms=6.5,
-            clip_on=False,
-            zorder=4,
-            label=f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}",
-        )
+        words = f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}"
+        (point,) = bars.plot([mark[1]], [0.0], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5)
+        point.set(clip_on=False, zorder=4, label=words)
         bars.legend(loc="upper right")
     _histogram(bars, values, ours, quantity(ours, output.unit))
     bars.set_xlabel(label)
     lower = int((values < ours).sum())
-    figure.suptitle(
+    entitle(
+        figure,
         f"{plain(run, 40)}: {lower} of {len(values)} published results have a lower test RMSE",
-        x=0.01,
-        ha="left",
-        fontweight="bold",
     )
     figure.supxlabel(_sources(entries), x=0.01, ha="left", fontsize=7.0, color=QUIET)
     return figure
