@@ -29,8 +29,26 @@ Loss = Literal["mse", "mae", "huber"]
 Schedule = Literal["cosine", "constant", "plateau"]
 
 
+@dataclass(frozen=True, kw_only=True)
+class _NetworkFit:
+    """What a fit of a network holds out, and when it stops."""
+
+    holdout: float = 0.0
+    """Share of the training samples, in [0, 0.9), that picks the number of steps before a refit on
+    everything: blocks from all over the records or, of four records or more, whole ones."""
+    members: int = 1
+    """Networks from different seeds, whose simulations are averaged."""
+    stop: Literal["validation"] | None = None
+    """"validation" keeps the parameters with the least `context.validation_score`; without such a
+    score it takes the held-out part, and without one all steps run."""
+    every: int = 25
+    """Steps between two such checks."""
+    patience: int = 20
+    """Checks in a row without improvement after which the fit stops."""
+
+
 @dataclass(frozen=True)
-class Adam:
+class Adam(_NetworkFit):
     """First-order training on the simulation error in z-scores.
 
     A step sees whole records, windows of the problem's horizon, or chunks of `truncation` samples.
@@ -60,9 +78,6 @@ class Adam:
     """Samples of a chunk; None simulates whole records, or windows of the problem's horizon."""
     washout: int = 0
     """Samples at the start of a simulation that do not count."""
-    holdout: float = 0.0
-    """Share of the training samples, in [0, 0.9), that picks the number of steps before a refit on
-    everything: blocks from all over the records or, of four records or more, whole ones."""
     batch: int | None = None
     """Chunks of a step; None: as many as cover the records once, but at most 128. With `carry`, the
     stretches read side by side; None: one a record."""
@@ -85,15 +100,6 @@ class Adam:
     average: float = 0.0
     """Decay of an exponential moving average of the weights that is returned in their place; 0:
     none."""
-    members: int = 1
-    """Networks from different seeds, whose simulations are averaged."""
-    stop: Literal["validation"] | None = None
-    """"validation" keeps the parameters with the least `context.validation_score`; without such a
-    score it takes the held-out part, and without one all steps run."""
-    every: int = 25
-    """Steps between two such checks."""
-    patience: int = 20
-    """Checks in a row without improvement after which the fit stops."""
     plateau_patience: int = 2
     """With schedule "plateau", checks in a row that may fail to improve the score by a factor of
     1 - 1e-4 before the rate is halved."""
@@ -122,7 +128,7 @@ class Adam:
 
 
 @dataclass(frozen=True)
-class LBFGS:
+class LBFGS(_NetworkFit):
     """Limited-memory BFGS on all samples at once, in double precision: many digits for small
     networks and short records, where Adam crawls along narrow valleys.
 
@@ -143,18 +149,6 @@ class LBFGS:
     everywhere."""
     washout: int = 0
     """Samples at the start of a simulation that do not count."""
-    holdout: float = 0.0
-    """Share of the training samples, in [0, 0.9), that picks the number of steps before a refit on
-    everything: blocks from all over the records or, of four records or more, whole ones."""
-    members: int = 1
-    """Networks from different seeds, whose simulations are averaged."""
-    stop: Literal["validation"] | None = None
-    """"validation" keeps the parameters with the least `context.validation_score`; without such a
-    score it takes the held-out part, and without one all steps run."""
-    every: int = 25
-    """Steps between two such checks."""
-    patience: int = 20
-    """Checks in a row without improvement after which the fit stops."""
 
     def __post_init__(self) -> None:
         _check_fit(self)
@@ -166,7 +160,7 @@ class LBFGS:
 
 
 @dataclass(frozen=True)
-class MultipleShooting:
+class MultipleShooting(_NetworkFit):
     """Adam on the parameters together with the initial states of short segments, for cells.
 
     Each record is cut into segments of `length` samples. A segment's initial state is free and
@@ -197,18 +191,6 @@ class MultipleShooting:
     """The same at the first step."""
     loss: Loss = "mse"
     """Mean of squares, "mse", of absolute values, "mae", or Huber's with its bend at 1, "huber"."""
-    holdout: float = 0.0
-    """Share of the training samples, in [0, 0.9), that picks the number of steps before a refit on
-    everything: blocks from all over the records or, of four records or more, whole ones."""
-    members: int = 1
-    """Networks from different seeds, whose simulations are averaged."""
-    stop: Literal["validation"] | None = None
-    """"validation" keeps the parameters with the least `context.validation_score`; without such a
-    score it takes the held-out part, and without one all steps run."""
-    every: int = 25
-    """Steps between two such checks."""
-    patience: int = 20
-    """Checks in a row without improvement after which the fit stops."""
     plateau_patience: int = 2
     """With schedule "plateau", checks in a row that may fail to improve the score by a factor of
     1 - 1e-4 before the rate is halved."""
