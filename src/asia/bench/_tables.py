@@ -6,6 +6,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from asia._text import printable_line
 from asia.bench._paper import Paper
 from asia.bench._rows import Comparison, Reached, Row
 from asia.ledger import error_value
@@ -34,12 +35,17 @@ class TextTable:
 
     def markdown(self) -> str:
         """Title, rows and notes."""
-        cells = [self.header, *self.rows]
+        cells = [tuple(map(_cell, row)) for row in (self.header, *self.rows)]
         widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(self.header))]
         rule = ["-" * widths[0], *("-" * (w - 1) + ":" for w in widths[1:])]
-        lines = [_line(row, widths) for row in (self.header, rule, *self.rows)]
+        lines = [_line(row, widths) for row in (cells[0], rule, *cells[1:])]
         notes = [f"\n{note}" for note in self.notes]
         return "\n".join([f"## {self.title}", "", *lines, *notes]) + "\n"
+
+
+def _cell(text: str) -> str:
+    """Names of arms and signals neither end a row nor make a column."""
+    return printable_line(text).replace("|", "\\|")
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:

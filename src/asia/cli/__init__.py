@@ -14,6 +14,7 @@ from typing import NoReturn
 
 import typer
 
+from asia._text import say
 from asia.cli import (
     _bench,
     _check,
@@ -90,7 +91,7 @@ def _version(
     if version:
         from asia import __version__
 
-        print(f"asia {__version__}")
+        say(f"asia {__version__}")
         raise typer.Exit
 
 
@@ -154,5 +155,5 @@ def spread(words: list[str]) -> list[str]:
 
 
 def _complain(message: str, code: int) -> int:
-    print(f"asia: {message}", file=sys.stderr)
+    say(f"asia: {message}", file=sys.stderr)
     return code

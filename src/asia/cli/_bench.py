@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asia._text import say, say_lines
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs, YesProcess
 
 if TYPE_CHECKING:
@@ -183,10 +184,10 @@ class Lines:
                 "experiments": len(view.finished),
                 "V": value,
             }
-            print(jsonlib.dumps(found, allow_nan=False), flush=True)
+            say(jsonlib.dumps(found, allow_nan=False), flush=True)
 
     def _print(self, text: str) -> None:
-        print(text, file=sys.stderr if self.json else sys.stdout, flush=True)
+        say(text, file=sys.stderr if self.json else sys.stdout, flush=True)
 
 
 def print_result(result: BenchResult, *, json: bool) -> None:
@@ -194,14 +195,14 @@ def print_result(result: BenchResult, *, json: bool) -> None:
     from asia.bench import result_object
 
     if json:
-        print(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
+        say(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
         return
-    print()
+    say()
     for table in result.tables:
-        print(table.markdown())
-    print(f"tables   {result.document}")
+        say_lines(table.markdown())
+    say(f"tables   {result.document}")
     for picture in result.pictures:
         if picture.suffix == ".png":
-            print(f"picture  {picture}")
+            say(f"picture  {picture}")
     if result.test is None and result.declared is not None:
-        print(f"sealed   the test of {result.declared} is declared and unopened: --unseal")
+        say(f"sealed   the test of {result.declared} is declared and unopened: --unseal")

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from asia._text import say
 from asia.cli._options.shared import DEFAULT_RUNS, Runs
 
 
@@ -27,13 +28,13 @@ def check(
     check_baseline(loaded)
     make_folds(loaded.train, loaded.protocol)
     for line in check_problem(loaded, seal(loaded)).lines():
-        print(line)
+        say(line)
     if not draw:
         return
     try:
         pictures = draw_problem(loaded, Path(runs) / "check" / loaded.name)
     except OSError as error:
-        print(
+        say(
             f"note: could not draw into {runs}: {error.strerror or error}; "
             "give --runs DIR or set ASIA_RUNS",
             file=sys.stderr,
@@ -41,4 +42,4 @@ def check(
         return
     for path in pictures:
         if path.suffix == ".png":
-            print(f"picture  {path}")
+            say(f"picture  {path}")

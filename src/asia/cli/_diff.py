@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from asia._text import say
 from asia.cli._options.shared import DEFAULT_RUNS, Runs
 from asia.cli._show import split_arguments
 
@@ -30,7 +31,7 @@ def diff(
     console = wide_console()
     for e in (first, second):
         result = describe_result(e, opened.view)
-        console.print(f"#{e.number:02d} {e.proposed.title}: {result}", markup=False)
+        say(f"#{e.number:02d} {e.proposed.title}: {result}")
     a, b = (opened.store.text(e.proposed.source).splitlines() for e in (first, second))
     colours = {"+": "green", "-": "red", "@": "cyan"}
     for line in difflib.unified_diff(a, b, f"#{first.number}", f"#{second.number}", lineterm=""):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
+from asia._text import say
 from asia.cli._options.shared import Json
 
 if TYPE_CHECKING:
@@ -50,12 +51,13 @@ def doctor(json: Json = False) -> None:
             "parts": [asdict(p) for p in plugged],
             "clash": clash,
         }
-        print(dumps(found))
+        say(dumps(found))
     else:
         _print_machine(here)
         _print_levels(levels)
         _print_parts(plugged, clash)
-        print("\ndocs/isolation.md says what each level stops and what not.")
+        say()
+        say("docs/isolation.md says what each level stops and what not.")
 
 
 def _plugged() -> tuple[tuple[PluggedPart, ...], str | None]:
@@ -78,33 +80,33 @@ def _plugged() -> tuple[tuple[PluggedPart, ...], str | None]:
 def _print_machine(here: Machine) -> None:
     memory = f", {here.memory_mb} MB of memory" if here.memory_mb else ""
     where = ", in a container" if here.container else ""
-    print(f"machine    {here.system}, {here.architecture}, {here.cores} cores{memory}{where}")
-    print(f"python     {here.python}, as {'root' if here.user == 'root' else 'an ordinary user'}")
-    print(f"landlock   {f'version {here.landlock}' if here.landlock else 'none'}")
-    print(f"bubblewrap {here.bubblewrap or 'none'}")
+    say(f"machine    {here.system}, {here.architecture}, {here.cores} cores{memory}{where}")
+    say(f"python     {here.python}, as {'root' if here.user == 'root' else 'an ordinary user'}")
+    say(f"landlock   {f'version {here.landlock}' if here.landlock else 'none'}")
+    say(f"bubblewrap {here.bubblewrap or 'none'}")
 
 
 def _print_levels(levels: Sequence[LevelState]) -> None:
-    print()
+    say()
     chosen = False
     for state in levels:
         used = state.works and not chosen
         chosen = chosen or state.works
         words = f"works: {', '.join(state.layers)}" if state.works else "does not work"
-        print(f"{state.level:<{_INDENT}}{words}{'   <- what a search uses here' if used else ''}")
+        say(f"{state.level:<{_INDENT}}{words}{'   <- what a search uses here' if used else ''}")
         for lack in state.lacks:
-            print(f"{'':<{_INDENT}}why not: {lack.reason}")
-            print(f"{'':<{_INDENT}}to get it: {lack.remedy}")
+            say(f"{'':<{_INDENT}}why not: {lack.reason}")
+            say(f"{'':<{_INDENT}}to get it: {lack.remedy}")
 
 
 def _print_parts(plugged: Sequence[PluggedPart], clash: str | None) -> None:
-    print()
+    say()
     if not plugged:
-        print(f"{'plugged in':<{_INDENT}}{clash or 'nothing: no other package brings a part'}")
+        say(f"{'plugged in':<{_INDENT}}{clash or 'nothing: no other package brings a part'}")
         return
     heads = [f"{p.kind} {p.name}" for p in plugged]
     width = max(_INDENT, *(len(head) + 2 for head in heads))
     for head, part in zip(heads, plugged, strict=True):
-        print(f"{head:<{width}}{part.target}, of {part.package} {part.version}")
+        say(f"{head:<{width}}{part.target}, of {part.package} {part.version}")
         if part.failure is not None:
-            print(f"{'':<{width}}does not load: {part.failure}")
+            say(f"{'':<{width}}does not load: {part.failure}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asia._text import say
 from asia.cli._options.shared import Keys
 from asia.errors import UserError
 
@@ -66,34 +67,34 @@ def init(
 
 
 def _print_made(made: NewProblem, name: Path, *, has_test: bool) -> None:
-    print(f"wrote    {made.path}")
+    say(f"wrote    {made.path}")
     if made.store is not None:
         _print_sealed(made, "the test records" if has_test else "the last 20 % of each record")
     elif has_test:
-        print("note     the test files stay where they are, in plain text; --seal encrypts them")
+        say("note     the test files stay where they are, in plain text; --seal encrypts them")
     else:
-        print("note     no test data: asia unseal will have nothing to open")
-    print(f"next     describe the system in {made.path.parent / 'description.md'}")
-    print(f"         asia check {name}")
-    print(f"         asia run {name}")
+        say("note     no test data: asia unseal will have nothing to open")
+    say(f"next     describe the system in {made.path.parent / 'description.md'}")
+    say(f"         asia check {name}")
+    say(f"         asia run {name}")
 
 
 def _print_sealed(made: NewProblem, what: str) -> None:
     from asia.problem.load import key_folder
 
-    print(f"sealed   {what}, encrypted, in {made.store}; the search will not see it")
-    print(f"key      {made.key}: keep a copy elsewhere, without it nobody can open the test")
+    say(f"sealed   {what}, encrypted, in {made.store}; the search will not see it")
+    say(f"key      {made.key}: keep a copy elsewhere, without it nobody can open the test")
     if made.key is not None and made.key.parent != key_folder():
-        print(
+        say(
             f"note     set ASIA_KEYS={made.key.parent} when you search, so that no agent is shown "
             "that folder"
         )
     for path in made.removed:
-        print(f"removed  {path}")
+        say(f"removed  {path}")
     if made.removed:
-        print(
+        say(
             "note     removing a file wipes neither the disk nor backups, snapshots and version "
             "control"
         )
     for note in made.notes:
-        print(f"note     {note}")
+        say(f"note     {note}")

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from asia._text import say, say_lines
 from asia.cli._options.search import SearchOptions
 from asia.cli._options.shared import DEFAULT_RUNS, ProblemName, Runs
 
@@ -82,6 +83,6 @@ def mcp_config(
     ]
     environment = {k: str(Path(os.environ[k]).resolve()) for k in _HANDED_ON if k in os.environ}
     found = client_configuration(client, words, environment)
-    print(found.text, end="")
+    say_lines(found.text, end="")
     for note in found.notes:
-        print(f"# {note}", file=sys.stderr)
+        say(f"# {note}", file=sys.stderr)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asia._text import say, say_lines
 from asia.cli._options.shared import Json
 from asia.errors import UserError
 
@@ -81,7 +82,7 @@ def redteam(
     levels = _levels(level)
     missing = why_no_outer()
     if prove and missing is not None:
-        print(f"isolation off is not shown: {missing}", file=sys.stderr)
+        say(f"isolation off is not shown: {missing}", file=sys.stderr)
     honest = honest_plan(quick) if attack is None else ()
     if honest_on:
         problems = [problem_named(name) for name in honest_on]
@@ -104,10 +105,10 @@ def _run(plan: RedTeamPlan, json: bool) -> None:
             "checked": len(report.honest) - len(report.unchecked),
             "false_alarms": report.false_alarms,
         }
-        print(jsonlib.dumps({"summary": counts}))
+        say(jsonlib.dumps({"summary": counts}))
     elif plan.attacks:
-        print(report_table(report))
-    print(summary(report, time.monotonic() - begin), file=sys.stderr if json else sys.stdout)
+        say_lines(report_table(report))
+    say_lines(summary(report, time.monotonic() - begin), file=sys.stderr if json else sys.stdout)
     if not report.passed:
         raise typer.Exit(1)
 
@@ -139,7 +140,7 @@ def _show_without(
     with _one_interrupt():
         found = without_layers(settings, attacks, lambda result: _print_result(result, names, json))
     if not json:
-        print(without_table(found, attacks))
+        say_lines(without_table(found, attacks))
 
 
 def _refuse(option: str, others: Sequence[tuple[str, object]], why: str) -> None:
@@ -156,7 +157,7 @@ def _one_interrupt() -> Generator[None]:
     def end(number: int, frame: FrameType | None) -> None:
         for one in before:
             signal.signal(one, lambda number, frame: None)
-        print("ending: waiting for the attack that runs", file=sys.stderr, flush=True)
+        say("ending: waiting for the attack that runs", file=sys.stderr, flush=True)
         sys.exit(128 + number)
 
     before = {one: signal.signal(one, end) for one in (signal.SIGINT, signal.SIGTERM)}
@@ -170,9 +171,9 @@ def _one_interrupt() -> Generator[None]:
 def _print_result(result: Finding | HonestFinding, names: dict[int, str], json: bool) -> None:
     from asia.redteam import line
 
-    print(line(result, names), file=sys.stderr, flush=True)
+    say(line(result, names), file=sys.stderr, flush=True)
     if json:
-        print(jsonlib.dumps(asdict(result)), flush=True)
+        say(jsonlib.dumps(asdict(result)), flush=True)
 
 
 def _attacks(numbers: list[int] | None) -> tuple[Attack, ...]:

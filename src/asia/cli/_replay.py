@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asia._text import say
 from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def replay(
     show = _print_json if json else _print
     report = replay_run(directory, show, tolerance if from_scratch else 0.0)
     if json:
-        print(jsonlib.dumps({"event": "done", **_summary(report)}), flush=True)
+        say(jsonlib.dumps({"event": "done", **_summary(report)}), flush=True)
     else:
         _finish(report)
     if not report.agrees:
@@ -49,7 +50,7 @@ def replay(
 
 
 def _print_json(item: Replayed) -> None:
-    print(jsonlib.dumps({"event": "replayed", **asdict(item), "agrees": item.agrees}), flush=True)
+    say(jsonlib.dumps({"event": "replayed", **asdict(item), "agrees": item.agrees}), flush=True)
 
 
 def _print(item: Replayed) -> None:
@@ -60,7 +61,7 @@ def _print(item: Replayed) -> None:
     parts = (f"{item.status or '':<7}", found, near, item.detail)
     words = "  ".join(part for part in parts if part)
     asked = "" if item.proposal == "none" else f"proposal {item.proposal}"
-    print(
+    say(
         f"{item.name:<23} {'agrees' if item.agrees else 'DIFFERS':<7}  "
         f"outcome {item.outcome:<10}  {asked:<16}  {words}".rstrip(),
         flush=True,
@@ -70,13 +71,13 @@ def _print(item: Replayed) -> None:
 def _finish(report: ReplayReport) -> None:
     summary = _summary(report)
     for note in report.notes:
-        print(f"note  {note}", file=sys.stderr)
+        say(f"note  {note}", file=sys.stderr)
     if report.tolerance:
         within = f"within {report.tolerance:g} of V; the largest difference is {report.apart:.1e}"
     else:
         within = "bitwise"
     taken = summary["taken"]
-    print(
+    say(
         f"replayed {report.run}: {summary['agree']} of {summary['compared']} agree {within}"
         + (f", {summary['exempt']} left to the deadline" if summary["exempt"] else "")
         + (f", {taken} proposals taken from the ledger" if taken else "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from asia._text import say
 from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
 
@@ -11,4 +12,4 @@ def report(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
     from asia.report import write_report
 
     for path in write_report(find_run(runs, run)):
-        print(path)
+        say(str(path))

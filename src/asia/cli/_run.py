@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asia._text import say
 from asia.cli._driver import agent_driver, named_agent, refuse_for_others
 from asia.cli._options.command import PREFIX, CommandOptions
 from asia.cli._options.groups import given
@@ -72,7 +73,7 @@ def run(
     sinks = open_sinks(ready.directory, sink or ())
     with closing(make_display(loaded, ready, json=json)) as display, sinks:
         for line in driver.words:
-            print(line, file=sys.stderr)
+            say(line, file=sys.stderr)
         view = driver.search(
             ready, sinks.after_event(display.on_event), sinks.after_start(display.on_start)
         )

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from asia._text import hand_over, printable
 from asia.cli._options.shared import DEFAULT_RUNS, Runs
 
 
@@ -47,12 +48,12 @@ def show(
     experiment = view.experiment(numbers[0]) if numbers else shown
     text = opened.store.text(experiment.proposed.source)
     if source:
-        print(text, end="")
+        hand_over(text)
         return
     console = wide_console()
     describe(console, opened, experiment)
-    console.print("\n[bold]candidate.py[/bold]")
+    console.print("\ncandidate.py", style="bold")
     if console.is_terminal:
-        console.print(Syntax(text, "python", background_color="default"))
+        console.print(Syntax(printable(text), "python", background_color="default"))
     else:
-        print(text)
+        hand_over(f"{text}\n")

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from asia._text import say
 from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
     directory = find_run(runs, run)
     found = brief(directory, LAST)
     if json:
-        print(jsonlib.dumps(_object(directory, found), allow_nan=False))
+        say(jsonlib.dumps(_object(directory, found), allow_nan=False))
     else:
         _print(directory, found)
 
@@ -73,33 +74,33 @@ def _print(directory: Path, found: Brief) -> None:
 
     view = found.view
     beside = control(directory, view.started, found.finished)
-    print(
+    say(
         f"run {view.started.run}  problem {view.started.problem}  agent {view.started.agent}  "
         f"seed {view.started.seed}  isolation {view.started.isolation}"
     )
-    print(
+    say(
         f"{found.state}: {found.finished} of {view.budget} experiments in "
         f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
     )
     if view.stopped is not None:
         words = stop_words(view.stopped.reason, view)
-        print(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))
+        say(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))
     if view.usage is not None:
-        print(f"agent   {usage_words(view.usage)}")
+        say(f"agent   {usage_words(view.usage)}")
     if view.started.early_stopping == "validation":
-        print(f"V is {told(found.validation_scores)}")
+        say(f"V is {told(found.validation_scores)}")
     if words := again_words(view):
-        print(f"again   {words}")
+        say(f"again   {words}")
     if view.looks:
-        print(f"guard   {guard_words(view)}")
+        say(f"guard   {guard_words(view)}")
     if view.unsealed is not None:
-        print(f"the test was opened: asia unseal {directory.name} shows the result again")
+        say(f"the test was opened: asia unseal {directory.name} shows the result again")
     if beside is not None:
-        print(f"control {control_words(beside, view.started)}")
+        say(f"control {control_words(beside, view.started)}")
     for rung in view.rungs:
-        print(f"rung    {rung.name:<18} V={value_words(rung.outcome)}")
+        say(f"rung    {rung.name:<18} V={value_words(rung.outcome)}")
     shown = view.finished[-LAST:]
     if found.finished > len(shown):
-        print(f"the last {len(shown)} of {found.finished} experiments; all are in results.tsv")
+        say(f"the last {len(shown)} of {found.finished} experiments; all are in results.tsv")
     for experiment in shown:
-        print(experiment_line(experiment, view))
+        say(experiment_line(experiment, view))

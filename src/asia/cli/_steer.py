@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from asia._text import say
 from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
 
@@ -23,9 +24,9 @@ def steer(
     Steering(opened.directory).steer(text)
     agent = opened.view.started.agent
     when = "at its next step" if opened.state == "running" else "when the search goes on"
-    print(f"noted for {opened.name}: recorded {when}")
+    say(f"noted for {opened.name}: recorded {when}")
     if agent in AGENTS:
-        print(f"note     the agent '{agent}' reads no notes; the ledger keeps it for people")
+        say(f"note     the agent '{agent}' reads no notes; the ledger keeps it for people")
 
 
 def pause(
@@ -43,14 +44,14 @@ def pause(
     if go_on:
         words = f"{name} goes on" if steering.paused else f"{name} was not paused"
         steering.go_on()
-        print(words)
+        say(words)
     elif opened.state != "running":
         raise UserError(f"run '{name}' is {opened.state}: there is nothing to pause")
     elif steering.paused:
-        print(f"{name} is paused already; asia pause {name} --end goes on")
+        say(f"{name} is paused already; asia pause {name} --end goes on")
     else:
         steering.pause()
-        print(f"{name} pauses after its present experiment; asia pause {name} --end goes on")
+        say(f"{name} pauses after its present experiment; asia pause {name} --end goes on")
 
 
 def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
@@ -63,4 +64,4 @@ def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
     if opened.state != "running":
         raise UserError(f"run '{opened.name}' is {opened.state}: there is nothing to stop")
     Steering(opened.directory).stop()
-    print(f"{opened.name} stops after its present experiment")
+    say(f"{opened.name} stops after its present experiment")

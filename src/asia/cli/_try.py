@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from asia._text import say
 from asia.cli._options.shared import Json
 from asia.errors import Reason
 
@@ -52,10 +53,10 @@ def try_(
     progress = desk.progress()
     place.renew_views()
     if json:
-        print(jsonlib.dumps(_object(result, progress), allow_nan=False))
+        say(jsonlib.dumps(_object(result, progress), allow_nan=False))
     else:
         for line in result_lines(result, progress):
-            print(line)
+            say(line)
     if result.value is None:
         raise typer.Exit(NO_SCORE)
 
@@ -71,7 +72,7 @@ def _waited(desk: Desk, submission: Submission) -> ExperimentSummary:
         words = _words(now, desk)
         if words != said:
             said = words
-            print(words, file=sys.stderr, flush=True)
+            say(words, file=sys.stderr, flush=True)
 
     while submission.state not in ("done", "unknown"):
         submission = wait(desk, submission.ticket, 3600.0, tick)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from asia._text import say
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def unseal(
     if opened.view.unsealed is None and not yes:
         if not sys.stdin.isatty():
             raise UserError("unseal asks for the run's name; in a script give --yes")
-        print(
+        say(
             f"This opens the sealed test of run {opened.name} and ends its search, for good.",
             file=sys.stderr,
         )
@@ -46,20 +47,20 @@ def unseal(
     pictures = write_report(directory)
     if result.opened_before:
         names = ", ".join(result.opened_before)
-        print(f"note: this test was opened before, by {names}", file=sys.stderr)
+        say(f"note: this test was opened before, by {names}", file=sys.stderr)
     if not result.first_time:
-        print("already unsealed: this is the first and only result", file=sys.stderr)
+        say("already unsealed: this is the first and only result", file=sys.stderr)
     view = open_run(directory).view
     if json:
         answer = {**_as_object(result.record), "early_stopping": view.started.early_stopping}
-        print(jsonlib.dumps(answer, allow_nan=False))
+        say(jsonlib.dumps(answer, allow_nan=False))
         return
     _print_text(result.record)
     if view.started.early_stopping == "validation":
-        print(f"chosen {told(view.validation_scores)}; the test itself was never seen")
+        say(f"chosen {told(view.validation_scores)}; the test itself was never seen")
     for picture in pictures:
         if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
-            print(f"picture  {picture}")
+            say(f"picture  {picture}")
 
 
 def _consents(opened: Run) -> bool:
@@ -71,7 +72,7 @@ def _consents(opened: Run) -> bool:
     view = opened.view
     if view.unsealed is not None or not needs_consent(view) or not sys.stdin.isatty():
         return False
-    print(f"Note: {CONSENT.format(run=opened.name)}.", file=sys.stderr)
+    say(f"Note: {CONSENT.format(run=opened.name)}.", file=sys.stderr)
     if not typer.confirm("Open the test all the same?", default=False, err=True):
         raise UserError("nothing was opened; search again at a stronger level, see asia doctor")
     return True
@@ -122,7 +123,7 @@ def _print_text(record: Unsealed) -> None:
     how = f"{record.skip} samples skipped"
     if record.horizon is not None:
         how = f"windows of {record.horizon} samples"
-    print(f"sealed test, experiment #{record.experiment:02d}, {how}")
+    say(f"sealed test, experiment #{record.experiment:02d}, {how}")
     models: list[tuple[str, TestedModel | Failure]] = [
         ("ensemble of the fold models", record.ensemble)
     ]
@@ -130,7 +131,7 @@ def _print_text(record: Unsealed) -> None:
         models.append(("refit on all training data", record.refit))
     for title, model in models:
         if isinstance(model, Failure):
-            print(f"{title:<28} no score: {model.advice}")
+            say(f"{title:<28} no score: {model.advice}")
             continue
         for score in model.scores:
             channels = ", ".join(
@@ -138,9 +139,9 @@ def _print_text(record: Unsealed) -> None:
                 for name, value in zip(record.channels, score.per_channel, strict=True)
             )
             error = f"{metric_label(score.metric)} {error_value(score.value)}"
-            print(f"{title:<28} {error}  ({channels})")
+            say(f"{title:<28} {error}  ({channels})")
             if len(score.per_trajectory) > 1:
                 for name, value in zip(record.trajectories, score.per_trajectory, strict=True):
-                    print(f"    {name:<24} {error_value(value)}")
+                    say(f"    {name:<24} {error_value(value)}")
         for line in _table_lines(model.mee) if model.mee is not None else ():
-            print(f"    {line}")
+            say(f"    {line}")

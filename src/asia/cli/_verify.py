@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 from dataclasses import asdict
 
+from asia._text import say
 from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 
@@ -19,9 +20,9 @@ def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
     directory = find_run(runs, run)
     found = check(directory)
     if json:
-        print(jsonlib.dumps({"run": directory.name, **asdict(found)}))
+        say(jsonlib.dumps({"run": directory.name, **asdict(found)}))
         return
-    print(f"{directory.name}: {found.records} events and {found.artifacts} artifacts verify")
-    print(f"head {found.head}")
+    say(f"{directory.name}: {found.records} events and {found.artifacts} artifacts verify")
+    say(f"head {found.head}")
     if found.torn:
-        print(f"{found.torn} bytes of a line that was cut off while it was written are passed over")
+        say(f"{found.torn} bytes of a line that was cut off while it was written are passed over")

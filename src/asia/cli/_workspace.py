@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from asia._text import say
 from asia.cli._options.search import SearchOptions
 from asia.cli._options.shared import DEFAULT_RUNS, ProblemName, Runs
 
@@ -31,10 +32,10 @@ def workspace(
     prepared = prepare_request(request, runs, options.name)
     made = make_workspace(folder, prepared, request)
     sealed = prepared.started.test_digest
-    print(f"wrote    {made.folder}: PROGRAM.md, models.md, description.md, data/, candidate.py")
-    print(f"run      {prepared.directory}, {prepared.started.experiments} experiments")
-    print(
+    say(f"wrote    {made.folder}: PROGRAM.md, models.md, description.md, data/, candidate.py")
+    say(f"run      {prepared.directory}, {prepared.started.experiments} experiments")
+    say(
         f"judge    isolation {prepared.started.isolation}; "
         f"test {'sealed, ' + sealed[:8] if sealed else 'none'}"
     )
-    print(f'next     cd {folder}; read PROGRAM.md; edit candidate.py; asia try -m "why it helps"')
+    say(f'next     cd {folder}; read PROGRAM.md; edit candidate.py; asia try -m "why it helps"')

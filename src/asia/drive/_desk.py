@@ -12,21 +12,13 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
+from asia._text import one_line
 from asia.agents import Proposal
 from asia.candidate import check_source
 from asia.drive._detached import SearchRequest, attended, has_begun, runs
 from asia.drive._queue import TEXT, TITLE, Queue
 from asia.errors import CandidateError, UserError
-from asia.ledger import (
-    Diagnostics,
-    Experiment,
-    Run,
-    Stopped,
-    error_line,
-    one_line,
-    open_run,
-    published,
-)
+from asia.ledger import Diagnostics, Experiment, Run, Stopped, error_line, open_run, published
 from asia.search._agent_view import digest
 
 SubmissionState = Literal["queued", "running", "done", "withdrawn", "unknown"]

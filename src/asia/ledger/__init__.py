@@ -46,7 +46,7 @@ from asia.ledger._run import Run, RunState, find_run, metric_of, open_run
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
-from asia.ledger._words import error_line, one_line
+from asia.ledger._words import error_line
 from asia.scoring import Diagnostics
 
 __all__ = [

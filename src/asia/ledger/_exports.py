@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from asia._text import markdown_line, printable_line
 from asia.ledger._disk import write_whole
 from asia.ledger._events import Evaluated
 from asia.ledger._view import Experiment, SearchView
@@ -24,7 +25,7 @@ def results_table(view: SearchView) -> str:
     for e in view.finished:
         assert e.result is not None
         value = f"{e.score.value:.6f}" if e.score else ""
-        rows.append(f"{e.number}\t{value}\t{e.result.status}\t{e.proposed.title}")
+        rows.append(f"{e.number}\t{value}\t{e.result.status}\t{printable_line(e.proposed.title)}")
     return "\n".join(rows) + "\n"
 
 
@@ -32,7 +33,8 @@ def journal(view: SearchView) -> str:
     """What was tried, why, and what came of it."""
     start = view.started
     parts = [
-        f"# Search journal: {start.run}\n\nProblem {start.problem}, agent {start.agent}, "
+        f"# Search journal: {markdown_line(start.run)}\n\n"
+        f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
         f"seed {start.seed}, isolation {start.isolation}.\n{_setting(view)}"
     ]
     parts += [_entry(view, e, i) for i, e in enumerate(view.finished)]
@@ -54,13 +56,13 @@ def _entry(view: SearchView, e: Experiment, position: int) -> str:
     assert r is not None
     origin = f" (from experiment {p.parent})" if p.parent else ""
     later = view.finished[position + 1 : position + 2]
-    following = later[0].proposed.title if later else "none yet"
+    following = markdown_line(later[0].proposed.title) if later else "none yet"
     return (
-        f"## Experiment {e.number}: {p.title}\n\n"
-        f"- **Changed:** {p.family}, {p.phase} phase{origin}\n"
-        f"- **Hypothesis:** {p.hypothesis}\n"
-        f"- **Expected:** {p.expected}\n"
-        f"- **Result:** {describe_result(e, view)}\n"
+        f"## Experiment {e.number}: {markdown_line(p.title)}\n\n"
+        f"- **Changed:** {markdown_line(p.family)}, {p.phase} phase{origin}\n"
+        f"- **Hypothesis:** {markdown_line(p.hypothesis)}\n"
+        f"- **Expected:** {markdown_line(p.expected)}\n"
+        f"- **Result:** {markdown_line(describe_result(e, view))}\n"
         f"- **Decision:** {r.status}\n"
         f"- **Next:** {following}\n"
     )

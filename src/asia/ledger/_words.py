@@ -1,17 +1,12 @@
-"""Words from outside, made fit to be shown."""
+"""What a failure says, on one line."""
 
 from __future__ import annotations
 
 import re
 
+from asia._text import one_line
+
 _FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
-
-
-def one_line(text: str, most: int = 300) -> str:
-    """Printable characters on one line, cut to `most`; what comes from outside is shown as this."""
-    flat = " ".join(text.split())
-    clean = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in flat)
-    return clean if len(clean) <= most else clean[: most - 1] + "…"
 
 
 def error_line(error: str, most: int = 300) -> str:

@@ -12,6 +12,7 @@ import uvicorn
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from asia._text import say
 from asia.errors import UserError
 from asia.mcp._opened import Opened
 from asia.mcp._server import make_server
@@ -52,9 +53,9 @@ def serve(opened: Opened, address: str, token_variable: str | None) -> None:
             app, log_level="warning", ws="none", timeout_graceful_shutdown=_END_SECONDS
         )
         shown = f"[{host}]" if ":" in host else host
-        print(f"asia: http://{shown}:{listener.getsockname()[1]}/mcp", file=sys.stderr)
+        say(f"asia: http://{shown}:{listener.getsockname()[1]}/mcp", file=sys.stderr)
         if token_variable is None:
-            print(f"asia: token {token}", file=sys.stderr)
+            say(f"asia: token {token}", file=sys.stderr)
         sys.stderr.flush()
         uvicorn.Server(config).run(sockets=[listener])
 

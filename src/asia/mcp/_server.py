@@ -13,9 +13,10 @@ from mcp.server.mcpserver.exceptions import ResourceError, ResourceNotFoundError
 from mcp_types import ToolAnnotations
 
 import asia
+from asia._text import markdown_line, one_line, say
 from asia.drive import RunDesk
 from asia.errors import AsiaError, UserError
-from asia.ledger import describe_result, journal, one_line, results_table
+from asia.ledger import describe_result, journal, results_table
 from asia.mcp._opened import Opened
 from asia.mcp._texts import INSTRUCTIONS, problem_page, search_prompt
 from asia.mcp._tools import Tools
@@ -58,7 +59,7 @@ def _warm(desk: RunDesk) -> None:
         desk.wake()
     except UserError as error:
         # The next call of a tool meets it again and tells the agent.
-        print(f"asia: {error}", file=sys.stderr)
+        say(f"asia: {error}", file=sys.stderr)
 
 
 def _add_tools(server: MCPServer[Any], tools: Tools) -> None:
@@ -124,9 +125,9 @@ def _experiment(desk: RunDesk, number: str) -> str:
     while fence in source:
         fence += "`"
     return (
-        f"# Experiment {e.number}: {e.proposed.title}\n\n"
-        f"- **Hypothesis:** {e.proposed.hypothesis}\n"
-        f"- **Expected:** {e.proposed.expected}\n"
-        f"- **Result:** {one_line(describe_result(e, run.view), _LINE)}\n\n"
+        f"# Experiment {e.number}: {markdown_line(e.proposed.title)}\n\n"
+        f"- **Hypothesis:** {markdown_line(e.proposed.hypothesis)}\n"
+        f"- **Expected:** {markdown_line(e.proposed.expected)}\n"
+        f"- **Result:** {markdown_line(one_line(describe_result(e, run.view), _LINE))}\n\n"
         f"{fence}python\n{source}\n{fence}\n"
     )

@@ -14,10 +14,10 @@ from mcp.server.mcpserver import Context
 from mcp.server.mcpserver.exceptions import ToolError
 from pydantic import Field
 
+from asia._text import one_line
 from asia.agents import Proposal
 from asia.drive import RunDesk, Submission
 from asia.errors import AsiaError
-from asia.ledger import one_line
 from asia.mcp._answers import (
     ProgressAnswer,
     ResultsAnswer,

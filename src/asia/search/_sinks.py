@@ -10,6 +10,7 @@ from typing import Protocol, Self, cast
 
 from asia._nearest import nearest
 from asia._plugins import load_target, parts_of
+from asia._text import say
 from asia.errors import UserError
 from asia.ledger import Event, SearchView
 from asia.search._loop import OnEvent
@@ -77,7 +78,7 @@ class Sinks:
         if name not in self._failed:
             self._failed.add(name)
             what = f"{type(error).__name__}: {error}"
-            print(f"sink {name} failed, the search goes on: {what}", file=sys.stderr)
+            say(f"sink {name} failed, the search goes on: {what}", file=sys.stderr)
 
     def __enter__(self) -> Self:
         return self

@@ -6,7 +6,6 @@ from asia.errors import SandboxError
 from asia.sandbox import LEVELS, Isolation, Layer, Limits, _level, open_worker, probe, why_not
 from asia.sandbox.levels import landlock
 from asia.sandbox.levels.sandbox_exec import profile
-from asia.sandbox.worker.channel import printable
 
 NEXT_BEST = next(
     level for level in Isolation if level is not Isolation.NAMESPACE and why_not(level) is None
@@ -112,8 +111,3 @@ def test_the_profile_of_macos_denies_by_default_and_quotes_paths(monkeypatch):
     assert profile().count("(") == profile().count(")")
     writes = [line for line in lines if "write" in line]
     assert writes == ['(allow file-write-data (literal "/dev/null") (literal "/dev/zero"))']
-
-
-def test_untrusted_bytes_become_plain_text():
-    data = b"a\x1b[2J\x00b\tc\r\nd\xff\xe2\x80\xae"
-    assert printable(data) == "a[2Jb\tc\nd\ufffd"

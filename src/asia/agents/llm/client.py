@@ -13,11 +13,12 @@ from urllib.parse import urlsplit
 import httpx2
 import openai
 
+from asia._text import one_line
 from asia.agents._driving import AgentStoppedError, InterruptedWaitError, Journal
 from asia.agents.llm.cassette import Cassette, may_have_cost
 from asia.agents.llm.settings import LlmSettings
 from asia.errors import UserError
-from asia.ledger import Usage, one_line
+from asia.ledger import Usage
 
 Message = dict[str, str]
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from asia._syntax import syntax_tree
+from asia._text import one_line
 from asia.agents._view import Facts
 from asia.agents.library.recipe import MODELS
 from asia.agents.library.space import OneOf, Span
@@ -15,7 +16,6 @@ from asia.agents.library.table import families
 from asia.agents.llm.text import bounded, fenced
 from asia.candidate import VALIDATION_SCORES, installed_libraries
 from asia.data import Array, Signal
-from asia.ledger import one_line
 from asia.problem import Physics
 from asia.protocol import find_metric, metric_label
 

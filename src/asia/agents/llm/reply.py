@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from asia._text import one_line
 from asia.candidate import check_source
 from asia.errors import CandidateError
-from asia.ledger import one_line
 
 _TEXT = 1000
 _TITLE = 60

@@ -12,9 +12,10 @@ from typing import Literal
 
 import numpy as np
 
+from asia._text import one_line
 from asia.agents._view import AgentView, Trial
 from asia.agents.llm.text import bounded, fenced, quoted
-from asia.ledger import Diagnostics, error_line, one_line
+from asia.ledger import Diagnostics, error_line
 
 NO_CANDIDATE = "none"
 ERROR = 300

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 
-from asia.ledger import one_line
+from asia._text import one_line
 
 
 def quoted(text: str, most: int) -> str:

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from rich.console import Console
 from rich.status import Status as Spinner
 from rich.text import Text
 
 from asia import __version__
+from asia._text import printable_line, say
 from asia.cli._options.shared import DEFAULT_RUNS
+from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import (
     NOT_LEAK_FREE,
     again_words,
@@ -120,7 +121,7 @@ class TextDisplay:
 
     problem: Problem
     prepared: Prepared
-    console: Console = field(default_factory=lambda: Console(highlight=False, soft_wrap=True))
+    console: Terminal = field(default_factory=lambda: Terminal(soft_wrap=True))
     footer: Spinner | None = None
 
     def on_start(self, view: SearchView) -> None:
@@ -253,13 +254,13 @@ class TextDisplay:
             p = view.pending.proposed
             doing = f"#{p.experiment:02d} {p.phase}: {p.title}"
         done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"
-        self.footer.update(Text(f"{done} · {doing}"))
+        self.footer.update(Text(f"{done} · {printable_line(doing)}"))
 
     def _print(self, text: str, style: str = "") -> None:
-        self.console.print(Text(text), style=style)
+        self.console.print(printable_line(text), style=style)
         if not self.console.is_terminal:
             sys.stdout.flush()
 
 
 def _print_json(value: dict[str, Any]) -> None:
-    print(jsonlib.dumps(value, allow_nan=False), flush=True)
+    say(jsonlib.dumps(value, allow_nan=False), flush=True)

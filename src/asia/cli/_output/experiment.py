@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from asia._text import printable_line
+from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import again_words
 from asia.ledger import Experiment, Run, describe_result, error_value
 from asia.protocol import metric_label
@@ -15,21 +16,21 @@ from asia.scoring import Score
 MOST_OUTPUTS_BESIDE = 3
 
 
-def wide_console() -> Console:
+def wide_console() -> Terminal:
     """The terminal's own width; wide in a pipe, where nothing should be folded."""
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=200)
+    console = Terminal()
+    return console if console.is_terminal else Terminal(width=200)
 
 
-def describe(console: Console, run: Run, experiment: Experiment) -> None:
+def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     """Print reasons, result, fold table and training-side evidence."""
     p, r = experiment.proposed, experiment.result
     parent = f", made from #{p.parent:02d}" if p.parent else ""
-    title = Text(f"#{p.experiment:02d} {p.title}", style="bold")
-    console.print(title, Text(f"({p.family}, {p.phase}{parent})"))
-    console.print(Text(f"hypothesis  {p.hypothesis}"))
-    console.print(Text(f"expected    {p.expected}"))
-    console.print(Text(f"result      {describe_result(experiment, run.view)}"))
+    title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
+    console.print(title, printable_line(f"({p.family}, {p.phase}{parent})"))
+    console.print(printable_line(f"hypothesis  {p.hypothesis}"))
+    console.print(printable_line(f"expected    {p.expected}"))
+    console.print(printable_line(f"result      {describe_result(experiment, run.view)}"))
     if r is None:
         return
     console.print(f"decision    {r.status}")
@@ -40,16 +41,16 @@ def describe(console: Console, run: Run, experiment: Experiment) -> None:
     if experiment.score:
         _fold_table(console, run, experiment)
     if experiment.failure and experiment.failure.detail:
-        console.print("\n[bold]detail[/bold]")
-        console.print(experiment.failure.detail, markup=False)
+        console.print("\ndetail", style="bold")
+        console.print(experiment.failure.detail)
     if r.output:
         tail = run.store.text(r.output).splitlines()[-20:]
-        console.print("\n[bold]printed while fitting (untrusted)[/bold]")
+        console.print("\nprinted while fitting (untrusted)", style="bold")
         for line in tail:
-            console.print(line, markup=False)
+            console.print(line)
 
 
-def _fold_table(console: Console, run: Run, experiment: Experiment) -> None:
+def _fold_table(console: Terminal, run: Run, experiment: Experiment) -> None:
     score, result = experiment.score, experiment.result
     assert score is not None
     assert result is not None

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from asia._text import one_line
 from asia.agents import AgentStoppedError, Journal, Proposal, SubmittedAgent
 from asia.drive._desk import RunDesk
 from asia.drive._queue import Queue
@@ -41,7 +42,6 @@ from asia.ledger import (
     Store,
     Streamed,
     Usage,
-    one_line,
     read_lines,
 )
 from asia.sandbox import INSIDE, SOCKET_FOLDER, Jail, jail_environment

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from asia._text import printable_line
 from asia.ledger import Usage
 
 StreamFormat = Literal["claude", "codex", "gemini", "none"]
@@ -158,8 +159,7 @@ def _table(value: object) -> dict[str, Any]:
 
 def _text(value: object) -> str:
     """Printable: no escape code and no half of a character leaves here."""
-    flat = value[:200] if isinstance(value, str) else ""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in flat)
+    return printable_line(value[:200]) if isinstance(value, str) else ""
 
 
 def _name(value: object) -> str:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from asia._text import printable
 from asia.sandbox.worker.process import Pipes
 from asia.sandbox.worker.wire import REPLY_HEAD, REQUEST_HEAD, TOKEN_BYTES, ReplyKind
 
@@ -113,7 +114,7 @@ class Channel:
         while self._output is not None and select_one(self._output):
             self._drain()
         self._keep_output = False
-        return printable(bytes(self._printed))
+        return printable(self._printed.decode("utf-8", "replace"))
 
     def close(self) -> None:
         """Close the parent's ends. The worker's keeper takes it as the order to end."""
@@ -162,9 +163,3 @@ def select_one(fd: int, event: int = select.POLLIN) -> bool:
     poller = select.poll()
     poller.register(fd, event)
     return bool(poller.poll(0))
-
-
-def printable(data: bytes) -> str:
-    """Text of untrusted bytes: control characters other than newline and tab are left out."""
-    text = data.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
-    return "".join(c for c in text if c in "\n\t" or c.isprintable())

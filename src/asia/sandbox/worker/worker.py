@@ -12,6 +12,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from asia._text import printable
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError
@@ -22,7 +23,6 @@ from asia.sandbox.worker.channel import (
     Head,
     LateError,
     UnsolicitedError,
-    printable,
 )
 from asia.sandbox.worker.process import WorkerProcess
 from asia.sandbox.worker.wire import (
@@ -249,7 +249,7 @@ class Worker:
         """Detail of a failure the worker reported. Once it knows cases it may not speak freely."""
         if status is ReplyKind.SHAPE:
             return f"got shape {_shape_words(body, expected)}, expected {expected}"
-        text = printable(body).strip()
+        text = printable(body.decode("utf-8", "replace")).strip()
         if not self._cases_seen:
             return text
         if status is ReplyKind.CONTRACT:

@@ -1,9 +1,8 @@
 import io
 from dataclasses import replace
 
-from rich.console import Console
-
 from asia.cli._output.experiment import describe
+from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import duration, experiment_line
 from asia.ledger import error_value, open_run
 from asia.scoring import Score
@@ -34,7 +33,7 @@ def test_brackets_of_an_agent_are_shown_as_they_are(searched: Searched) -> None:
     bracketed = replace(
         experiment, proposed=replace(experiment.proposed, title=words, hypothesis=words)
     )
-    console = Console(file=io.StringIO(), width=200)
+    console = Terminal(file=io.StringIO(), width=200)
     describe(console, run, bracketed)
     assert isinstance(console.file, io.StringIO)
     assert console.file.getvalue().count(words) == 2

@@ -1,0 +1,63 @@
+"""Words from outside, made fit to be shown: on a terminal, on one line, in Markdown.
+
+From outside is what ASIA did not write itself: candidates and what they print, agents, notes, names
+of files, records and signals. Terminals obey control characters, so none of these gets there.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from typing import TextIO
+
+_LINE_BREAKS = "\n\t\r"
+# Of what a line of Markdown can hold: escapes, emphasis, code, links, HTML and its names of
+# characters, columns, deletions, mentions; an underscore inside a word is none of these.
+_MARKED = re.compile(r"[\\`*\[\]<>|~@&]|(?<![^\W_])_|_(?![^\W_])")
+# Addresses that many programs turn into links by themselves.
+_ADDRESS = re.compile(r"(?i)\b(https?|ftp|mailto|xmpp)(:)|\b(www)(\.)")
+
+
+def printable(text: str) -> str:
+    """Several lines: control characters other than newline and tab are left out."""
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    return "".join(c for c in text if c in "\n\t" or c.isprintable())
+
+
+def printable_line(text: str) -> str:
+    """One line as it stands: spaces for line breaks, a mark for each other control character."""
+    return "".join(_fit(c) for c in text)
+
+
+def one_line(text: str, most: int = 300) -> str:
+    """Printable characters on one line, cut to `most`."""
+    clean = printable_line(" ".join(text.split()))
+    return clean if len(clean) <= most else clean[: most - 1] + "…"
+
+
+def markdown_line(text: str) -> str:
+    """One line that Markdown shows as it is: no heading, link, column, HTML or emphasis in it."""
+    line = _MARKED.sub(r"\\\g<0>", printable_line(" ".join(text.split())))
+    return _ADDRESS.sub(r"\1\3\\\2\4", line)
+
+
+def say(text: str = "", *, file: TextIO | None = None, flush: bool = False) -> None:
+    """Print one line. `file`: standard output without one."""
+    print(printable_line(text), file=file or sys.stdout, flush=flush)
+
+
+def say_lines(text: str, *, end: str = "\n", file: TextIO | None = None) -> None:
+    """Print several lines."""
+    print(printable(text), end=end, file=file or sys.stdout)
+
+
+def hand_over(text: str) -> None:
+    """Give a text to whatever reads standard output: unchanged to a file or a program, printable to
+    a terminal."""
+    sys.stdout.write(printable(text) if sys.stdout.isatty() else text)
+
+
+def _fit(character: str) -> str:
+    if character.isprintable():
+        return character
+    return " " if character in _LINE_BREAKS else "\N{REPLACEMENT CHARACTER}"

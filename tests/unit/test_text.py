@@ -1,0 +1,64 @@
+"""Words from outside, and the one place through which they reach a terminal."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+import asia
+from asia._text import markdown_line, one_line, printable, printable_line
+
+PACKAGE = Path(asia.__file__).parent
+# Escape sequences of seven and of eight bits, a bell, a backspace, text written from right to left.
+HOSTILE = "a\x1b]0;b\x07c\x9b2Jd\x08e\u202ef\r\ng\rh\ti"
+
+
+def test_no_control_character_is_printable() -> None:
+    assert printable(HOSTILE) == "a]0;bc2Jdef\ng\nh\ti"
+    mark = "\N{REPLACEMENT CHARACTER}"
+    assert printable_line(HOSTILE) == f"a{mark}]0;b{mark}c{mark}2Jd{mark}e{mark}f  g h i"
+    assert one_line(" a \n b\tc ") == "a b c"
+    assert one_line("a" * 400, 10) == "a" * 9 + "…"
+    assert printable("\ud800") == ""
+    for shown in (printable(HOSTILE), printable_line(HOSTILE), one_line(HOSTILE)):
+        assert all(c in "\n\t" or c.isprintable() for c in shown)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("one more lag, n_x = 3, 87 %", "one more lag, n_x = 3, 87 %"),
+        ("a\n## Experiment 9\n- **V** = 0", r"a ## Experiment 9 - \*\*V\*\* = 0"),
+        ("[here](http://x.y)", r"\[here\](http\://x.y)"),
+        ("![](x)<img src=x onerror=y>", r"!\[\](x)\<img src=x onerror=y\>"),
+        ("www.x.y HTTPS://x.y a@b.c mailto:x", r"www\.x.y HTTPS\://x.y a\@b.c mailto\:x"),
+        ("`a` | b ~~c~~ _d_ \\ &lt;", r"\`a\` \| b \~\~c\~\~ \_d\_ \\ \&lt;"),
+        ("\x1b[2J", "\N{REPLACEMENT CHARACTER}" + r"\[2J"),
+    ],
+)
+def test_markdown_shows_a_line_as_it_is(text: str, shown: str) -> None:
+    line = markdown_line(text)
+    assert line == shown
+    # What stands behind a backslash is a character and nothing else.
+    assert not re.search(r"[`*\[\]<>|~@&]", re.sub(r"\\.", "", line))
+
+
+def test_nothing_is_written_past_the_one_place() -> None:
+    """Terminals are written to by `asia._text` and by the console that takes all for plain text."""
+    own = {PACKAGE / "_text.py", PACKAGE / "cli" / "_output" / "terminal.py"}
+    past: list[str] = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        place = path.relative_to(PACKAGE)
+        # Attacks and templates run elsewhere.
+        if path in own or place.parts[0] in ("redteam", "problems") or place.name == "child.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and _writes(ast.unparse(node.func)):
+                past.append(f"{place}:{node.lineno}: {ast.unparse(node.func)}")
+    assert past == []
+
+
+def _writes(function: str) -> bool:
+    names = ("print", "Console", "rich.print", "typer.echo", "typer.secho", "click.echo", "pprint")
+    return function in names or function.startswith(("sys.stdout.wr", "sys.stderr.wr"))
