@@ -99,7 +99,6 @@ __all__ = [
     "in_use",
     "journal",
     "metric_of",
-    "one_line",
     "open_run",
     "published",
     "read_lines",
