@@ -8,7 +8,7 @@ from asia.agents import MODEL_RULES, equations, library
 from asia.candidate import installed_libraries
 from asia.data import Signal
 from asia.problem.load import Problem
-from asia.protocol import ProtocolRule, metric_label
+from asia.protocol import FoldRule, ProtocolRule, metric_label
 from asia.search._agent_view import problem_facts
 
 _CONTRACT = '''```python
@@ -166,15 +166,28 @@ def _protocol(problem: Problem) -> str:
         if rule.horizon is not None
         else "the whole held-out part in one simulation"
     )
-    how = (
-        f"Each record is cut into {rule.folds.count} blocks; each fold holds one of them out"
-        if rule.folds.kind == "contiguous"
-        else f"{rule.folds.count} groups of records; each fold holds one group out"
-    )
     return (
-        f"{how} and trains on the rest. The model is then given the past window and the inputs of "
+        f"{_folds(rule.folds)}. The model is then given the past window and the inputs of "
         f"{what}, and never an output of it. Metric: {metric_label(rule.metric)}."
     )
+
+
+def _folds(rule: FoldRule) -> str:
+    if rule.kind == "leave_one_group_out":
+        return (
+            f"{rule.count} groups of records; each fold holds one group out and trains on the rest"
+        )
+    if rule.kind == "forward":
+        how = (
+            f"Each record is cut into {rule.count + 1} blocks; each fold holds one of them out, "
+            "never the first, and trains on what lies before it"
+        )
+    else:
+        how = (
+            f"Each record is cut into {rule.count} blocks; each fold holds one of them out and "
+            "trains on the rest"
+        )
+    return how + (f", without the {rule.gap} samples next to it" if rule.gap else "")
 
 
 def _feedback(rule: ProtocolRule) -> str:

@@ -24,7 +24,7 @@ _MOVES = 1e-2
 _ISOLATED = 30.0
 _EARLY = 5
 _WORSE, _MUCH_WORSE = 0.1, 5.0
-_WORSE_END, _LAST_PART = 2.0, 20
+_FALLS, _WORSE_END, _LAST_PART = 0.5, 2.0, 20
 _OF_THE_MACHINE = (Reason.SIMULATE_TIMEOUT, Reason.MEMORY)
 _SHORTEST = 10
 
@@ -131,13 +131,15 @@ class RequestCheck:
             return ()
         ahead = self._beyond_rounding(first, second[:, :short])
         last = max(self.batch.u.shape[1] // _LAST_PART, 1)
+        overall = self._end_error(self.batch.y_hat, self.batch.u.shape[1])
         own = self._end_error(self.batch.y_hat, last)
         other = min(self._end_error(answer, last) for answer in (second, third))
         found: list[Suspicion | None] = []
         if ahead > _SAME:
             words = "the length of a simulation moves its output"
             found.append(Suspicion(SuspicionKind.CAUSALITY, words, ahead))
-        if other - own > _WORSE and other > _WORSE_END * own:
+        falls = overall < 1.0 and own < _FALLS * overall
+        if falls and other - own > _WORSE and other > _WORSE_END * own:
             words = "the simulation is right at the block's end from the scored start alone"
             ratio = other / own if own > 0 else np.inf
             found.append(Suspicion(SuspicionKind.BLOCK_END, words, ratio))

@@ -20,7 +20,7 @@ from asia.problem._protocol import check_protocol, with_groups
 from asia.problem._schema import LockFile, ProblemFile, ProblemTables
 from asia.problem._toml import read_table
 from asia.problem.physics.check import check_physics
-from asia.protocol._cuts import least_case
+from asia.protocol._cuts import block_count, least_case
 from asia.protocol._rules import ProtocolRule
 
 _FILE = "problem.toml"
@@ -177,10 +177,12 @@ def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> No
         wanted = f"a past window of {rule.past}"
         advice = "a shorter past window"
     else:
-        count = rule.folds.count
-        least = rule.past + count * (rule.past + max(least_case(rule), _LEAST_BEYOND_PAST))
-        wanted = f"{count} folds with a past window of {rule.past}"
-        advice = "fewer folds, a shorter past window"
+        count, gap = block_count(rule), rule.folds.gap or 0
+        beyond = max(least_case(rule), _LEAST_BEYOND_PAST) + gap
+        least = rule.past + count * (rule.past + beyond)
+        wanted = f"{rule.folds.count} folds with a past window of {rule.past}"
+        wanted += f" and a gap of {gap}" if gap else ""
+        advice = "fewer folds, a shorter past window" + (" or gap" if gap else "")
     if rule.horizon is not None:
         wanted += f" and a horizon of {rule.horizon}"
         advice = f"{advice} or horizon"

@@ -33,6 +33,11 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
                 "protocol.folds.count belongs to contiguous folds: leave it out, [data.groups] "
                 "says how many there are"
             )
+        if table.folds.gap:
+            raise UserError(
+                "protocol.folds.gap belongs to folds within a record: leave it out, "
+                "leave_one_group_out holds out whole records"
+            )
         if len(groups) < 2:
             raise UserError(
                 f"leave_one_group_out needs two groups of records or more, [data.groups] has "
@@ -155,7 +160,11 @@ def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
         **{key: value for key, value in asdict(rule).items() if key != "ladder"},
         "feedback": None if ladder is None else "ladder",
         "ladder_step": ladder,
-        "folds": {"kind": rule.folds.kind, "count": None if grouped else rule.folds.count},
+        "folds": {
+            "kind": rule.folds.kind,
+            "count": None if grouped else rule.folds.count,
+            "gap": rule.folds.gap,
+        },
         "test": {
             "metrics": test.metrics,
             "skip": test.skip,

@@ -21,6 +21,7 @@ from asia.protocol._metrics import known_metric, known_test_metric
 from asia.protocol._rules import (
     EarlyStopping,
     Feedback,
+    FoldKind,
     FoldRule,
     OutputGroup,
     ProtocolRule,
@@ -53,14 +54,16 @@ _PastSamples = Annotated[int, Field(ge=0, le=100_000)]
 
 @dataclass(frozen=True)
 class FoldsTable:
-    kind: Literal["contiguous", "leave_one_group_out"] = "contiguous"
+    kind: FoldKind = "contiguous"
     count: Annotated[int, Field(ge=2, le=100)] | None = None
+    gap: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
 
     def rule(self) -> FoldRule:
         """Without the groups, which are known once the records were read."""
         if self.kind == "leave_one_group_out":
             return FoldRule(self.kind, 0)
-        return FoldRule(self.kind, FoldRule.count if self.count is None else self.count)
+        count = FoldRule.count if self.count is None else self.count
+        return FoldRule(self.kind, count, gap=self.gap or None)
 
 
 @dataclass(frozen=True)

@@ -56,18 +56,27 @@ def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> 
 
 
 def blocks(length: int, rule: ProtocolRule) -> list[range]:
-    """The held-out block of each contiguous fold: what lies after the first past window in
-    `folds.count` parts, the first ones a sample longer when it does not divide; empty ones when
-    too short."""
-    size, longer = divmod(max(length - rule.past, 0), rule.folds.count)
-    edges = [rule.past + k * size + min(k, longer) for k in range(rule.folds.count + 1)]
-    return [range(start, stop) for start, stop in pairwise(edges)]
+    """The held-out block of each fold: what lies after the first past window in `block_count`
+    parts, the first ones a sample longer when it does not divide; empty ones when too short. In
+    forward folds the first part trains only."""
+    count = block_count(rule)
+    size, longer = divmod(max(length - rule.past, 0), count)
+    edges = [rule.past + k * size + min(k, longer) for k in range(count + 1)]
+    return [range(start, stop) for start, stop in pairwise(edges)][count - rule.folds.count :]
+
+
+def block_count(rule: ProtocolRule) -> int:
+    """Into how many blocks a record is cut."""
+    return rule.folds.count + (rule.folds.kind == "forward")
 
 
 def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
-    """What trains while `block` is held out: the samples before and after it, as far as they hold
-    a past window of their own and one case more."""
-    parts = range(rule.past, block.start), range(block.stop, length)
+    """What trains while `block` is held out: the samples before it and, but in forward folds, after
+    it, without the gap, as far as they hold a past window of their own and one case more."""
+    gap = rule.folds.gap or 0
+    parts = [range(rule.past, block.start - gap)]
+    if rule.folds.kind != "forward":
+        parts.append(range(block.stop + gap, length))
     return [part for part in parts if len(part) >= rule.past + least_case(rule)]
 
 

@@ -95,7 +95,9 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
 
     Contiguous: each record is split by `array_split` after its first past window. Block k of every
     record is held out in fold k; what lies before and after it trains, as records of their own. A
-    training record too short to hold its own past window and one case is left out.
+    training record too short to hold its own past window and one case is left out. Forward: one
+    part more, part k + 1 is held out in fold k, and what lies before it trains. The samples of
+    `folds.gap` next to a held-out part train nothing.
     Leave one group out: the records of group k are held out in fold k, all others train whole.
     Raises UserError when a fold has nothing to train on or an output does not move in it.
     """

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 EarlyStopping = Literal["inner", "validation"]
+FoldKind = Literal["contiguous", "forward", "leave_one_group_out"]
 Feedback = Literal["exact", "ladder"]
 
 
@@ -23,13 +24,17 @@ class Group:
 class FoldRule:
     """Which samples each fold holds out."""
 
-    kind: Literal["contiguous", "leave_one_group_out"] = "contiguous"
+    kind: FoldKind = "contiguous"
     """`contiguous`: each record is cut into blocks, and a fold holds out one block of each record;
-    `leave_one_group_out`: a fold holds out the records of one group."""
+    `forward`: the same with one block more, and only what lies before the held-out block trains,
+    so that the first block is never held out; `leave_one_group_out`: a fold holds out the records
+    of one group."""
     count: int = 2
     """The number of folds."""
     groups: tuple[Group, ...] = ()
-    """The groups; () for contiguous folds."""
+    """The groups; () for folds of another kind."""
+    gap: int | None = None
+    """Samples next to a held-out block that do not train; None for none."""
 
 
 @dataclass(frozen=True)

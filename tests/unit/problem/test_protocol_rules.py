@@ -11,7 +11,7 @@ from asia.errors import UserError
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Seal
 from asia.problem.load import check_problem, load_lock, load_problem, lock_differences, lock_text
-from asia.protocol import Group, OutputGroup
+from asia.protocol import FoldRule, Group, OutputGroup
 
 Record = Callable[[int, int], str]
 
@@ -95,6 +95,22 @@ def test_the_digest_of_an_old_protocol_stays(write: Callable[[str], Path]) -> No
     )
 
 
+def test_forward_folds_with_a_gap_are_locked_and_said(
+    write: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folds = 'folds = { kind = "forward", count = 2, gap = 4 }'
+    small = f"[protocol]\n{folds}\npast_inputs = 1\npast_outputs = 1\n"
+    problem = load_problem(write(f'{HEAD}[data]\ntrain = ["slow_1.csv"]\n{small}'))
+    assert problem.protocol.folds == FoldRule("forward", 2, gap=4)
+    text = "\n".join(check_problem(problem, Seal(None)).lines())
+    assert "fold 1: holds out slow_1 22..41; trains on 16 samples" in text
+    path = tmp_path / "problem.lock.toml"
+    path.write_text(lock_text(problem, Seal(None)), encoding="utf-8")
+    assert load_lock(path).protocol == problem.protocol
+    with pytest.raises(UserError, match="2 folds with a past window of 1 and a gap of 40"):
+        load_problem(write(f'{HEAD}[data]\ntrain = ["slow_1.csv"]\n{small}'.replace("4 }", "40 }")))
+
+
 def test_check_says_what_is_held_out(write: Callable[[str], Path]) -> None:
     problem = load_problem(write(WINDOWS))
     text = "\n".join(check_problem(problem, Seal("ab" * 32, ("t",), (62,))).lines())
@@ -126,6 +142,7 @@ def test_check_says_what_is_held_out(write: Callable[[str], Path]) -> None:
         ),
         (('_out" }', '_out", count = 2 }'), "protocol.folds.count belongs to contiguous folds"),
         (('folds = { kind = "leave_one_group_out" }\n', ""), "[data.groups] belongs to leave_one"),
+        (('_out" }', '_out", gap = 5 }'), "protocol.folds.gap belongs to folds within a record"),
         ((GROUPS, ""), "needs two groups of records or more, [data.groups] has 0"),
         (('fast = ["fast_1"]\n', ""), "needs two groups of records or more, [data.groups] has 1"),
         (('["fast_1"]', '["fats_1"]'), "called 'fats_1'; did you mean 'fast_1'?"),

@@ -25,6 +25,47 @@ def test_cascaded_tanks_folds_are_those_of_the_paper() -> None:
 
 
 @given(
+    lengths=st.lists(st.integers(60, 90), min_size=1, max_size=3),
+    count=st.integers(2, 4),
+    past=st.integers(0, 4),
+    gap=st.integers(0, 6),
+)
+def test_forward_folds_train_on_the_past_alone(
+    lengths: list[int], count: int, past: int, gap: int
+) -> None:
+    records = [record(n, str(i)) for i, n in enumerate(lengths)]
+    rule = ProtocolRule(
+        folds=FoldRule("forward", count, gap=gap or None), past_inputs=past, past_outputs=past
+    )
+    folds = make_folds(records, rule)
+    assert len(folds) == count
+    ends = dict.fromkeys(range(len(records)), 0)
+    for fold in folds:
+        assert not any(fold.followed)
+        for block in fold.validation:
+            (trained,) = [t for t in fold.train if t.name == str(block.record)]
+            assert trained.u[-1, 0] == block.start - gap - 1
+            assert ends[block.record] in (0, block.start)
+            ends[block.record] = block.stop
+    assert list(ends.values()) == lengths
+
+
+@given(length=st.integers(60, 90), count=st.integers(2, 4), gap=st.integers(1, 6))
+def test_a_gap_beside_a_held_out_block_trains_nothing(length: int, count: int, gap: int) -> None:
+    rule = ProtocolRule(folds=FoldRule(count=count, gap=gap), past_inputs=2, past_outputs=2)
+    plain = ProtocolRule(folds=FoldRule(count=count), past_inputs=2, past_outputs=2)
+    folds = make_folds([record(length)], rule)
+    for fold, same in zip(folds, make_folds([record(length)], plain), strict=True):
+        (block,) = fold.validation
+        assert (block.start, block.stop) == (same.validation[0].start, same.validation[0].stop)
+        trained = np.concatenate([t.u[:, 0] for t in fold.train])
+        near = (trained >= block.start - gap) & (trained < block.stop + gap)
+        assert not near.any()
+        assert {block.start - gap - 1, block.stop + gap} & set(trained.astype(int).tolist())
+        assert fold.followed == (block.stop < length,)
+
+
+@given(
     lengths=st.lists(st.integers(40, 90), min_size=1, max_size=3),
     count=st.integers(2, 4),
     past=st.integers(0, 4),
