@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from asia._text import say
@@ -11,27 +11,10 @@ from asia.cli._options.shared import Json
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from asia._plugins import Part
     from asia.sandbox import LevelState, Machine
 
 _INDENT = 13
-
-
-@dataclass(frozen=True)
-class PluggedPart:
-    """A part of another package, as it is found here."""
-
-    kind: str
-    """families, agents, sources, metrics, executors or sinks."""
-    name: str
-    """What it is called in problem files and on the command line."""
-    package: str
-    """The package that brings it."""
-    version: str
-    """The version of that package."""
-    target: str
-    """Where it is defined, `module:Name`."""
-    failure: str | None
-    """Why it cannot be loaded; None when it can."""
 
 
 def doctor(json: Json = False) -> None:
@@ -48,7 +31,7 @@ def doctor(json: Json = False) -> None:
             "level": best,
             "machine": asdict(here),
             "levels": [asdict(s) for s in levels],
-            "parts": [asdict(p) for p in plugged],
+            "parts": [_part_object(p) for p in plugged],
             "clash": clash,
         }
         say(dumps(found))
@@ -60,21 +43,22 @@ def doctor(json: Json = False) -> None:
         say("docs/isolation.md says what each level stops and what not.")
 
 
-def _plugged() -> tuple[tuple[PluggedPart, ...], str | None]:
+def _plugged() -> tuple[tuple[Part, ...], str | None]:
     """The parts of other packages; without them, why they cannot be told apart."""
     from asia._plugins import parts
     from asia.errors import UserError
 
     try:
-        found = parts()
+        return tuple(parts()), None
     except UserError as error:
         return (), str(error)
-    return tuple(
-        PluggedPart(
-            p.group.removeprefix("asia."), p.name, p.package, p.version, p.target, p.why_not()
-        )
-        for p in found
-    ), None
+
+
+def _part_object(part: Part) -> dict[str, str | None]:
+    """For scripts: the part, and why it cannot be loaded."""
+    found = asdict(part)
+    kind = found.pop("group").removeprefix("asia.")
+    return {"kind": kind, **found, "failure": part.why_not()}
 
 
 def _print_machine(here: Machine) -> None:
@@ -99,14 +83,14 @@ def _print_levels(levels: Sequence[LevelState]) -> None:
             say(f"{'':<{_INDENT}}to get it: {lack.remedy}")
 
 
-def _print_parts(plugged: Sequence[PluggedPart], clash: str | None) -> None:
+def _print_parts(plugged: Sequence[Part], clash: str | None) -> None:
     say()
     if not plugged:
         say(f"{'plugged in':<{_INDENT}}{clash or 'nothing: no other package brings a part'}")
         return
-    heads = [f"{p.kind} {p.name}" for p in plugged]
+    heads = [f"{p.group.removeprefix('asia.')} {p.name}" for p in plugged]
     width = max(_INDENT, *(len(head) + 2 for head in heads))
     for head, part in zip(heads, plugged, strict=True):
         say(f"{head:<{width}}{part.target}, of {part.package} {part.version}")
-        if part.failure is not None:
-            say(f"{'':<{width}}does not load: {part.failure}")
+        if failure := part.why_not():
+            say(f"{'':<{width}}does not load: {failure}")

@@ -25,6 +25,14 @@ from asia.ledger._view import Replay, SearchView
 _LOCK_ATTEMPTS = 20
 
 
+def ledger_of(directory: Path) -> Path:
+    """The ledger of a run. Raises UserError for a directory that is none."""
+    ledger = directory / "ledger.jsonl"
+    if not ledger.is_file():
+        raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
+    return ledger
+
+
 def read_lines(path: Path) -> Iterator[Line]:
     """Every whole line, verified. A torn last line, left by a crash, is passed over.
 

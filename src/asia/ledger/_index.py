@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from asia.errors import UserError
-from asia.ledger._chain import in_use
+from asia.ledger._chain import in_use, ledger_of
 from asia.ledger._events import Evaluated, Event, Proposed
 from asia.ledger._lines import BEGIN, Position, decode, scan
 from asia.ledger._run import RunState, state_of
@@ -73,8 +73,9 @@ def brief(directory: Path, last: int = 50) -> Brief:
         for query, values in ((_KEPT_BEFORE, (first,)), (_PENDING, ())):
             chosen += [n for (n,) in index.execute(query, values).fetchall() if n is not None]
         places = index.execute(_RECORDS, (str(chosen),)).fetchall()
-        view = replay(_events(_ledger(directory), places))
-        state = state_of(view, busy=in_use(_ledger(directory)))
+        ledger = ledger_of(directory)
+        view = replay(_events(ledger, places))
+        state = state_of(view, busy=in_use(ledger))
         return Brief(view, state, finished, seconds, int(told))
 
     return _ask(directory, read)
@@ -87,24 +88,19 @@ def refresh(directory: Path) -> None:
         _ask(directory, lambda index: None)
 
 
-def _ledger(directory: Path) -> Path:
-    return directory / "ledger.jsonl"
-
-
 def _ask(directory: Path, question: Callable[[sqlite3.Connection], T]) -> T:
     """The answer from the index; where it cannot be written, from one in memory."""
-    if not _ledger(directory).is_file():
-        raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
+    ledger = ledger_of(directory)
     with contextlib.suppress(sqlite3.OperationalError):
         try:
-            return _answer(directory / NAME, _ledger(directory), question)
+            return _answer(directory / NAME, ledger, question)
         except sqlite3.OperationalError:
             raise
         except sqlite3.DatabaseError:
             with contextlib.suppress(OSError):
                 (directory / NAME).unlink()
-            return _answer(directory / NAME, _ledger(directory), question)
-    return _answer(Path(":memory:"), _ledger(directory), question)
+            return _answer(directory / NAME, ledger, question)
+    return _answer(Path(":memory:"), ledger, question)
 
 
 def _answer(place: Path, ledger: Path, question: Callable[[sqlite3.Connection], T]) -> T:

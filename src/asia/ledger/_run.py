@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from asia.errors import UserError
-from asia.ledger._chain import in_use, read_lines
+from asia.ledger._chain import in_use, ledger_of, read_lines
 from asia.ledger._lines import Line
 from asia.ledger._store import Store
 from asia.ledger._view import SearchView, replay
@@ -57,9 +57,7 @@ class Run:
 
 def open_run(directory: Path) -> Run:
     """Read and verify a run. Raises UserError when it is not one or does not verify."""
-    ledger = directory / "ledger.jsonl"
-    if not ledger.is_file():
-        raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
+    ledger = ledger_of(directory)
     lines = tuple(read_lines(ledger))
     return Run(directory, replay(line.event for line in lines), lines, in_use(ledger))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from asia.errors import UserError
 from asia.ledger._artifacts import Artifacts
+from asia.ledger._chain import ledger_of
 from asia.ledger._events import (
     Evaluated,
     Event,
@@ -36,9 +37,7 @@ class Verified:
 
 def verify(directory: Path) -> Verified:
     """Raises UserError that names the first record or artifact that does not hold."""
-    ledger, check = directory / "ledger.jsonl", _Check()
-    if not ledger.is_file():
-        raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
+    ledger, check = ledger_of(directory), _Check()
     place = BEGIN
     with ledger.open("rb") as stream, Artifacts(directory / "artifacts") as artifacts:
         try:

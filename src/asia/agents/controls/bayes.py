@@ -35,10 +35,7 @@ Pick: TypeAlias = "Callable[[str, BaseDistribution], Number]"
 class BayesAgent:
     """Proposes where the estimator expects most."""
 
-    @property
-    def name(self) -> str:
-        """`bayes`."""
-        return "bayes"
+    name = "bayes"
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The estimator's choice; None when `_TRIES` of them in a row were known already."""

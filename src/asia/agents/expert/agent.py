@@ -42,10 +42,7 @@ class _Option:
 class ExpertAgent:
     """Ladder of families, then refinement by moves chosen from training-side evidence."""
 
-    @property
-    def name(self) -> str:
-        """`expert`."""
-        return "expert"
+    name = "expert"
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The next rung of the ladder, or the move with the most weight; None when all known."""

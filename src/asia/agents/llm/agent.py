@@ -31,6 +31,8 @@ class LlmAgent:
     no answer. Raises UserError without the extra `llm` or without a key.
     """
 
+    name = "llm"
+
     def __init__(self, settings: LlmSettings, *, network: bool = True) -> None:
         if importlib.util.find_spec("openai") is None:
             raise UserError("the agent llm needs the package openai: pip install 'asia-sysid[llm]'")
@@ -38,11 +40,6 @@ class LlmAgent:
         self._network = network
         self._key = settings.api_key() if network else "none"
         self._client: ChatClient | None = None
-
-    @property
-    def name(self) -> str:
-        """`llm`."""
-        return "llm"
 
     def recorded(self) -> dict[str, str]:
         """What shapes the search: no key, no caps."""

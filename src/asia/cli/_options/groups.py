@@ -21,7 +21,8 @@ def with_groups(command: Callable[..., None]) -> Callable[..., None]:
             given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         command(**given)
 
-    shown = [p for own in _own(command) for p in _parameters(own, hints[own.name])]
+    own = inspect.signature(command).parameters
+    shown = [p for name in own for p in _parameters(own[name], hints[name])]
     called.__signature__ = inspect.Signature(shown)  # pyright: ignore[reportAttributeAccessIssue]
     called.__annotations__ = {p.name: p.annotation for p in shown}
     return called
@@ -34,10 +35,6 @@ def given(group: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, object]:
         for f in fields(group)
         if f.name not in leave_out and getattr(group, f.name) != f.default
     }
-
-
-def _own(command: Callable[..., None]) -> Iterator[inspect.Parameter]:
-    yield from inspect.signature(command).parameters.values()
 
 
 def _parameters(own: inspect.Parameter, hint: Any) -> Iterator[inspect.Parameter]:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from rich.status import Status as Spinner
 from rich.text import Text
@@ -49,27 +49,7 @@ from asia.search import Prepared, environment_changes
 STYLES = {"keep": "bold green", "discard": "dim", "crash": "red", "timeout": "yellow"}
 
 
-class Display(Protocol):
-    """Listens to a search."""
-
-    def on_start(self, view: SearchView) -> None:
-        """The run directory is open; `view` is what it holds so far."""
-        ...
-
-    def on_event(self, event: Event, view: SearchView) -> None:
-        """An event was written to the ledger."""
-        ...
-
-    def finish(self, view: SearchView, pictures: Sequence[Path]) -> None:
-        """The search has ended."""
-        ...
-
-    def close(self) -> None:
-        """Leave the terminal as it was, whatever happened."""
-        ...
-
-
-def make_display(problem: Problem, prepared: Prepared, *, json: bool) -> Display:
+def make_display(problem: Problem, prepared: Prepared, *, json: bool) -> JsonDisplay | TextDisplay:
     """JSON lines, or text for people."""
     return JsonDisplay() if json else TextDisplay(problem, prepared)
 

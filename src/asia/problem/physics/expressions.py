@@ -20,29 +20,13 @@ from asia.errors import UserError
 
 T = TypeVar("T")
 
+_OF_ONE = (
+    "sqrt", "exp", "log", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh",
+    "sigmoid", "softplus", "abs", "sign",
+)  # fmt: skip
 FUNCTIONS: Mapping[str, tuple[int, int | None]] = MappingProxyType(
-    {
-        "sqrt": (1, 1),
-        "exp": (1, 1),
-        "log": (1, 1),
-        "sin": (1, 1),
-        "cos": (1, 1),
-        "tan": (1, 1),
-        "arcsin": (1, 1),
-        "arccos": (1, 1),
-        "arctan": (1, 1),
-        "arctan2": (2, 2),
-        "sinh": (1, 1),
-        "cosh": (1, 1),
-        "tanh": (1, 1),
-        "sigmoid": (1, 1),
-        "softplus": (1, 1),
-        "abs": (1, 1),
-        "sign": (1, 1),
-        "min": (2, None),
-        "max": (2, None),
-        "clip": (3, 3),
-    }
+    dict.fromkeys(_OF_ONE, (1, 1))
+    | {"arctan2": (2, 2), "min": (2, None), "max": (2, None), "clip": (3, 3)}
 )
 """Functions an expression may call, with their least and greatest number of arguments."""
 
