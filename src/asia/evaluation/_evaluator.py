@@ -129,7 +129,9 @@ class Evaluator:
     def _inconsistent(self, source: str, folds: Sequence[FoldResult]) -> list[Failure]:
         """Where V is far below the training error, the folds are fitted again one after the other,
         in another order, so that none can tell another one anything; [] where V stays."""
-        if consistency(folds) >= FAR_BELOW:
+        value = float(np.mean([fold.score.value for fold in folds]))
+        errors = [fold.diagnostics.train_error for fold in folds]
+        if consistency(value, errors) >= FAR_BELOW:
             return []
         random = np.random.default_rng(self._check_seed(source, "consistency"))
         again: list[float] = []
@@ -140,7 +142,7 @@ class Evaluator:
                 words = f"{SuspicionKind.CONSISTENCY}: fitted alone, a fold fails"
                 return [Failure(Reason.SUSPECT, words, place + 1)]
             again.append(result.score.value)
-        if np.mean(again) <= _UNLIKE * np.mean([fold.score.value for fold in folds]):
+        if np.mean(again) <= _UNLIKE * value:
             return []
         words = "V is far below the training error, but not with the folds fitted one by one"
         return [Failure(Reason.SUSPECT, f"{SuspicionKind.CONSISTENCY}: {words}")]

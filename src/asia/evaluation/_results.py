@@ -59,10 +59,10 @@ class Refit:
     """The result of that second fit."""
 
 
-def consistency(folds: Sequence[FoldResult]) -> float:
-    """V over the mean training error, both normalised by the same standard deviations."""
-    train = float(np.mean([fold.diagnostics.train_error for fold in folds]))
-    value = float(np.mean([fold.score.value for fold in folds]))
+def consistency(value: float, training_errors: Sequence[float]) -> float:
+    """V over the mean training error of the folds, both normalised by the same standard
+    deviations."""
+    train = float(np.mean(training_errors))
     return value / train if train > 0 else float("inf")
 
 

@@ -8,6 +8,7 @@ from rich.text import Text
 from asia._text import printable_line
 from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import again_words
+from asia.evaluation import FAR_BELOW, consistency
 from asia.ledger import Experiment, Run, describe_result, error_value
 from asia.protocol import metric_label
 from asia.scoring import Score
@@ -40,6 +41,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         console.print(f"again       {again_words(run.view) or same}")
     if experiment.score:
         _fold_table(console, run, experiment)
+        console.print(f"\nV over the training error: {_ratio_words(experiment)}")
     if experiment.failure and experiment.failure.detail:
         console.print("\ndetail", style="bold")
         console.print(experiment.failure.detail)
@@ -87,6 +89,17 @@ def _fold_table(console: Terminal, run: Run, experiment: Experiment) -> None:
     if wide:
         console.print()
         console.print(_channel_table(run, score))
+
+
+def _ratio_words(experiment: Experiment) -> str:
+    assert experiment.score is not None
+    assert experiment.result is not None
+    errors = [kept.diagnostics.train_error for kept in experiment.result.folds]
+    ratio = consistency(experiment.score.value, errors)
+    if ratio >= FAR_BELOW:
+        return f"{ratio:.2f}"
+    kept = "; V stayed when the folds were fitted again, one by one"
+    return f"{ratio:.2f}, suspiciously low{kept if experiment.result.status == 'keep' else ''}"
 
 
 def _channel_table(run: Run, score: Score) -> Table:

@@ -37,3 +37,22 @@ def test_brackets_of_an_agent_are_shown_as_they_are(searched: Searched) -> None:
     describe(console, run, bracketed)
     assert isinstance(console.file, io.StringIO)
     assert console.file.getvalue().count(words) == 2
+
+
+def test_a_score_far_below_the_training_error_is_doubted(searched: Searched) -> None:
+    run = open_run(searched.directory)
+    (experiment,) = run.view.finished
+    assert experiment.score
+    low = replace(
+        experiment,
+        result=replace(experiment.result, outcome=Score(1e-6, experiment.score.folds)),
+    )
+    texts: list[str] = []
+    for one in (experiment, low):
+        console = Terminal(file=io.StringIO(), width=200)
+        describe(console, run, one)
+        assert isinstance(console.file, io.StringIO)
+        texts.append(console.file.getvalue())
+    assert "V over the training error: " in texts[0]
+    assert "suspiciously low" not in texts[0]
+    assert "0.00, suspiciously low; V stayed when" in texts[1]
