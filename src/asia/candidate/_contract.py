@@ -68,7 +68,9 @@ class Model(Protocol):
         """Open-loop simulation in physical units.
 
         past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> y_hat (B, H, ny).
-        `u[:, k]` and `y_hat[:, k]` are the same sample; `past_*[:, -1]` is the one before.
+        `u[:, k]` and `y_hat[:, k]` are the same sample; `past_*[:, -1]` is the one before. B and H
+        are 1 or more, whatever the context's horizon. A row's answer depends on this row alone,
+        y_hat[:, k] on no later input, and neither on earlier calls.
         """
         ...
 
