@@ -64,7 +64,8 @@ _ADVICE = {
     Reason.LITERAL_DATA: "the source carries too much data of its own: "
     "let fit learn the numbers from the training records, and shorten the rest",
     Reason.SUSPECT: "the model does not answer like a model of a dynamical system: "
-    "make simulate a causal, continuous function of its arguments, with no memory between calls",
+    "make simulate a causal, continuous function of each row by itself, with no memory between "
+    "calls and no statistics over the rows of a request",
     Reason.RESTART: "the model is good from the scored starting points alone: "
     "make simulate about as good from any other sample of a record",
 }

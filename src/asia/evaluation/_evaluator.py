@@ -217,9 +217,16 @@ class Evaluator:
     def simulate(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...]]:
-        """Simulate `blocks` with stored models, each in a fresh worker, and ask a second one as
-        `dependences` does. Raises CandidateError, with reason SUSPECT where an answer depends on
-        what it must not."""
+        """Simulate `blocks` with stored models, each in a fresh worker. Raises CandidateError."""
+        jobs = [partial(self._simulate_model, source, model, blocks) for model in models]
+        return self._run(jobs)
+
+    def simulate_scored(
+        self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
+    ) -> list[tuple[Array, ...]]:
+        """As `simulate`, for answers that will be scored: a second worker is asked as `dependences`
+        does. Raises CandidateError, with reason SUSPECT where an answer depends on what it must
+        not."""
         jobs = [partial(self._simulate_checked, source, model, blocks) for model in models]
         return self._run(jobs)
 

@@ -49,7 +49,7 @@ def _simulated(
     assert experiment.result is not None
     models = [store.get(fold.model) for fold in experiment.result.folds]
     try:
-        each = evaluator.simulate(store.text(experiment.proposed.source), models, blocks)
+        each = evaluator.simulate_scored(store.text(experiment.proposed.source), models, blocks)
     except CandidateError as error:
         return Failure(error.reason, error.detail)
     return [np.mean(parts, axis=0) for parts in zip(*each, strict=True)]

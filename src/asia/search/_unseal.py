@@ -190,5 +190,7 @@ class _TestScorer:
 
     def _mean(self, models: tuple[str, ...]) -> tuple[Array, ...]:
         source = self.store.text(self.best.proposed.source)
-        each = self.evaluator.simulate(source, [self.store.get(m) for m in models], self.blocks)
+        each = self.evaluator.simulate_scored(
+            source, [self.store.get(m) for m in models], self.blocks
+        )
         return tuple(np.mean(np.stack(parts), axis=0) for parts in zip(*each, strict=True))
