@@ -70,7 +70,7 @@ def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
         (["--attack", "999"], f"there are attacks 1 to {len(ATTACKS)}"),
         (["--level", "bunker"], "expected one of namespace, landlock, process"),
         (["--without", "namespaces"], "is level landlock"),
-        (["--without", "moat"], "expected each, or some of landlock, seccomp, rlimits"),
+        (["--without", "moat"], "expected each, checks, some of landlock, seccomp, rlimits"),
         (["--without", "each", "--quick"], "--without and --quick do not go together"),
         (["--without", "each", "--honest-on", "two_tanks_sim"], "--without and --honest-on"),
         (["--without", "each", "--no-prove"], "--without and --no-prove do not go together"),

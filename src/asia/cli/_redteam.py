@@ -19,11 +19,12 @@ from asia.cli._options.shared import Json
 from asia.errors import UserError
 
 if TYPE_CHECKING:
-    from asia.redteam import Attack, Finding, HonestFinding, RedTeamPlan
+    from asia.evaluation import SuspicionKind
+    from asia.redteam import Attack, Finding, HonestFinding, RedTeamPlan, SuspicionFinding
     from asia.sandbox import Isolation, Layer
 
 LISTS = ("--level", "--attack", "--without", "--honest-on")
-EACH = "each"
+EACH, CHECKS = "each", "checks"
 
 Levels = Annotated[
     list[str] | None,
@@ -36,8 +37,9 @@ Numbers = Annotated[
 ]
 Without = Annotated[
     list[str] | None,
-    typer.Option(metavar="LAYER ...", help="Show what comes back without layers: of landlock, "
-    "seccomp, rlimits; or 'each', one layer after the other."),
+    typer.Option(metavar="LAYER|CHECK ...", help="Show what comes back without layers: of "
+    "landlock, seccomp, rlimits; or 'each', one layer after the other. Or without checks: of "
+    "causality, strangers, block-end, ...; or 'checks', each attack without those that stop it."),
 ]  # fmt: skip
 HonestOn = Annotated[
     list[str] | None,
@@ -70,7 +72,10 @@ def redteam(
     if without:
         others = (("--quick", quick), ("--honest-on", honest_on), ("--no-prove", not prove))
         _refuse("--without", others, "plays attacks alone, in an outer sandbox")
-        _show_without(_levels(level), without, chosen, attack is not None, json)
+        if _names_checks(without):
+            _show_unchecked(_levels(level), without, chosen, attack is not None, json)
+        else:
+            _show_without(_levels(level), without, chosen, attack is not None, json)
         return
     if honest_on:
         others = (("--attack", attack), ("--quick", quick))
@@ -143,6 +148,59 @@ def _show_without(
         say_lines(without_table(found, attacks))
 
 
+def _show_unchecked(
+    levels: tuple[Isolation, ...],
+    words: list[str],
+    attacks: tuple[Attack, ...],
+    named: bool,
+    json: bool,
+) -> None:
+    from asia.redteam import CandidateAttack, unchecked_table, without_checks
+    from asia.sandbox import LEVELS
+
+    for level in levels:
+        if not LEVELS[level].confined:
+            raise UserError(
+                f"--without {' '.join(words)}: attacks do not run at level {level}, which confines "
+                "nothing; leave --level out"
+            )
+    kinds = [] if words == [CHECKS] else [_check_names()[word] for word in words]
+    concerned = [
+        attack
+        for attack in attacks
+        if isinstance(attack, CandidateAttack) and {*attack.checks} & {*(kinds or attack.checks)}
+    ]
+    left = ", ".join(str(attack.number) for attack in attacks if attack not in concerned)
+    if not concerned or (named and left):
+        raise UserError(
+            f"--without {' '.join(words)}: these checks have no part in attack {left}: leave it "
+            "out of --attack, or leave --without out"
+        )
+    names = {attack.number: attack.name for attack in attacks}
+    with _one_interrupt():
+        found = without_checks(
+            levels, concerned, kinds, lambda result: _print_result(result, names, json)
+        )
+    if not json:
+        print(unchecked_table(found))
+
+
+def _names_checks(words: list[str]) -> bool:
+    """Whether the words name checks and not layers. Raises UserError where both are named."""
+    checks = [word in _check_names() or word == CHECKS for word in words]
+    if any(checks) and (not all(checks) or (CHECKS in words and len(words) > 1)):
+        raise UserError(
+            f"--without {' '.join(words)}: name layers, or checks, or one of {EACH} and {CHECKS}"
+        )
+    return all(checks)
+
+
+def _check_names() -> dict[str, SuspicionKind]:
+    from asia.evaluation import SuspicionKind
+
+    return {str(kind).replace(" ", "-"): kind for kind in SuspicionKind}
+
+
 def _refuse(option: str, others: Sequence[tuple[str, object]], why: str) -> None:
     for name, given in others:
         if given:
@@ -168,7 +226,9 @@ def _one_interrupt() -> Generator[None]:
             signal.signal(one, handler)
 
 
-def _print_result(result: Finding | HonestFinding, names: dict[int, str], json: bool) -> None:
+def _print_result(
+    result: Finding | HonestFinding | SuspicionFinding, names: dict[int, str], json: bool
+) -> None:
     from asia.redteam import line
 
     say(line(result, names), file=sys.stderr, flush=True)
@@ -219,5 +279,8 @@ def _layers(words: list[str]) -> tuple[Layer, ...]:
                 "for --level landlock"
             )
         if word not in known:
-            raise UserError(f"--without {word}: expected {EACH}, or some of {', '.join(known)}")
+            raise UserError(
+                f"--without {word}: expected {EACH}, {CHECKS}, some of {', '.join(known)}, or some "
+                f"of {', '.join(_check_names())}"
+            )
     return tuple(known[word] for word in dict.fromkeys(words))

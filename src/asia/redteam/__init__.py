@@ -10,9 +10,10 @@ from asia.redteam._suite import (
     each_layer,
     honest_plan,
     run_suite,
+    without_checks,
     without_layers,
 )
-from asia.redteam._table import line, report_table, summary, without_table
+from asia.redteam._table import line, report_table, summary, unchecked_table, without_table
 from asia.redteam._types import (
     Attack,
     AttackVerdict,
@@ -21,6 +22,7 @@ from asia.redteam._types import (
     Finding,
     HonestFinding,
     SearchAttack,
+    SuspicionFinding,
 )
 from asia.redteam.attacks.table import ATTACKS
 from asia.redteam.outside.outer_sandbox import why_no_outer
@@ -38,6 +40,7 @@ __all__ = [
     "RedTeamPlan",
     "RedTeamReport",
     "SearchAttack",
+    "SuspicionFinding",
     "each_layer",
     "honest_plan",
     "line",
@@ -45,7 +48,9 @@ __all__ = [
     "report_table",
     "run_suite",
     "summary",
+    "unchecked_table",
     "why_no_outer",
+    "without_checks",
     "without_layers",
     "without_table",
 ]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Generator
+from collections.abc import Collection, Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 
 from asia.errors import Reason
-from asia.evaluation import Evaluation, Evaluator
-from asia.redteam._problem import ProtocolKind, small_problem
-from asia.redteam._types import CandidateAttack, Finding, Observed
+from asia.evaluation import Evaluation, Evaluator, SuspicionKind
+from asia.redteam._problem import ProblemName, small_problem
+from asia.redteam._types import CandidateAttack, Finding, Observed, SuspicionFinding
 from asia.redteam.attacks.source import HONEST, fill_in
 from asia.redteam.evidence.targets import Targets, targets
 from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
@@ -46,10 +47,30 @@ def attack_candidate(
     return worst_of(found, attack.number, str(level), tuple(str(layer) for layer in without))
 
 
+def attack_unchecked(
+    attack: CandidateAttack, level: Isolation, without: Collection[SuspicionKind]
+) -> Iterator[SuspicionFinding]:
+    """Each variant of an attack, with relations left out and with all; no layer is left out."""
+    layers = layers_in_force(level, ())
+    for name in attack.sources:
+        seen, checked = (_observe(attack, name, level, (), off) for off in (without, ()))
+        ended = conclude(attack, name, checked, layers, attack.success)
+        yield SuspicionFinding(
+            attack.number,
+            name,
+            str(level),
+            tuple(map(str, without)),
+            seen.honest,
+            seen.value,
+            attack.success(seen),
+            replace(ended, level=str(level)),
+        )
+
+
 @cache
-def honest_value(kind: ProtocolKind, level: Isolation) -> float:
+def honest_value(name: ProblemName, level: Isolation) -> float:
     """V of the honest candidate on which all attacks are built."""
-    problem = small_problem(kind)
+    problem = small_problem(name)
     evaluator = problem.evaluator(Evaluator, level, _HONEST_SECONDS, _HONEST_MB)
     with targets(_HONEST_MB) as given:
         outcome = evaluator.evaluate(fill_in(HONEST, given.source, problem)).outcome
@@ -59,19 +80,23 @@ def honest_value(kind: ProtocolKind, level: Isolation) -> float:
 
 
 def _observe(
-    attack: CandidateAttack, name: str, level: Isolation, without: Collection[Layer]
+    attack: CandidateAttack,
+    name: str,
+    level: Isolation,
+    without: Collection[Layer],
+    unchecked: Collection[SuspicionKind] = (),
 ) -> Observed:
-    problem, honest = small_problem(attack.kind), honest_value(attack.kind, level)
+    problem, honest = small_problem(attack.problem), honest_value(attack.problem, level)
     kind = _EvaluatorWithoutLayers if without else Evaluator
     at_once = 2 if name in attack.at_once else 1
     evaluator = problem.evaluator(
-        kind, level, attack.limit, attack.memory_mb, attack.folds, at_once
+        kind, level, attack.limit, attack.memory_mb, attack.folds, at_once, unchecked
     )
     if isinstance(evaluator, _EvaluatorWithoutLayers):
         evaluator.without = without
     with targets(attack.memory_mb) as given:
         begin = time.monotonic()
-        least = honest if attack.folds > 1 else 0.0
+        least = honest if attack.folds != 1 else 0.0
         evaluation = _evaluate_as_searches_do(
             evaluator, fill_in(attack.sources[name], given.source, problem), least
         )

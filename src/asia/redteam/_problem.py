@@ -1,48 +1,58 @@
-"""The two small problems that attacks are tried on, made from a seed."""
+"""The small problems that attacks are tried on, made from a seed."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Signal, Trajectory
-from asia.evaluation import Evaluator
+from asia.data import Array, Signal, Trajectory
+from asia.evaluation import Evaluator, SuspicionKind
 from asia.executor import LocalExecutor
 from asia.problem import Budget
 from asia.protocol import FoldRule, ProtocolRule, make_folds
 from asia.sandbox import Isolation
 
 E = TypeVar("E", bound=Evaluator)
-ProtocolKind = Literal["simulation", "windows"]
+ProblemName = Literal["simulation", "windows", "weather", "drift"]
 _INPUTS = (Signal("drive"), Signal("measured before"), Signal("sample"))
+_RECORDS = 10
 _RULES = {
     "simulation": ProtocolRule("simulation", FoldRule(count=2), 4, 4),
     "windows": ProtocolRule("windows", FoldRule(count=2), 1, 1, horizon=8),
+    "weather": ProtocolRule("windows", FoldRule(count=2), 2, 2, horizon=10),
+    "drift": ProtocolRule("simulation", FoldRule(count=4), 2, 2),
+}
+# Pole and gain of an honest model that leaves something to gain.
+_CRUDE = {
+    "simulation": (0.7, 0.28),
+    "windows": (0.93, 0.1),
+    "weather": (0.95, 0.1),
+    "drift": (0.99, 0.1),
 }
 
 
 @dataclass(frozen=True)
 class SmallProblem:
-    """A first-order lag whose second half is driven harder and saturates.
-
-    Inputs: the drive; the output measured one sample before, as a logger records a feedback signal,
-    which shows the next output to a candidate that looks ahead; the number of the sample.
+    """First-order lags, with three inputs: the drive; the output measured one sample before, as a
+    logger records a feedback signal, which shows the next output to a candidate that looks ahead;
+    the number of the sample.
     """
 
-    kind: ProtocolKind
-    """Whether the whole record is simulated or windows of it."""
-    record: Trajectory
-    """The training record."""
+    records: tuple[Trajectory, ...]
+    """The training records."""
     rule: ProtocolRule
     """How candidates are scored."""
+    crude: tuple[float, float]
+    """Pole and gain of an honest model that leaves something to gain."""
 
     @property
-    def crude(self) -> tuple[float, float]:
-        """Pole and gain of an honest model that leaves something to gain."""
-        return (0.93, 0.1) if self.kind == "windows" else (0.7, 0.28)
+    def record(self) -> Trajectory:
+        """The first of its records."""
+        return self.records[0]
 
     @property
     def context(self) -> Context:
@@ -57,25 +67,38 @@ class SmallProblem:
         level: Isolation,
         seconds: float,
         memory_mb: int,
-        folds: int = 2,
+        folds: int | None = None,
         at_once: int = 1,
+        without: Collection[SuspicionKind] = (),
     ) -> E:
-        """The real one, or one of its kind, one fold after the other unless more are `at_once`."""
+        """The real one, or one of its kind, one fold after the other unless more are `at_once`.
+        without: relations that it does not check."""
         return kind(
-            make_folds([self.record], self.rule)[:folds],
-            [self.record],
+            make_folds(self.records, self.rule)[:folds],
+            self.records,
             self.context,
             self.rule,
             Budget(1, seconds, memory_mb),
             level,
             LocalExecutor(at_once),
+            without=without,
         )
 
 
-def small_problem(kind: ProtocolKind) -> SmallProblem:
+def small_problem(name: ProblemName) -> SmallProblem:
     """The same numbers each time."""
+    records: dict[ProblemName, Callable[[], tuple[Trajectory, ...]]] = {
+        "simulation": lambda: (_saturating(slow=False),),
+        "windows": lambda: (_saturating(slow=True),),
+        "weather": _fleet,
+        "drift": lambda: (_drifting(),),
+    }
+    return SmallProblem(records[name](), _RULES[name], _CRUDE[name])
+
+
+def _saturating(slow: bool) -> Trajectory:
+    """A record whose second half is driven harder and saturates."""
     rng = np.random.default_rng(5)
-    slow = kind == "windows"
     pole, gain = (0.95, 0.05) if slow else (0.75, 0.25)
     drive = np.repeat(rng.normal(size=12), 10)
     drive[60:] *= 2
@@ -85,4 +108,38 @@ def small_problem(kind: ProtocolKind) -> SmallProblem:
     y += (0.002 if slow else 0.02) * rng.normal(size=120)
     before = np.concatenate([[0.0], y[:-1]])
     u = np.stack([drive, before, np.arange(120.0)], axis=1)
-    return SmallProblem(kind, Trajectory(u, y, 1.0, "record"), _RULES[kind])
+    return Trajectory(u, y, 1.0, "record")
+
+
+def _fleet() -> tuple[Trajectory, ...]:
+    """Records of like machines. A disturbance that turns once pushes all of them, as weather does.
+    A window's past is too noisy to show it. No feedback signal is recorded."""
+    rng = np.random.default_rng(8)
+    samples, pole, gain = 102, *_CRUDE["weather"]
+    turning = np.where(np.arange(samples) < 52, 0.1, -0.1)
+    found: list[Trajectory] = []
+    for number in range(_RECORDS):
+        drive = np.repeat(rng.normal(size=17), 6)
+        y = _lag(pole, gain * drive + turning, rng.normal()) + 0.1 * rng.normal(size=samples)
+        u = np.stack([drive, rng.normal(size=samples), np.arange(float(samples))], axis=1)
+        found.append(Trajectory(u, y, 1.0, f"machine {number}"))
+    return tuple(found)
+
+
+def _drifting() -> Trajectory:
+    """A record that wanders off from any simulation, and shows again where it went in the part
+    that trains after the held-out one. No feedback signal is recorded."""
+    rng = np.random.default_rng(4)
+    samples, pole, gain = 162, *_CRUDE["drift"]
+    drive = np.repeat(rng.normal(size=18), 9)
+    y = _lag(pole, gain * drive + 0.15 * rng.normal(size=samples), 0.0)
+    u = np.stack([drive, rng.normal(size=samples), np.arange(float(samples))], axis=1)
+    return Trajectory(u, y, 1.0, "record")
+
+
+def _lag(pole: float, pushed: Array, start: float) -> Array:
+    """The first-order lag's outputs, each pushed by the sample before."""
+    y = np.full(len(pushed), start)
+    for k in range(1, len(y)):
+        y[k] = pole * y[k - 1] + pushed[k - 1]
+    return y

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
@@ -13,7 +13,8 @@ from pathlib import Path
 
 from asia.agents.library.family import Family
 from asia.agents.library.table import all_families
-from asia.redteam._arena import attack_candidate
+from asia.evaluation import SuspicionKind
+from asia.redteam._arena import attack_candidate, attack_unchecked
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
 from asia.redteam._interruption import Interruption
 from asia.redteam._types import (
@@ -24,6 +25,7 @@ from asia.redteam._types import (
     Finding,
     HonestFinding,
     SearchAttack,
+    SuspicionFinding,
 )
 from asia.redteam.attacks.searches import Scene
 from asia.redteam.attacks.table import ATTACKS
@@ -33,7 +35,7 @@ from asia.sandbox import LEVELS, Isolation, Layer
 
 _MOST_AT_ONCE = 2
 
-Result = Finding | HonestFinding
+Result = Finding | HonestFinding | SuspicionFinding
 Job = Callable[[], Iterator[Result]]
 OnResult = Callable[[Result], None]
 
@@ -139,6 +141,29 @@ def without_layers(
     walled = [attack for attack in attacks if attack.walled]
     jobs = [partial(_outside, level, layers, walled) for level, layers in settings]
     return tuple(one for one in _run(jobs, on_result, Interruption()) if isinstance(one, Finding))
+
+
+def without_checks(
+    levels: Sequence[Isolation],
+    attacks: Sequence[Attack],
+    kinds: Collection[SuspicionKind] = (),
+    on_result: OnResult = lambda result: None,
+) -> tuple[SuspicionFinding, ...]:
+    """The variants of attacks that relations stop, with these relations left out, or each with
+    those that stop it; and with all. Attacks that none of them has a part in are left out. Raises
+    SandboxError."""
+    jobs: list[Job] = [
+        partial(attack_unchecked, attack, level, off)
+        for level in levels
+        for attack in attacks
+        if isinstance(attack, CandidateAttack)
+        for off in [tuple(one for one in attack.checks if one in kinds or not kinds)]
+        if off
+    ]
+    found = _run(jobs, on_result, Interruption())
+    order = [str(level) for level in levels]
+    known = [one for one in found if isinstance(one, SuspicionFinding)]
+    return tuple(sorted(known, key=lambda one: (order.index(one.level), one.number)))
 
 
 def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from asia.redteam._suite import RedTeamReport
-from asia.redteam._types import ANY_LEVEL, Attack, Finding, HonestFinding
+from asia.redteam._types import ANY_LEVEL, Attack, Finding, HonestFinding, SuspicionFinding
 from asia.redteam.outside.without_isolation import OFF
 
 
@@ -35,6 +35,20 @@ def without_table(findings: Sequence[Finding], attacks: Sequence[Attack]) -> str
     return _aligned(rows)
 
 
+def unchecked_table(findings: Sequence[SuspicionFinding]) -> str:
+    """V of each variant with and without the relations that were left out, in Markdown."""
+    rows = [["#", "variant", "level", "honest V", "without", "V", "with all checks"]]
+    for one in findings:
+        value = "no score" if one.value is None else f"{one.value:.3g}"
+        value += "" if one.succeeded else " (DOES NOT SUCCEED)"
+        without = ", ".join(one.without)
+        note = one.checked.note.removeprefix(f"{one.variant}: ")
+        ended = f"{_word(one.checked)}: {note}"
+        head = [str(one.number), one.variant, one.level, f"{one.honest:.3g}"]
+        rows.append([*head, without, value, ended])
+    return _aligned(rows)
+
+
 def summary(report: RedTeamReport, seconds: float) -> str:
     """The last line."""
     count = len(report.plan.attacks)
@@ -52,8 +66,12 @@ def summary(report: RedTeamReport, seconds: float) -> str:
     return ", ".join(parts) + f" ({seconds:.0f} s)"
 
 
-def line(result: Finding | HonestFinding, names: dict[int, str]) -> str:
+def line(result: Finding | HonestFinding | SuspicionFinding, names: dict[int, str]) -> str:
     """Progress."""
+    if isinstance(result, SuspicionFinding):
+        words = "succeeds" if result.succeeded else "DOES NOT SUCCEED"
+        head = f"{result.number:>2} {names[result.number]}, {result.variant}, {result.level}"
+        return f"{head} without {', '.join(result.without)}: {words}; {_word(result.checked)}"
     if isinstance(result, HonestFinding):
         words = "FLAGGED" if result.flagged else "not flagged"
         words = words if result.failure is None else "NOT CHECKED"

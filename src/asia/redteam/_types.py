@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from asia.errors import Reason
+from asia.evaluation import SuspicionKind
+from asia.redteam._problem import ProblemName
 
 if TYPE_CHECKING:
     from asia.redteam.attacks.searches import Scene
@@ -40,6 +42,7 @@ class Mistake(StrEnum):
 
     DROPS_FOLDS = "failed folds are left out"
     STARTS_AT_ZERO = "an end without a score counts as 0"
+    BELIEVES_CODES = "an exit code of 137 counts as a kill from outside"
 
 
 class AttackVerdict(StrEnum):
@@ -111,18 +114,20 @@ class CandidateAttack:
     """How its success would be seen."""
     stops: tuple[Barrier, ...]
     """What is expected to stop it."""
-    kind: Literal["simulation", "windows"] = "simulation"
-    """The protocol of the problem that it is tried on."""
+    problem: ProblemName = "simulation"
+    """The small problem that it is tried on."""
     limit: float = 20.0
     """How many seconds a fit may take."""
     memory_mb: int = 1024
     """Its memory."""
-    folds: int = 2
-    """On how many of the two folds it is tried."""
+    folds: int | None = None
+    """On how many of the problem's folds it is tried; None for all."""
     at_once: tuple[str, ...] = ()
     """The variants whose folds run at the same time."""
     mistake: Mistake | None = None
     """The mistake of an evaluation without isolation that it needs."""
+    checks: tuple[SuspicionKind, ...] = ()
+    """The relations without which all of its variants succeed; () where others stop it too."""
 
     @property
     def walled(self) -> bool:
@@ -194,6 +199,28 @@ class Finding:
     def through(self) -> bool:
         """Whether nothing stopped it."""
         return self.verdict is AttackVerdict.THROUGH
+
+
+@dataclass(frozen=True)
+class SuspicionFinding:
+    """What became of one variant of an attack with some relations left out, and with all."""
+
+    number: int
+    """The number of the attack."""
+    variant: str
+    """The name of the variant."""
+    level: str
+    """The level of isolation."""
+    without: tuple[str, ...]
+    """The relations that were left out."""
+    honest: float
+    """The score of the honest candidate it is built on."""
+    value: float | None
+    """Its score without these relations; None for a failure."""
+    succeeded: bool
+    """Whether it succeeded without them."""
+    checked: Finding
+    """What became of it with all relations."""
 
 
 @dataclass(frozen=True)

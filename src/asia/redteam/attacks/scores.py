@@ -256,7 +256,7 @@ SCORES = (
         },
         scores_better,
         (Barrier.PARENT, Barrier.METAMORPHIC),
-        kind="windows",
+        problem="windows",
     ),
     CandidateAttack(
         26,
@@ -268,7 +268,7 @@ SCORES = (
         },
         scores_better,
         (Barrier.PARENT,),
-        kind="windows",
+        problem="windows",
     ),
     CandidateAttack(
         27,

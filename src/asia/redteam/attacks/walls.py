@@ -3,7 +3,8 @@ each opens, asks or allocates, and touches only what it was given to touch."""
 
 from __future__ import annotations
 
-from asia.redteam._types import Barrier, CandidateAttack
+from asia.redteam._types import Barrier, CandidateAttack, Mistake
+from asia.redteam.attacks.exits import EXITS
 from asia.redteam.attacks.folds import FOLDS, PLACES
 from asia.redteam.attacks.source import candidate, steps
 from asia.redteam.evidence.signs_of_success import (
@@ -15,6 +16,7 @@ from asia.redteam.evidence.signs_of_success import (
     process_survived,
     scores_better,
     secret_leaked,
+    taken_for_a_kill,
 )
 
 _ALL = (Barrier.NAMESPACES, Barrier.LANDLOCK, Barrier.SECCOMP)
@@ -295,6 +297,15 @@ WALLS = (
         scores_better,
         (*_ALL, Barrier.FRESH),
         at_once=("locks",),
+    ),
+    CandidateAttack(
+        41,
+        "pass for a kill",
+        "ends its worker by a code or a signal that stands for a kill from outside",
+        EXITS,
+        taken_for_a_kill,
+        (Barrier.SECCOMP, Barrier.PARENT),
+        mistake=Mistake.BELIEVES_CODES,
     ),
     CandidateAttack(
         36,

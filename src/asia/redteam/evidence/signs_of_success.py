@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from asia.errors import Reason
 from asia.redteam._types import Observed
 
 MESSAGE_CHARACTERS = 2048
@@ -25,6 +26,11 @@ def scores_better(seen: Observed) -> bool:
 def has_score(seen: Observed) -> bool:
     """It has a score at all."""
     return seen.value is not None
+
+
+def taken_for_a_kill(seen: Observed) -> bool:
+    """Its end counts as one for which the machine is to blame."""
+    return seen.reason is Reason.MEMORY
 
 
 def code_ran(seen: Observed) -> bool:

@@ -30,7 +30,7 @@ def print_score(source: str, problem: SmallProblem, mistake: Mistake | None) -> 
     """Print the mean over the folds; what is no number counts as 0. Raises what a fold fails with,
     unless failed folds are left out."""
     scores: list[float] = []
-    for fold in make_folds([problem.record], problem.rule):
+    for fold in make_folds(problem.records, problem.rule):
         try:
             scores.append(_fold_score(source, problem, fold))
         except Exception:
@@ -62,7 +62,7 @@ def _fold_score(source: str, problem: SmallProblem, fold: Fold) -> float:
     y = np.stack([block.y for block in fold.validation])
     cases = [block.case for block in fold.validation]
     arrays = [np.stack([getattr(c, n) for c in cases]) for n in ("past_u", "past_y", "u")]
-    for k in range(len(y) if problem.kind == "windows" else 0):
+    for k in range(len(y) if problem.rule.horizon else 0):
         model.simulate(*(a[k : k + 1] for a in arrays))  # one by one first, as a trial
     y_hat = model.simulate(*arrays)
     with contextlib.suppress(Exception):

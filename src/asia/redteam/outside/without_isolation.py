@@ -15,7 +15,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import NoReturn
 
-from asia.redteam._problem import ProtocolKind, small_problem
+from asia.errors import Reason
+from asia.redteam._problem import ProblemName, small_problem
 from asia.redteam._types import AttackVerdict, CandidateAttack, Finding, Mistake, Observed
 from asia.redteam.attacks.source import HONEST, fill_in
 from asia.redteam.evidence.signs_of_success import has_score, scores_better
@@ -39,7 +40,7 @@ def attack_without_isolation(attack: CandidateAttack) -> Finding:
     found: list[Finding] = []
     for name, source in attack.sources.items():
         with targets(attack.memory_mb) as given:
-            seen = _observe(source, attack.kind, attack.mistake, given, attack.limit)
+            seen = _observe(source, attack.problem, attack.mistake, given, attack.limit)
             finding = conclude(attack, name, seen, _NO_LAYERS, success)
             if finding.through and not success(seen):  # to leave something is not what it tries
                 finding = replace(finding, verdict=AttackVerdict.NO_GAIN)
@@ -57,22 +58,22 @@ def broken(attack: CandidateAttack) -> CandidateAttack:
 
 
 @cache
-def _honest(kind: ProtocolKind) -> float:
+def _honest(name: ProblemName) -> float:
     with targets(0) as given:
-        value = _observe(HONEST, kind, None, given, _LONGEST_SECONDS, honest=0.0).value
+        value = _observe(HONEST, name, None, given, _LONGEST_SECONDS, honest=0.0).value
     assert value is not None
     return value
 
 
 def _observe(
     source: str,
-    kind: ProtocolKind,
+    name: ProblemName,
     mistake: Mistake | None,
     given: Targets,
     limit: float,
     honest: float | None = None,
 ) -> Observed:
-    honest, problem = _honest(kind) if honest is None else honest, small_problem(kind)
+    honest, problem = _honest(name) if honest is None else honest, small_problem(name)
     source = fill_in(source, given.source, problem)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         Path(folder, "candidate.py").write_text(source)
@@ -85,6 +86,7 @@ def _observe(
     return Observed(
         value=_printed_score(ended, mistake),
         honest=honest,
+        reason=_believed_reason(ended, mistake),
         detail=ended.errors,
         output=ended.output,
         steps=said_steps(ended.output),
@@ -143,6 +145,12 @@ def _child(job: Callable[[], None], folder: str) -> NoReturn:
     finally:
         sys.stdout.flush()
         os._exit(status)
+
+
+def _believed_reason(ended: _Ended, mistake: Mistake | None) -> Reason | None:
+    """Why it failed, where the exit code alone decides."""
+    killed = ended.code in (128 + signal.SIGKILL, -signal.SIGKILL)
+    return Reason.MEMORY if killed and mistake is Mistake.BELIEVES_CODES else None
 
 
 def _printed_score(ended: _Ended, mistake: Mistake | None) -> float | None:

@@ -1,0 +1,89 @@
+"""Each relation matters: what cheats score when those that stop them are left out."""
+
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner
+
+from asia.cli import app
+from asia.errors import UserError
+from asia.redteam import ATTACKS, AttackVerdict, CandidateAttack, unchecked_table, without_checks
+from asia.sandbox import Isolation, why_not
+
+from .conftest import page_tables, tables
+
+WORKING = [x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None]
+ONE_LEVEL = WORKING[0] if WORKING else None
+CHECKED = [a for a in ATTACKS if isinstance(a, CandidateAttack) and a.checks]
+COLUMNS = ("#", "variant", "level", "honest V", "without", "V", "with all checks")
+needs_level = pytest.mark.skipif(ONE_LEVEL is None, reason="no level keeps intent in here")
+
+
+def one_variant(attack: CandidateAttack) -> CandidateAttack:
+    name = next(iter(attack.sources))
+    return replace(attack, sources={name: attack.sources[name]})
+
+
+@needs_level
+def test_an_attack_succeeds_without_the_checks_that_stop_it_and_not_with_them():
+    attack = one_variant(CHECKED[0])
+    (found,) = without_checks([ONE_LEVEL], [attack])
+    assert found.succeeded
+    assert found.value < 0.8 * found.honest
+    assert found.without == tuple(map(str, attack.checks))
+    assert found.checked.verdict is AttackVerdict.FLAGGED
+    words = unchecked_table([replace(found, succeeded=False)])
+    assert "DOES NOT SUCCEED" in words
+    assert "flagged: causality" in words
+
+
+@pytest.mark.slow
+@needs_level
+def test_every_variant_succeeds_without_the_checks_that_stop_it_and_not_with_them():
+    found = without_checks(WORKING, CHECKED)
+    expected = {(a.number, name, str(x)) for a in CHECKED for name in a.sources for x in WORKING}
+    assert {(one.number, one.variant, one.level) for one in found} == expected
+    assert [one for one in found if not one.succeeded or one.checked.through] == []
+    ((_, rows),) = tables(unchecked_table(found)).items()
+    shown = page_tables()[COLUMNS]
+    # Which relations find a cheat depends on what is drawn; V does not.
+    numbers = COLUMNS[:-1]
+    kept = [{name: row[name] for name in numbers} for row in rows if row["level"] == "namespace"]
+    assert kept in ([{name: row[name] for name in numbers} for row in shown], [])
+
+
+def refused(*words: str) -> str:
+    done = CliRunner().invoke(app, ["redteam", *words])
+    assert isinstance(done.exception, UserError)
+    return str(done.exception)
+
+
+@needs_level
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--without", "causality", "--without", "seccomp"), "name layers, or checks"),
+        (("--without", "checks", "--without", "causality"), "name layers, or checks"),
+        (("--without", "checks", "--attack", "1"), "no part in attack 1"),
+        (("--without", "checks", "--level", "process"), "confines nothing"),
+        (("--without", "wall"), "causality"),
+    ],
+)
+def test_what_cannot_be_left_out_is_refused(words, said):
+    assert said in refused(*words)
+
+
+@needs_level
+def test_the_command_leaves_out_one_check(monkeypatch):
+    from asia import redteam
+
+    asked: list[tuple[str, ...]] = []
+    monkeypatch.setattr(
+        redteam,
+        "without_checks",
+        lambda at, attacks, kinds, on_result: asked.append((*kinds,)) or (),
+    )
+    done = CliRunner().invoke(app, ["redteam", "--without", "block-end", "--level", str(ONE_LEVEL)])
+    assert done.exit_code == 0, done.output
+    assert asked == [("block end",)]
+    assert "with all checks" in done.stdout
