@@ -4,7 +4,7 @@ from typing import TypeVar
 
 import pytest
 
-from asia.executor import Executor, LocalExecutor
+from asia.executor import Executor, LocalExecutor, OneByOne
 from asia.testing import check_executor
 
 T = TypeVar("T")
@@ -23,6 +23,10 @@ class Impatient:
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         return [job() for job in jobs]
+
+
+def test_one_by_one_conforms() -> None:
+    check_executor(lambda: OneByOne(LocalExecutor(3)))
 
 
 @pytest.mark.parametrize("workers", [None, 1, 3])

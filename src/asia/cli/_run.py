@@ -68,6 +68,7 @@ def run(
         runs=runs,
         name=options.name,
         isolation=options.level,
+        isolation_strict=options.isolation_strict,
         agent_settings=driver.settings,
     )
     sinks = open_sinks(ready.directory, sink or ())

@@ -45,6 +45,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "experiments": found.finished,
         "budget": view.budget,
         "isolation": view.started.isolation,
+        "isolation_strict": view.started.isolation_strict,
         "metric": metric_of(directory),
         "early_stopping": view.started.early_stopping,
         "validation_scores": found.validation_scores,
@@ -76,7 +77,7 @@ def _print(directory: Path, found: Brief) -> None:
     beside = control(directory, view.started, found.finished)
     say(
         f"run {view.started.run}  problem {view.started.problem}  agent {view.started.agent}  "
-        f"seed {view.started.seed}  isolation {view.started.isolation}"
+        f"seed {view.started.seed}  isolation {view.started.isolation_words}"
     )
     say(
         f"{found.state}: {found.finished} of {view.budget} experiments in "

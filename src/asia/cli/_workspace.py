@@ -35,7 +35,7 @@ def workspace(
     say(f"wrote    {made.folder}: PROGRAM.md, models.md, description.md, data/, candidate.py")
     say(f"run      {prepared.directory}, {prepared.started.experiments} experiments")
     say(
-        f"judge    isolation {prepared.started.isolation}; "
+        f"judge    isolation {prepared.started.isolation_words}; "
         f"test {'sealed, ' + sealed[:8] if sealed else 'none'}"
     )
     say(f'next     cd {folder}; read PROGRAM.md; edit candidate.py; asia try -m "why it helps"')

@@ -47,6 +47,8 @@ class SearchRequest:
     """Setting in place of the problem's own."""
     isolation: str | None
     """Level asked for; None for the strongest that works."""
+    isolation_strict: bool = False
+    """Whether the folds of a candidate run one after the other."""
     records: int = 0
     """Lines that the ledger had when this was asked for."""
 

@@ -53,8 +53,9 @@ def prepare_request(request: SearchRequest, runs: Path, name: str | None) -> Pre
 
     def prepared(problem: Problem) -> Prepared:
         return prepare(
-            problem, request.agent, seed=request.seed, runs=runs, name=name, isolation=level
-        )
+            problem, request.agent, seed=request.seed, runs=runs, name=name, isolation=level,
+            isolation_strict=request.isolation_strict,
+        )  # fmt: skip
 
     problem = requested_problem(request)
     ready = prepared(problem)

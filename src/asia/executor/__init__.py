@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from typing import Protocol, TypeVar, cast
 
 from asia._nearest import suggestion
 from asia._plugins import Part, parts_of
 from asia.errors import UserError
 
-__all__ = ["EXECUTORS", "Executor", "LocalExecutor", "executor_names", "make_executor"]
+__all__ = ["EXECUTORS", "Executor", "LocalExecutor", "OneByOne", "executor_names", "make_executor"]
 
 _GROUP = "asia.executors"
 
@@ -44,6 +45,27 @@ class LocalExecutor:
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
         return [future.result() for future in futures]
+
+
+@dataclass(frozen=True)
+class OneByOne:
+    """Another executor that is given one job at a time: no two workers of ours run at once."""
+
+    executor: Executor
+    """What runs the jobs."""
+
+    def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
+        """Results in the order of `jobs`."""
+        results: list[T] = []
+        errors: list[Exception] = []
+        for job in jobs:
+            try:
+                results += self.executor.run([job])
+            except Exception as error:  # noqa: BLE001 - raised below, once all have run
+                errors.append(error)
+        if errors:
+            raise errors[0]
+        return results
 
 
 EXECUTORS: dict[str, Callable[[], Executor]] = {"local": LocalExecutor}

@@ -62,7 +62,15 @@ class Started:
     """The layers of the isolation that were in force."""
     salt: str = ""
     """Seeds the choice of cases that new bests are checked on; never shown to agents."""
+    isolation_strict: bool = False
+    """Whether the folds of a candidate ran one after the other, so that none could tell another
+    one anything while both ran."""
     event: Literal["started"] = "started"
+
+    @property
+    def isolation_words(self) -> str:
+        """The level, and whether folds ran one after the other."""
+        return f"{self.isolation}, strict" if self.isolation_strict else self.isolation
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def journal(view: SearchView) -> str:
     parts = [
         f"# Search journal: {markdown_line(start.run)}\n\n"
         f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
-        f"seed {start.seed}, isolation {start.isolation}.\n{_setting(view)}"
+        f"seed {start.seed}, isolation {start.isolation_words}.\n{_setting(view)}"
     ]
     parts += [_entry(view, e, i) for i, e in enumerate(view.finished)]
     return "\n".join(parts)

@@ -17,7 +17,7 @@ from asia.agents import Agent, packages_of
 from asia.candidate import Context, check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
-from asia.executor import Executor, LocalExecutor
+from asia.executor import Executor, LocalExecutor, OneByOne
 from asia.ledger import (
     RESUMABLE,
     Chain,
@@ -74,11 +74,13 @@ def prepare(
     runs: Path,
     name: str | None = None,
     isolation: Isolation | None = None,
+    isolation_strict: bool = False,
     agent_settings: Mapping[str, str] | None = None,
 ) -> Prepared:
     """Check everything a search needs and compare with what is on disk. Writes nothing.
 
-    agent_settings: what shapes the agent's proposals beside its name.
+    isolation_strict: the folds of a candidate run one after the other. agent_settings: what shapes
+    the agent's proposals beside its name.
 
     Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
     other settings.
@@ -110,6 +112,7 @@ def prepare(
         guard_digest=sealed.guard,
         layers=tuple(layer.value for layer in found.layers),
         salt=secrets.token_hex(16),
+        isolation_strict=isolation_strict,
     )
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
@@ -170,6 +173,7 @@ def make_evaluator(
 ) -> Evaluator:
     """The evaluator of a run, at the isolation its ledger records."""
     rule = problem.protocol
+    runs_on = executor or LocalExecutor()
     context = Context(
         inputs=problem.inputs,
         outputs=problem.outputs,
@@ -188,7 +192,7 @@ def make_evaluator(
         rule=rule,
         budget=problem.budget,
         isolation=Isolation(view.started.isolation),
-        executor=executor or LocalExecutor(),
+        executor=OneByOne(runs_on) if view.started.isolation_strict else runs_on,
         salt=view.started.salt,
     )
 
@@ -274,7 +278,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
     for what, there, now in (
         ("agent", start.agent, wanted.agent),
         ("seed", start.seed, wanted.seed),
-        ("isolation", start.isolation, wanted.isolation),
+        ("isolation", start.isolation_words, wanted.isolation_words),
     ):
         if there != now:
             raise UserError(

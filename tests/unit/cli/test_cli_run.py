@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.unit.search.toy import write_problem
+
 from .conftest import Asia, Searched
 
 
@@ -65,6 +67,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
     answer = json.loads(done.out)
     assert set(answer) == {
         "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
+            "isolation_strict",
         "early_stopping", "validation_scores", "best", "rungs",
         "control", "stopped", "usage", "metric",
     }  # fmt: skip
@@ -193,3 +196,15 @@ def test_version(asia: Asia) -> None:
     from asia import __version__
 
     assert asia("--version").out == f"asia {__version__}\n"
+
+
+def test_strict_isolation_is_told(tmp_path: Path, asia: Asia) -> None:
+    problem = write_problem(tmp_path / "toy")
+    words = ("--agent", "random", "--experiments", 1, "--runs", tmp_path / "runs")
+    found = asia("run", problem, *words, "--isolation-strict")
+    assert found.code == 0, found.err
+    assert ", strict" in found.out.splitlines()[0]
+    run = tmp_path / "runs" / "toy-random-s0"
+    assert ", strict" in asia("status", run).out.splitlines()[0]
+    assert json.loads(asia("status", run, "--json").out)["isolation_strict"] is True
+    assert ", strict" in asia("show", run, "1").out

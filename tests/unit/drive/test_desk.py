@@ -4,13 +4,14 @@ from pathlib import Path
 
 import pytest
 
+from asia._text import one_line
 from asia.agents import Proposal
 from asia.drive import RunDesk, SearchRequest, prepare_request, wait
 from asia.drive._desk import Submission
 from asia.drive._queue import Queue
 from asia.drive._serve import clear_known, serve
 from asia.errors import Reason, UserError
-from asia.ledger import Evaluated, Proposed, Run, Stopped, Unsealing, one_line, open_run
+from asia.ledger import Evaluated, Proposed, Run, Stopped, Unsealing, open_run
 from asia.scoring import Failure
 from asia.search._agent_view import digest
 from tests.unit.search.toy import CRASH, arx

@@ -36,6 +36,10 @@ class SearchOptions:
         str | None,
         typer.Option(help="Ask for a level instead of the strongest: landlock or process."),
     ] = None
+    isolation_strict: Annotated[
+        bool,
+        typer.Option("--isolation-strict", help="Fit folds one by one: slower, no whispering."),
+    ] = False
 
     @property
     def level(self) -> Isolation | None:
@@ -89,6 +93,7 @@ class SearchOptions:
             hours=self.hours,
             early_stopping=self.early_stopping,
             isolation=self.isolation,
+            isolation_strict=self.isolation_strict,
         )
 
     def words(self) -> list[str]:
@@ -101,4 +106,5 @@ class SearchOptions:
             ("--early-stopping", self.early_stopping),
             ("--isolation", self.isolation),
         )
-        return [w for option, value in pairs if value is not None for w in (option, str(value))]
+        words = [w for option, value in pairs if value is not None for w in (option, str(value))]
+        return [*words, *(["--isolation-strict"] if self.isolation_strict else [])]

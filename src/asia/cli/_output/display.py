@@ -111,7 +111,7 @@ class TextDisplay:
         self._print(
             f"ASIA {__version__}  run {start.run}  problem {problem.name}  "
             f"u:{len(problem.inputs)} y:{len(problem.outputs)}  N={samples}  "
-            f"Ts={problem.sampling_time:g} s  isolation {start.isolation}"
+            f"Ts={problem.sampling_time:g} s  isolation {start.isolation_words}"
         )
         sealed = f"sealed sha256:{start.test_digest[:8]}" if start.test_digest else "none"
         self._print(

@@ -32,6 +32,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     console.print(printable_line(f"hypothesis  {p.hypothesis}"))
     console.print(printable_line(f"expected    {p.expected}"))
     console.print(printable_line(f"result      {describe_result(experiment, run.view)}"))
+    console.print(f"isolation   {run.view.started.isolation_words}")
     if r is None:
         return
     console.print(f"decision    {r.status}")

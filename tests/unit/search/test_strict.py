@@ -1,0 +1,69 @@
+"""--isolation-strict: no two workers of a candidate at once, and the ledger says so."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from asia.agents import make_agent
+from asia.errors import UserError
+from asia.evaluation import _evaluator as evaluator_module
+from asia.executor import LocalExecutor
+from asia.ledger import open_run
+from asia.problem.load import load_problem
+from asia.sandbox import Isolation, Limits, Worker, open_worker
+from asia.search import Prepared, prepare, search
+from tests.unit.search.toy import write_problem
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many workers were open whenever one was opened."""
+    there: set[Worker] = set()
+    found: list[int] = []
+
+    def counted(level: Isolation, limits: Limits) -> Worker:
+        worker = open_worker(level, limits)
+        there.add(worker)
+        close: Callable[[], None] = worker.close
+
+        def closed() -> None:
+            close()
+            there.discard(worker)
+
+        monkeypatch.setattr(worker, "close", closed)
+        found.append(len(there))
+        return worker
+
+    monkeypatch.setattr(evaluator_module, "open_worker", counted)
+    return found
+
+
+def prepared(root: Path, *, strict: bool) -> Prepared:
+    problem = root / "toy"
+    if not problem.is_dir():
+        write_problem(problem, experiments=2)
+    return prepare(
+        load_problem(problem), "random", seed=0, runs=root / "runs", isolation_strict=strict
+    )
+
+
+@pytest.mark.parametrize("strict", [True, False])
+def test_folds_run_one_by_one_when_asked(tmp_path: Path, at_once: list[int], strict: bool) -> None:
+    ready = prepared(tmp_path, strict=strict)
+    agent = make_agent("random")
+    search(ready, agent, lambda *event: None, lambda view: None, LocalExecutor(3))
+    assert len(at_once) > 6
+    assert (max(at_once) == 1) is strict
+    run = open_run(ready.directory)
+    assert run.view.started.isolation_strict is strict
+    words = "strict" in (ready.directory / "search_journal.md").read_text()
+    assert words is strict
+
+
+def test_a_run_goes_on_as_it_began(tmp_path: Path) -> None:
+    ready = prepared(tmp_path, strict=True)
+    search(ready, make_agent("random"), lambda *event: None, lambda view: None)
+    again = prepared(tmp_path, strict=False)
+    with pytest.raises(UserError, match=r"has isolation \w+, strict, not \w+: choose"):
+        search(again, make_agent("random"), lambda *event: None, lambda view: None)
