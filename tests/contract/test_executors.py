@@ -4,7 +4,7 @@ from typing import TypeVar
 
 import pytest
 
-from asia.executor import Executor, LocalExecutor, OneByOne
+from asia.executor import Executor, LocalExecutor, SequentialExecutor
 from asia.testing import check_executor
 
 T = TypeVar("T")
@@ -26,7 +26,7 @@ class Impatient:
 
 
 def test_one_by_one_conforms() -> None:
-    check_executor(lambda: OneByOne(LocalExecutor(3)))
+    check_executor(lambda: SequentialExecutor(LocalExecutor(3)))
 
 
 @pytest.mark.parametrize("workers", [None, 1, 3])

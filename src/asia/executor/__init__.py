@@ -12,7 +12,14 @@ from asia._nearest import suggestion
 from asia._plugins import Part, parts_of
 from asia.errors import UserError
 
-__all__ = ["EXECUTORS", "Executor", "LocalExecutor", "OneByOne", "executor_names", "make_executor"]
+__all__ = [
+    "EXECUTORS",
+    "Executor",
+    "LocalExecutor",
+    "SequentialExecutor",
+    "executor_names",
+    "make_executor",
+]
 
 _GROUP = "asia.executors"
 
@@ -48,7 +55,7 @@ class LocalExecutor:
 
 
 @dataclass(frozen=True)
-class OneByOne:
+class SequentialExecutor:
     """Another executor that is given one job at a time: no two workers of ours run at once."""
 
     executor: Executor

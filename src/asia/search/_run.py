@@ -17,7 +17,7 @@ from asia.agents import Agent, packages_of
 from asia.candidate import Context, check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, derive_seed
-from asia.executor import Executor, LocalExecutor, OneByOne
+from asia.executor import Executor, LocalExecutor, SequentialExecutor
 from asia.ledger import (
     RESUMABLE,
     Chain,
@@ -192,7 +192,7 @@ def make_evaluator(
         rule=rule,
         budget=problem.budget,
         isolation=Isolation(view.started.isolation),
-        executor=OneByOne(runs_on) if view.started.isolation_strict else runs_on,
+        executor=SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
         salt=view.started.salt,
     )
 
