@@ -47,6 +47,12 @@ personality 135 92; sethostname 170 161; setdomainname 171 162; settimeofday 164
 clock_settime 227 112; clock_adjtime 305 266; adjtimex 159 171; kexec_load 246 104
 kexec_file_load 320 294; init_module 175 105; finit_module 313 273; delete_module 176 106
 iopl 172 -; ioperm 173 -; modify_ldt 154 -; timer_create 222 107
+sysinfo 99 179; statfs 137 43; fstatfs 138 44; ustat 136 -; sysfs 139 -
+pipe 22 -; pipe2 293 59; eventfd 284 -; eventfd2 290 19; epoll_create 213 -; epoll_create1 291 20
+timerfd_create 283 85; signalfd 282 -; signalfd4 289 74; membarrier 324 283
+getpgid 121 155; getsid 124 156; getpriority 140 141; sched_getscheduler 145 120
+sched_getparam 143 121; sched_getattr 315 275; sched_rr_get_interval 148 127; ioprio_get 252 31
+get_robust_list 274 100
 """
 _CHECKED = """
 clone 56 220; clone3 435 435; kill 62 129; tgkill 234 131; prlimit64 302 261; fcntl 72 25

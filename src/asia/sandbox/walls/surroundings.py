@@ -22,8 +22,7 @@ _FACTS = (
     *(f"/proc/self/{name}" for name in ("cmdline", "environ", "fd", "maps", "stat", "statm")),
     "/proc/cpuinfo",
     "/proc/sys/vm/overcommit_memory",
-    "/sys/devices/system/cpu",
-    "/sys/devices/system/node",
+    *(f"/sys/devices/system/cpu/{name}" for name in ("online", "possible", "present")),
 )
 
 
