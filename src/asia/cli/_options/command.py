@@ -33,7 +33,9 @@ class CommandOptions:
         str | None,
         _option(help="Command line of an agent of your own, with {prompt} or {prompt_file} in it."),
     ] = None
-    agent_minutes: Annotated[float | None, _option(help="Most minutes of one sitting.")] = None
+    agent_minutes: Annotated[
+        float | None, _option(help="Stop it this many minutes after this command starts.")
+    ] = None
     stuck_minutes: Annotated[
         float, _option(help="Stop it after so many without a new experiment.")
     ] = 30.0
