@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.data import Array, Trajectory
+from asia.data._magnitudes import LEAST_RANGE
 from asia.errors import UserError
 from asia.protocol._cuts import Excerpt, least_case, splits, windows
 from asia.protocol._rules import ProtocolRule
@@ -136,7 +137,7 @@ def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array
         raise UserError(f"fold {index + 1} has no training record longer than the past window")
     samples = [t.y for t in train] if rule.horizon is None else [b.y for b in whole(train, rule)]
     y = np.concatenate(samples)
-    moves = y.max(axis=0) > y.min(axis=0)
+    moves = y.max(axis=0) - y.min(axis=0) > LEAST_RANGE
     if not moves.all():
         channel = int(np.argmin(moves)) + 1
         raise UserError(

@@ -108,3 +108,11 @@ def test_a_constant_output_is_refused() -> None:
 def test_too_few_samples_are_refused() -> None:
     with pytest.raises(UserError, match="too few"):
         make_folds([record(11)], ProtocolRule(past_inputs=10, past_outputs=10))
+
+
+def test_an_output_that_hardly_moves_in_one_fold_is_refused() -> None:
+    """Its square would underflow, and with it every error."""
+    t = np.arange(60.0)
+    y = np.where(t < 30, t, 1e-310 * t)[:, None]
+    with pytest.raises(UserError, match="output 1 is constant over the training samples of fold 1"):
+        make_folds([Trajectory(t, y, 1.0, "r")], ProtocolRule(past_inputs=0, past_outputs=0))
