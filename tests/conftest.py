@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 
 from asia.evaluation import LINEAR
+from tests.compiled import compile_cheaply, kept
+
+compile_cheaply()
 
 QUICK = Path(__file__).parent / "quick"
 _RUNG = "asia.evaluation._rungs.LINEAR"
@@ -25,3 +28,10 @@ def quick_linear_rung() -> Iterator[None]:
 def real_linear_rung(monkeypatch: pytest.MonkeyPatch) -> None:
     """For the tests whose subject it is."""
     monkeypatch.setattr(_RUNG, LINEAR)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once(pytestconfig: pytest.Config) -> Iterator[None]:
+    """A program that an earlier test or an earlier run compiled is not compiled again."""
+    with kept(pytestconfig.rootpath / "build" / "compiled"):
+        yield

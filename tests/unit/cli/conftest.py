@@ -2,13 +2,14 @@ import contextlib
 import io
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from asia.cli import main
+from tests.unit.painting import painted, unpainted
 from tests.unit.search.toy import write_problem
 
 
@@ -51,14 +52,22 @@ class Searched:
         return self.runs / self.name
 
 
+@pytest.fixture(scope="package", autouse=True)
+def unpainted_pictures() -> Iterator[None]:
+    """Only those of `searched` are painted."""
+    with unpainted():
+        yield
+
+
 @pytest.fixture(scope="session")
 def searched_once(tmp_path_factory: pytest.TempPathFactory) -> Searched:
     root = tmp_path_factory.mktemp("search")
     problem = write_problem(root / "toy")
     runs = root / "runs"
-    printed = command_line(
-        "run", problem, "--agent", "random", "--experiments", 1, "--runs", runs, "--json"
-    )
+    with painted():
+        printed = command_line(
+            "run", problem, "--agent", "random", "--experiments", 1, "--runs", runs, "--json"
+        )
     return Searched(printed, problem, runs)
 
 
