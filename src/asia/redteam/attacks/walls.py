@@ -7,6 +7,7 @@ from asia.redteam._types import Barrier, CandidateAttack, Mistake
 from asia.redteam.attacks.exits import EXITS
 from asia.redteam.attacks.folds import FOLDS, PLACES
 from asia.redteam.attacks.source import candidate, steps
+from asia.redteam.attacks.whispers import WHISPERS
 from asia.redteam.evidence.signs_of_success import (
     a_step_succeeded,
     changed_ledger,
@@ -306,6 +307,17 @@ WALLS = (
         taken_for_a_kill,
         (Barrier.SECCOMP, Barrier.PARENT),
         mistake=Mistake.BELIEVES_CODES,
+    ),
+    CandidateAttack(
+        42,
+        "whisper to another fold",
+        "hands training outputs to another fold by the number of threads that run and by the "
+        "inodes of pipes, which the machine counts for all its processes",
+        WHISPERS,
+        scores_better,
+        (Barrier.SECCOMP, Barrier.PARENT),
+        limit=30.0,
+        at_once=tuple(WHISPERS),
     ),
     CandidateAttack(
         36,
