@@ -25,8 +25,10 @@ PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --d
 demo: .venv/ready
 	$(BIN)/asia run two_tanks_sim --experiments 8 --runs $(RUNS)
 
-test: .venv/ready-dev lint
-	$(PYTEST)
+# Many tests wait, so that lint runs beside them; what it says comes after them.
+test: .venv/ready-dev
+	@mkdir -p build; $(MAKE) --no-print-directory lint >build/lint.txt 2>&1 & lint=$$!; \
+	$(PYTEST); tests=$$?; wait $$lint; lint=$$?; cat build/lint.txt; exit $$((tests | lint))
 
 test-all: .venv/ready-dev docs
 	$(PYTEST) -m slow

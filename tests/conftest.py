@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 
@@ -12,6 +13,30 @@ compile_cheaply()
 
 QUICK = Path(__file__).parent / "quick"
 _RUNG = "asia.evaluation._rungs.LINEAR"
+_LONG = (
+    "agents",
+    "bench",
+    "cli",
+    "contract",
+    "drive",
+    "mcp",
+    "models",
+    "redteam",
+    "report",
+    "search",
+)
+"""Folders of files that take long."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that take long come first, so that no worker is left with one at the end, and mixed,
+    so that those that compute run beside those that wait for processes."""
+
+    def place(item: pytest.Item) -> tuple[bool, int]:
+        file = item.nodeid.partition("::")[0]
+        return not set(_LONG) & set(Path(file).parts), crc32(file.encode())
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session", autouse=True)
