@@ -135,10 +135,10 @@ def _called(target: str) -> NamedAgent:
             ) from error
     name = getattr(agent, "name", None)
     if not isinstance(name, str) or not callable(getattr(agent, "propose", None)):
-        raise UserError(f"{what}: no agent: expected a `name` and a method `propose(view)`")
+        raise UserError(f"{what}: not an agent: expected a `name` and a method `propose(view)`")
     if name in RESERVED or not re.fullmatch(r"\w[\w.+-]*", name):
         raise UserError(
-            f"{what}: it names itself '{name}': expected letters, digits and . _ + -, and none of "
+            f"{what}: its name is '{name}': expected letters, digits and . _ + -, and none of "
             f"{', '.join(sorted(RESERVED))}"
         )
     return NamedAgent(cast("Agent", agent), {**settings_of(agent), _CLASS: target})

@@ -46,8 +46,10 @@ TERMINATED = 128 + signal.SIGTERM
 
 app = typer.Typer(
     name="asia",
-    help="Identify a dynamical system from its records: search, judge by open-loop simulation, "
-    "hand back a model with the evidence for it.",
+    help=(
+        "Identify a dynamical system from its records: search for models, score them by "
+        "open-loop simulation, return a model with the evidence for it."
+    ),
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -125,7 +127,7 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 
 def _ended(how: str) -> str:
     resumed = RESUMED.intersection(sys.argv[1:2])
-    return f"{how}; the same command goes on from here" if resumed else how
+    return f"{how}; the same command continues from here" if resumed else how
 
 
 def spread(words: list[str]) -> list[str]:

@@ -33,14 +33,16 @@ Seeds = Annotated[
     list[int] | None,
     typer.Option(
         metavar="N | S S ...",
-        help=f"One number: how many seeds, from 0 on (default {DEFAULT_SEEDS}); several: the "
-        "seeds themselves.",
+        help=(
+            f"One number: the number of seeds, from 0 on (default {DEFAULT_SEEDS}). Several "
+            "numbers: the seeds."
+        ),
     ),
 ]
 Arms = Annotated[
     list[str] | None,
     typer.Option(
-        metavar="ARM ...", help="Of expert, random, random-paper, references; default all."
+        metavar="ARM ...", help="Some of expert, random, random-paper, references; default all."
     ),
 ]
 
@@ -48,7 +50,8 @@ Arms = Annotated[
 def bench(
     problem: Problems,
     experiments: Annotated[
-        int | None, typer.Option(min=1, help="Candidates a search; default the paper's number.")
+        int | None,
+        typer.Option(min=1, help="Candidates for each search; default the paper's number."),
     ] = None,
     seeds: Seeds = None,
     early_stopping: Annotated[
@@ -68,8 +71,8 @@ def bench(
 ) -> None:
     """Rerun the paper's comparisons: expert against random search, beside the paper's figures.
 
-    Each early-stopping setting has its own table. Interrupted, the same command goes on. The
-    expert's run with the first seed is declared for the sealed test before it starts; without
+    Each early-stopping setting has its own table. After an interrupt, the same command continues.
+    The expert's run with the first seed is declared for the sealed test before it starts. Without
     --unseal no test is opened.
     """
     from asia.bench import ComparisonPlan, select_arms

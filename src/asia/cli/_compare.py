@@ -24,10 +24,17 @@ def compare(
     ] = "expert,random,bayes",
     seeds: Annotated[
         list[int] | None,
-        typer.Option(metavar="N | S S ...", help="How many seeds, from 0 on, or the seeds; 5."),
+        typer.Option(
+            metavar="N | S S ...",
+            help=(
+                "One number: the number of seeds, from 0 on (default 5). Several numbers: the "
+                "seeds."
+            ),
+        ),
     ] = None,
     experiments: Annotated[
-        int | None, typer.Option(min=1, help="Candidates a search; default the problem's number.")
+        int | None,
+        typer.Option(min=1, help="Candidates for each search; default the problem's number."),
     ] = None,
     early_stopping: Annotated[
         str | None, typer.Option(help="inner, or validation; default the problem's.")
@@ -36,7 +43,7 @@ def compare(
     json: Json = False,
 ) -> None:
     """Search with each agent and each seed at the same budget: V, experiments to reach the other's
-    best, a paired test, curves with bands. Interrupted, the same command goes on.
+    best, a paired test, curves with bands. After an interrupt, the same command continues.
     """
     from asia.bench import ComparisonPlan, bench
     from asia.search import with_early_stopping

@@ -33,7 +33,7 @@ def mcp(
     ] = None,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Serve a search to a coding agent: it submits candidates, the search judges them.
+    """Serve a search to a coding agent: it submits candidates, the search evaluates them.
 
     Coding agents start this themselves: asia mcp-config prints what to tell them. The search is a
     process of its own, and outlives this one; asia status, steer and stop work on it.

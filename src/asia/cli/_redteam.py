@@ -37,7 +37,7 @@ Numbers = Annotated[
 ]
 Without = Annotated[
     list[str] | None,
-    typer.Option(metavar="LAYER|CHECK ...", help="Show what comes back without layers: of "
+    typer.Option(metavar="LAYER|CHECK ...", help="Show which attacks succeed without layers: of "
     "landlock, seccomp, rlimits; or 'each', one layer after the other. Or without checks: of "
     "causality, strangers, block-end, ...; or 'checks', each attack without those that stop it."),
 ]  # fmt: skip

@@ -23,7 +23,7 @@ def steer(
     opened = open_run(find_run(runs, run))
     Steering(opened.directory).steer(text)
     agent = opened.view.started.agent
-    when = "at its next step" if opened.state == "running" else "when the search goes on"
+    when = "at its next step" if opened.state == "running" else "when the search continues"
     say(f"noted for {opened.name}: recorded {when}")
     if agent in AGENTS:
         say(f"note     the agent '{agent}' reads no notes; the ledger keeps it for people")
@@ -42,20 +42,20 @@ def pause(
     opened = open_run(find_run(runs, run))
     steering, name = Steering(opened.directory), opened.name
     if go_on:
-        words = f"{name} goes on" if steering.paused else f"{name} was not paused"
+        words = f"{name} continues" if steering.paused else f"{name} was not paused"
         steering.go_on()
         say(words)
     elif opened.state != "running":
         raise UserError(f"run '{name}' is {opened.state}: there is nothing to pause")
     elif steering.paused:
-        say(f"{name} is paused already; asia pause {name} --end goes on")
+        say(f"{name} is already paused; asia pause {name} --end continues it")
     else:
         steering.pause()
-        say(f"{name} pauses after its present experiment; asia pause {name} --end goes on")
+        say(f"{name} pauses after its current experiment; asia pause {name} --end continues it")
 
 
 def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
-    """End the search after the experiment that runs; the command that began it goes on later."""
+    """End the search after the current experiment; the command that began it continues it later."""
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
     from asia.search import Steering

@@ -38,7 +38,7 @@ def try_(
 ) -> None:
     """Judge candidate.py of this workspace; waits for the result.
 
-    Exit code 3: judged, and it has no score. Interrupt it and the candidate is judged all the same.
+    Exit code 3: the candidate has no score. It is evaluated even if you interrupt this command.
     """
     from asia._files import read_text
     from asia.agents import Proposal
@@ -78,15 +78,15 @@ def _waited(desk: Desk, submission: Submission) -> ExperimentSummary:
         submission = wait(desk, submission.ticket, 3600.0, tick)
     found = [r for r in desk.results() if r.experiment == submission.experiment]
     if not found:
-        raise UserError("the submission was taken back before it was judged")
+        raise UserError("the submission was withdrawn before it was evaluated")
     return found[0]
 
 
 def _words(submission: Submission, desk: Desk) -> str:
     if submission.state == "running":
-        return f"#{submission.experiment:02d} is being judged"
+        return f"#{submission.experiment:02d} is being evaluated"
     if submission.state == "queued" and desk.progress().experiments == 0:
-        return "the rungs and the baseline are judged first"
+        return "the rungs and the baseline are evaluated first"
     return f"queued, {submission.ahead} before it" if submission.state == "queued" else ""
 
 

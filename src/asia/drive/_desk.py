@@ -95,7 +95,7 @@ class SearchProgress:
     rungs: dict[str, float | None]
     """V of each trivial reference; None where it has none."""
     notes: tuple[str, ...]
-    """What a person has told the agent."""
+    """Notes of a person to the agent."""
 
     @property
     def remaining(self) -> int:
@@ -107,7 +107,7 @@ class Desk(Protocol):
     """What a driver from outside may do. Every method raises UserError with what to do next."""
 
     def submit(self, proposal: Proposal) -> Submission:
-        """Hand in a candidate; its static errors are told at once and cost no experiment."""
+        """Hand in a candidate; its static errors are reported at once and cost no experiment."""
         ...
 
     def submission(self, ticket: str) -> Submission:
@@ -170,7 +170,7 @@ class RunDesk:
             check_source(proposal.source)
         except CandidateError as error:
             raise UserError(
-                f"the candidate was not handed in, and no experiment spent: {error.reason.advice}"
+                f"the candidate was not submitted, and costs no experiment: {error.reason.advice}"
                 + (f" ({one_line(error.detail)})" if error.detail else "")
             ) from None
         self.run()
@@ -185,7 +185,7 @@ class RunDesk:
         try:
             self.wake()
         except UserError as error:
-            raise UserError(f"submission {ticket} is kept, but {error}") from None
+            raise UserError(f"submission {ticket} is stored, but {error}") from None
         return self.submission(ticket)
 
     def _known(self, wanted: str) -> Submission | None:
@@ -256,9 +256,9 @@ class RunDesk:
         if self._queue.withdraw(ticket):
             return Submission(ticket, "withdrawn")
         state = self.submission(ticket).state
-        words = "about to be judged" if state == "queued" else state
+        words = "about to be evaluated" if state == "queued" else state
         raise UserError(
-            f"submission {one_line(ticket, 60)} is {words}: only a queued one can be taken back"
+            f"submission {one_line(ticket, 60)} is {words}: only a queued one can be withdrawn"
         )
 
     def results(self) -> tuple[ExperimentSummary, ...]:
@@ -303,8 +303,9 @@ def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], N
         if not there:
             when = "while" if submission.state == "running" else "before"
             raise UserError(
-                f"the search's process has ended {when} it judged the candidate, which is kept: "
-                "give the same command again (the run's control/search.log may say why it ended)"
+                f"the process of the search ended {when} it evaluated the candidate. The "
+                "candidate is stored: give the same command again (control/search.log of the run "
+                "may show why)"
             )
         time.sleep(_POLL)
 
@@ -381,7 +382,7 @@ def _over(directory: Path, run: Run) -> str | None:
     request = SearchRequest.find(directory)
     again = request is not None and request.records > stop
     if view.stopped.reason == "user" and not again:
-        return "a person stopped this search; the command that began it takes it up again"
+        return "a person stopped this search; the command that started it continues it"
     return None
 
 

@@ -77,7 +77,7 @@ class SearchRequest:
             return None
         except ValueError:
             raise UserError(
-                f"{path} is damaged: give the command that began the search again"
+                f"{path} is damaged: give the command that started the search again"
             ) from None
 
     @classmethod
@@ -86,7 +86,7 @@ class SearchRequest:
         request = cls.find(directory)
         if request is None:
             raise UserError(
-                f"{directory.name} takes no submissions: it was not started by asia workspace or "
+                f"{directory.name} accepts no submissions: it was not started by asia workspace or "
                 "asia mcp"
             )
         return request

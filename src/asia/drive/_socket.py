@@ -211,8 +211,8 @@ class SocketDesk:
             answer = json.loads(raw)
         except (ValueError, RecursionError):
             raise UserError(
-                f"the search hung up at {self._path} without an answer: it has ended, or too many "
-                "ask at once; try again"
+                f"the search closed the connection at {self._path} without an answer: it "
+                "has ended, or there are too many requests at once; try again"
             ) from None
         if "error" in answer:
             raise UserError(str(answer["error"]))

@@ -89,8 +89,9 @@ class Workspace:
     def _own_run(self) -> Path:
         if self.run is None:
             raise UserError(
-                f"{self.folder} belongs to a coding agent's search, which alone hands in from "
-                "there; make a workspace of your own with asia workspace PROBLEM DIR"
+                f"{self.folder} belongs to the search of a coding agent, and only this "
+                "agent submits from it; make your own workspace with asia workspace "
+                "PROBLEM DIR"
             )
         return self.run
 
@@ -126,11 +127,11 @@ def make_workspace(folder: Path, prepared: Prepared, request: SearchRequest) -> 
                 "another folder"
             )
     elif folder.is_dir() and any(folder.iterdir()):
-        raise UserError(f"{folder} is not empty: give a new folder, so that nothing is mixed up")
+        raise UserError(f"{folder} is not empty: give a new folder")
     if folder == run or run in folder.parents or folder in run.parents:
         raise UserError(
-            f"{folder} and the run directory {run} lie inside each other: a workspace must not "
-            "show the ledger; choose a folder elsewhere"
+            f"{folder} and the run directory {run}: one contains the other, but a workspace "
+            "must not show the ledger; choose another folder"
         )
     write_folder(folder, prepared.problem, prepared.started.experiments, run)
     request.save(run)

@@ -29,8 +29,8 @@ def write_file(folder: Path, name: str, text: str, mode: int = 0o644) -> None:
             os.close(here)
     except OSError as error:
         raise UserError(
-            f"{folder / name} could not be written ({error.strerror}): it must be a file in a "
-            "folder of yours that is no link; remove what is there"
+            f"{folder / name} could not be written ({error.strerror}): expected a file, and "
+            "no link, in a folder that you may write; remove what is there"
         ) from None
 
 

@@ -69,7 +69,7 @@ class Artifacts:
             try:
                 store.get(digest)
             except UserError as error:
-                where = f"record {self._records[digest]} of {self._directory.parent}"
+                where = f"event {self._records[digest]} of {self._directory.parent}"
                 raise UserError(f"{where}: {error}") from None
 
     def _hand_out(self) -> None:

@@ -45,9 +45,9 @@ def _setting(view: SearchView) -> str:
     if view.started.early_stopping == "inner":
         return ""
     return (
-        "\nValidation early stopping: candidates were told their score on the held-out parts, "
-        f"{view.validation_scores} times so far. V is not leak-free and compares only with V of "
-        "the same setting.\n"
+        "\nValidation early stopping: candidates received their score on the held-out parts, "
+        f"{view.validation_scores} times so far. V is not leak-free and only comparable with V "
+        "of the same setting.\n"
     )
 
 

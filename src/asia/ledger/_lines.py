@@ -78,7 +78,7 @@ def decode(raw: bytes, seq: int, where: str) -> Line:
         return Line(seq, time.decode(), adapter.validate_json(b"{" + rest + b"}"))
     except (ValueError, ValidationError):
         raise UserError(
-            f"{where}: record {seq} was written by another version of ASIA: read it with that one"
+            f"{where}: event {seq} was written by another version of ASIA: read it with that one"
         ) from None
 
 
@@ -100,10 +100,10 @@ def scan(
         if torn or (_HOLE in raw and not stream.peek(1)):
             return
         if not (whole and sound):
-            raise UserError(f"{where}: record {place.seq} was changed after it was written")
+            raise UserError(f"{where}: event {place.seq} was changed after it was written")
         if not raw.startswith(_START % (place.seq, place.head.encode())):
             raise UserError(
-                f"{where}: record {place.seq} does not follow the one before it: records were "
+                f"{where}: event {place.seq} does not follow the one before it: events were "
                 "removed, added or put in another order"
             )
         place = Position(place.seq + 1, place.offset + len(raw), head)

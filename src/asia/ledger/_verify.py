@@ -44,7 +44,7 @@ def verify(directory: Path) -> Verified:
             for place, raw in scan(stream, str(ledger)):
                 record = place.seq - 1
                 event = decode(raw, record, str(ledger)).event
-                check.add(event, f"record {record} of {directory}")
+                check.add(event, f"event {record} of {directory}")
                 for digest in _artifacts(event):
                     artifacts.add(digest, record)
         except UserError:
@@ -83,18 +83,24 @@ class _Check:
                 self.started = event
             case _:
                 if isinstance(event, Started) or self.started is None:
-                    raise UserError(f"{where}: a ledger starts once, with its first record")
+                    raise UserError(
+                        f"{where}: expected the start of a search as the first event, and "
+                        "only there"
+                    )
 
     def _once(self, experiment: int, sound: bool, where: str) -> None:
         if not sound or self.started is None:
-            raise UserError(f"{where}: experiment {experiment} is there twice, or has no proposal")
+            raise UserError(f"{where}: experiment {experiment} occurs twice, or has no proposal")
 
 
 def check_lock(directory: Path, started: Started) -> None:
     """Raises UserError when the resolved problem is not the one the search began with."""
     path = directory / "problem.lock.toml"
     if not path.is_file():
-        raise UserError(f"{path} is missing: the search cannot be told from another")
+        raise UserError(
+            f"{path} is missing: restore it, since without it the problem of the search "
+            "cannot be checked"
+        )
     if hashlib.sha256(path.read_bytes()).hexdigest() != started.lock_digest:
         raise UserError(f"{path} was changed after the search began")
 

@@ -221,8 +221,8 @@ class Replay:
         known = self._experiments.get(event.experiment)
         if known is None or known.result is not None:
             raise UserError(
-                f"the ledger has a result of experiment {event.experiment} that is its second, or "
-                "comes before its proposal"
+                f"the ledger has two results of experiment {event.experiment}, or a result "
+                "before its proposal"
             )
         self._experiments[event.experiment] = replace(known, result=event)
 

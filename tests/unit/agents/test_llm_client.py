@@ -84,7 +84,7 @@ def test_waiting_is_bounded() -> None:
     journal = MemoryJournal()
     with (
         fake_llm([Told("hi"), Told(status=429, headers={"retry-after": "3600"})]) as server,
-        pytest.raises(AgentStoppedError, match="stays away") as stop,
+        pytest.raises(AgentStoppedError, match="does not answer") as stop,
     ):
         ask_on(client(server, journal))
     assert stop.value.reason == "agent"

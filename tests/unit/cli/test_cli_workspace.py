@@ -39,7 +39,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     (folder / "candidate.py").write_text("def fit(\n")
     broken = asia("try", "-m", "a typing error", "--dir", folder)
     assert broken.code == 2
-    assert "no experiment spent" in broken.err
+    assert "costs no experiment" in broken.err
     (folder / "candidate.py").write_text(arx(2))
     good = asia("try", "-m", "two lags", "--expect", "half", "--dir", folder, "--json")
     assert good.code == 0, good.err
@@ -83,7 +83,7 @@ def test_a_folder_that_cannot_be_a_workspace(tmp_path: Path, asia: Asia, where: 
     folder = problem if where == "full" else runs / "toy-workspace-s0" / "work"
     done = asia("workspace", problem, folder, "--runs", runs)
     assert done.code == 2
-    assert ("not empty" if where == "full" else "lie inside each other") in done.err
+    assert ("not empty" if where == "full" else "one contains the other") in done.err
 
 
 def test_try_outside_a_workspace_says_how_to_make_one(tmp_path: Path, asia: Asia) -> None:
@@ -108,14 +108,14 @@ def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state:
     command = [sys.executable, "-c", ASIA, "try", "-m", "a slow one", "--dir", str(folder)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as waiting:
         assert waiting.stderr is not None
-        said = "#02 is being judged" if state == "running" else "the rungs and the baseline"
+        said = "#02 is being evaluated" if state == "running" else "the rungs and the baseline"
         lines = iter(waiting.stderr.readline, "")
         assert any(said in line for line in lines)
         end_searches(run)
         last = waiting.stderr.read()
     assert waiting.returncode == 2
     when = "while" if state == "running" else "before"
-    assert f"the search's process has ended {when} it judged the candidate" in last
+    assert f"the process of the search ended {when} it evaluated the candidate" in last
     assert "give the same command again" in last
     assert last.count("\n") == 1
     assert not attended(run)

@@ -123,7 +123,7 @@ def test_the_jail_shows_the_workspace_and_the_socket_alone(
 
 
 def test_what_cannot_be_capped_is_refused(problem: Path) -> None:
-    with pytest.raises(UserError, match="does not tell what it costs"):
+    with pytest.raises(UserError, match="does not report its cost"):
         go(problem, fake("codex", "search"), replace(RULES, cost=1.0))
     with pytest.raises(UserError, match="--agent-minutes"):
         go(problem, make_preset("mine", "mine {prompt}"), replace(RULES, tokens=10))

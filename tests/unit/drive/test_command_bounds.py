@@ -49,7 +49,7 @@ def test_a_workspace_is_never_taken_for_a_run(problem: Path) -> None:
     (runs / "toy-claude-s0" / "ledger.jsonl").touch()
     assert [p.parent.name for p in runs.glob("*/ledger.jsonl")] == ["toy-claude-s0"]
     assert find_run(runs, None).name == "toy-claude-s0"
-    with pytest.raises(UserError, match="holds a ledger"):
+    with pytest.raises(UserError, match="looks like a run"):
         go(problem, fake("claude", "leave"))
 
 

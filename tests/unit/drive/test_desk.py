@@ -72,7 +72,7 @@ def test_static_errors_cost_no_experiment(place: Place) -> None:
     ):
         with pytest.raises(UserError, match=words) as caught:
             place.desk.submit(Proposal(source, "", "", "it helps", ""))
-        assert "no experiment spent" in str(caught.value)
+        assert "costs no experiment" in str(caught.value)
     assert Queue(place.directory).tickets() == []
 
 
@@ -148,7 +148,7 @@ def test_withdrawing(served: tuple[Place, str]) -> None:
     Queue(place.directory).take()
     for ticket, words in (
         (first.ticket, "is unknown"),
-        (second.ticket, "is about to be judged"),
+        (second.ticket, "is about to be evaluated"),
         (done, "is done"),
         ("experiment-1", "is done"),
         ("../order", "is unknown"),
@@ -188,7 +188,7 @@ def test_only_a_person_takes_up_what_a_person_stopped(place: Place) -> None:
     place.append(Stopped("user"))
     with pytest.raises(UserError, match="a person stopped this search"):
         place.desk.submit(candidate(4))
-    with pytest.raises(UserError, match=f"submission {waiting} is kept, but a person stopped"):
+    with pytest.raises(UserError, match=f"submission {waiting} is stored, but a person stopped"):
         place.desk.submit(candidate(3))
     SearchRequest.load(place.directory).save(place.directory)
     assert place.desk.submit(candidate(4)).ahead == 1

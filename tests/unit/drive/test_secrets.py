@@ -172,7 +172,7 @@ def test_a_coding_agent_and_its_own_key(tmp_path: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("url", [f"http://[{PLANTED}", f"{PLANTED}@host", f"http://h:{PLANTED}"])
 def test_what_is_no_address_is_not_repeated(url: str) -> None:
-    with pytest.raises(UserError, match="the base URL is no address") as caught:
+    with pytest.raises(UserError, match="the base URL is not valid") as caught:
         LlmSettings("m", url)
     assert PLANTED not in str(caught.value)
 

@@ -181,7 +181,7 @@ def test_an_order_for_a_run_that_exists(tmp_path: Path) -> None:
 
 
 def test_an_order_that_is_not_there_or_damaged(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="takes no submissions: it was not started by"):
+    with pytest.raises(UserError, match="accepts no submissions: it was not started by"):
         SearchRequest.load(tmp_path)
     (tmp_path / "control").mkdir()
     (tmp_path / "control" / "order.json").write_text("[]")

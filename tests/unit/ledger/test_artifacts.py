@@ -35,14 +35,14 @@ def test_sound_artifacts_are_counted_once(kept: list[Path]) -> None:
 @pytest.mark.parametrize("which", [0, 13, 28, 29])
 def test_a_changed_artifact_is_named_with_its_record(kept: list[Path], which: int) -> None:
     kept[which].write_bytes(kept[which].read_bytes() + b"1")
-    with pytest.raises(UserError, match=rf"record {which} of .*{kept[which].name} was changed"):
+    with pytest.raises(UserError, match=rf"event {which} of .*{kept[which].name} was changed"):
         check(kept)
 
 
 def test_of_several_the_first_record_is_named(kept: list[Path]) -> None:
     kept[21].write_bytes(b"1")
     kept[18].unlink()
-    with pytest.raises(UserError, match=rf"record 18 of .*{kept[18].name} is missing"):
+    with pytest.raises(UserError, match=rf"event 18 of .*{kept[18].name} is missing"):
         check(kept)
 
 
@@ -50,5 +50,5 @@ def test_no_artifacts_at_all(kept: list[Path]) -> None:
     for path in kept:
         path.unlink()
     kept[0].parent.rmdir()
-    with pytest.raises(UserError, match=r"record 0 of .* is missing"):
+    with pytest.raises(UserError, match=r"event 0 of .* is missing"):
         check(kept)

@@ -46,7 +46,7 @@ def test_one_changed_byte_of_the_ledger_is_named(kept: Path, where: float, other
     changed = bytearray(sound)
     changed[position] ^= other
     record = sound[:position].count(b"\n")
-    with instead(path, changed), pytest.raises(UserError, match=rf"record {record} "):
+    with instead(path, changed), pytest.raises(UserError, match=rf"event {record} "):
         verify(kept)
 
 
@@ -62,7 +62,7 @@ def test_one_changed_byte_of_an_artifact_is_named_with_its_record(
     changed[int(where * len(sound))] ^= other % 255 + 1
     lines = (kept / "ledger.jsonl").read_text().splitlines()
     record = next(n for n, line in enumerate(lines) if path.name in line)
-    words = rf"record {record} of .*{path.name} was changed"
+    words = rf"event {record} of .*{path.name} was changed"
     with instead(path, changed), pytest.raises(UserError, match=words):
         verify(kept)
 
@@ -75,7 +75,7 @@ def test_the_last_newline_and_every_byte_of_the_last_record_are_covered(whole: P
             changed = bytearray(sound)
             changed[position] ^= other
             path.write_bytes(changed)
-            with pytest.raises(UserError, match=r"record [67] "):
+            with pytest.raises(UserError, match=r"event [67] "):
                 verify(whole)
     path.write_bytes(sound)
     assert verify(whole).records == 8
@@ -116,7 +116,7 @@ def test_a_hole_further_up_is_damage(whole: Path) -> None:
     path = whole / "ledger.jsonl"
     sound = path.read_bytes()
     path.write_bytes(sound[:900] + bytes(100) + sound[1000:])
-    with pytest.raises(UserError, match=r"record [01] was changed"):
+    with pytest.raises(UserError, match=r"event [01] was changed"):
         verify(whole)
 
 
@@ -124,7 +124,7 @@ def test_a_line_longer_than_any_record_is_damage_and_not_read_whole(whole: Path)
     path = whole / "ledger.jsonl"
     sound = path.read_bytes()
     path.write_bytes(sound + b"x" * 200_000)
-    with pytest.raises(UserError, match="record 8 was changed"):
+    with pytest.raises(UserError, match="event 8 was changed"):
         verify(whole)
 
 
@@ -138,7 +138,7 @@ def test_records_cannot_be_taken_out_put_in_or_moved(
     path = whole / "ledger.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[n] for n in order))
-    with pytest.raises(UserError, match=f"record {record} does not follow"):
+    with pytest.raises(UserError, match=f"event {record} does not follow"):
         verify(whole)
 
 
@@ -154,7 +154,7 @@ def test_a_record_of_another_version_is_told_from_a_damaged_one(whole: Path) -> 
     with path.open("ab") as stream:
         stream.write(body[:-1] + b',"self":"' + own + b'"}\n')
     for reading in (lambda: list(read_lines(path)), lambda: verify(whole), lambda: Chain(path)):
-        with pytest.raises(UserError, match="record 8 was written by another version"):
+        with pytest.raises(UserError, match="event 8 was written by another version"):
             reading()
 
 
@@ -169,7 +169,7 @@ def test_an_experiment_is_there_once(whole: Path, doubled: str) -> None:
                 "started": started(),
             }[doubled]
         )
-    with pytest.raises(UserError, match="record 8 "):
+    with pytest.raises(UserError, match="event 8 "):
         verify(whole)
     with pytest.raises(UserError, match="the ledger "):
         open_run(whole)
@@ -197,7 +197,7 @@ def test_whatever_stands_behind_the_last_record_is_a_user_error_or_a_torn_record
             records = verify(kept).records
         except UserError as error:
             assert b"\n" in tail
-            assert "record 8 " in str(error)  # noqa: PT017
+            assert "event 8 " in str(error)  # noqa: PT017
         else:
             assert records == 8
 

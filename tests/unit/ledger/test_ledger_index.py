@@ -126,7 +126,7 @@ def test_a_changed_record_is_noticed_by_a_glance(tmp_path: Path) -> None:
     sound = path.read_bytes()
     os.utime(path, ns=(1, 1))
     path.write_bytes(sound.replace(b'"value":0.9', b'"value":0.1'))
-    with pytest.raises(UserError, match="record 4 was changed"):
+    with pytest.raises(UserError, match="event 4 was changed"):
         brief(directory)
     path.write_bytes(sound)
     assert brief(directory).finished == 9

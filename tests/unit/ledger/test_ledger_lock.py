@@ -70,6 +70,6 @@ def test_a_note_of_the_holder_that_cannot_be_read_is_done_without(
 def test_a_ledger_that_cannot_be_opened_is_not_left_locked(tmp_path: Path) -> None:
     path = tmp_path / "ledger.jsonl"
     path.write_bytes(b"{}\n")
-    with pytest.raises(UserError, match="record 0"):
+    with pytest.raises(UserError, match="event 0"):
         Chain(path)
     assert not in_use(path)

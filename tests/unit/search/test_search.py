@@ -339,7 +339,7 @@ def test_an_interrupt_ends_the_workers_at_once(
     process.send_signal(number)
     _, said = process.communicate(timeout=60)
     assert process.returncode == code
-    assert word + b"; the same command goes on from here" in said
+    assert word + b"; the same command continues from here" in said
     assert b"Traceback" not in said
     assert time.monotonic() - begin < 15
     assert not in_use(ledger)

@@ -182,7 +182,9 @@ class ChatClient:
         said = self._said(error)
         s = self._settings
         if error.code == "insufficient_quota":
-            raise AgentStoppedError("agent", f"the server's account is spent: {said}")
+            raise AgentStoppedError(
+                "agent", f"the account at the server has no credit left: {said}"
+            )
         if error.status_code in (401, 403):
             raise UserError(
                 f"{s.shown_url} refuses the key ({error.status_code}): check {s.api_key_env}; it "
@@ -205,7 +207,7 @@ class ChatClient:
                 f"cannot reach the model at {self._settings.shown_url}: {what}; check --base-url "
                 "and that the server runs, then give the same command again"
             )
-        raise AgentStoppedError("agent", f"the model's server stays away: {what}")
+        raise AgentStoppedError("agent", f"the server of the model does not answer: {what}")
 
     def _said(self, error: openai.APIStatusError) -> str:
         body = _object(error.body)

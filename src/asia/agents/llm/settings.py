@@ -58,7 +58,7 @@ class LlmSettings:
         if not self.shown_url:
             # What is no address may still hold a key: it is not repeated.
             raise UserError(
-                "the base URL is no address: expected http:// or https:// and a host, such as "
+                "the base URL is not valid: expected http:// or https:// and a host, such as "
                 "http://localhost:8000/v1"
             )
         if (self.price_input is None) != (self.price_output is None):
@@ -72,7 +72,7 @@ class LlmSettings:
             raise UserError("a reply needs at least 1 token, and repairs at least 0")
         ours = sorted(_OURS & self.extra_body.keys())
         if ours:
-            raise UserError(f"extra body: '{ours[0]}' has an option of its own, or is fixed")
+            raise UserError(f"extra body: '{ours[0]}' has its own option, or is fixed")
         try:
             json.dumps(dict(self.extra_body), allow_nan=False)
         except (TypeError, ValueError, RecursionError):
@@ -147,4 +147,6 @@ class LlmSettings:
                 raise ValueError
             return TypeAdapter(cls).validate_json(json.dumps(given), strict=True)
         except (ValueError, RecursionError):
-            raise UserError("the ledger does not say how its language model was asked") from None
+            raise UserError(
+                "the ledger does not contain the settings of its language model"
+            ) from None

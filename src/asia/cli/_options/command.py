@@ -31,27 +31,30 @@ class CommandOptions:
 
     command: Annotated[
         str | None,
-        _option(help="Command line of an agent of your own, with {prompt} or {prompt_file} in it."),
+        _option(help="Command line of your own agent, with {prompt} or {prompt_file} in it."),
     ] = None
     agent_minutes: Annotated[
-        float | None, _option(help="Stop it this many minutes after this command starts.")
+        float | None, _option(help="Stop the agent this many minutes after this command starts.")
     ] = None
     stuck_minutes: Annotated[
-        float, _option(help="Stop it after so many without a new experiment.")
+        float, _option(help="Stop the agent after this many minutes without a new experiment.")
     ] = 30.0
     network: Annotated[
-        bool, _option("--network", help="Let it reach the network, which hosted models need.")
+        bool, _option("--network", help="Allow network access, which hosted models need.")
     ] = False
     agent_config: Annotated[
         list[Path] | None,
-        _option(help="Folder or file of its own, such as ~/.claude; it gets a copy."),
+        _option(
+            help="Configuration folder or file of the agent, such as ~/.claude; it gets a copy."
+        ),
     ] = None
     agent_mount: Annotated[
         list[Path] | None,
-        _option(help="Folder to show it, read-only, such as where it is installed."),
+        _option(help="Folder that the agent may read, such as its installation."),
     ] = None
     pass_env: Annotated[
-        list[str] | None, _option(help="Environment variable to pass on, such as its key.")
+        list[str] | None,
+        _option(help="Environment variable to pass to the agent, such as its key."),
     ] = None
 
     def driver(self, agent: str, caps: ModelOptions) -> Driver:

@@ -28,7 +28,9 @@ class ModelOptions:
         int | None,
         _shared(
             min=1,
-            help="Stop before input and output tokens exceed this in all; no limit by default.",
+            help=(
+                "Stop before the sum of input and output tokens exceeds this; no limit by default."
+            ),
         ),
     ] = None
     max_cost: Annotated[
@@ -55,7 +57,7 @@ class LlmOptions:
         float | None, _own(min=0.0, max=1.0, help="Sent as it is; left out by default.")
     ] = None
     llm_seed: Annotated[
-        int | None, _own(help="Seed for the server, which may heed it; left out by default.")
+        int | None, _own(help="Seed for the server, which may ignore it; not sent by default.")
     ] = None
     extra_body: Annotated[
         str | None,
@@ -68,7 +70,7 @@ class LlmOptions:
         ),
     ] = KEY_VARIABLE
     max_reply_tokens: Annotated[
-        int | None, _own(min=1, help="Limit of one reply, thoughts included; default 16384.")
+        int | None, _own(min=1, help="Limit of one reply, with its reasoning; default 16384.")
     ] = None
     prices: Annotated[
         str | None,
@@ -78,7 +80,10 @@ class LlmOptions:
         bool,
         _own(
             "--anonymous",
-            help="Hide names, units, description and equations: what is prior knowledge worth?",
+            help=(
+                "Hide names, units, description and equations, to measure the value of prior "
+                "knowledge."
+            ),
         ),
     ] = False
 

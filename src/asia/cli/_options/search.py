@@ -38,7 +38,10 @@ class SearchOptions:
     ] = None
     isolation_strict: Annotated[
         bool,
-        typer.Option("--isolation-strict", help="Fit folds one by one: slower, no whispering."),
+        typer.Option(
+            "--isolation-strict",
+            help="Fit the folds one by one: slower, but two workers cannot communicate.",
+        ),
     ] = False
 
     @property

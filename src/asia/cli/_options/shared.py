@@ -24,7 +24,7 @@ Keys = Annotated[
 YesProcess = Annotated[
     bool,
     typer.Option(
-        "--yes-process", help="Open the test though level process kept no candidate off it."
+        "--yes-process", help="Open the test, although candidates at level process could read it."
     ),
 ]
 ProblemName = Annotated[

@@ -19,8 +19,8 @@ from asia.ledger import (
 from asia.scoring import Failure, Outcome, Score
 
 NOT_LEAK_FREE = (
-    "validation early stopping: candidates may ask for their score on the held-out parts, so V is "
-    "not leak-free and compares only with V of the same setting"
+    "validation early stopping: candidates may request their score on the held-out parts, so V "
+    "is not leak-free and only comparable with V of the same setting"
 )
 
 
@@ -117,11 +117,11 @@ def stop_words(reason: str, view: SearchView) -> str:
         "saturated": "saturated: the last experiments found nothing better",
         "exhausted": "the agent has nothing left to try",
         "hours": "the wall-clock budget is spent",
-        "user": "on request; the same command goes on",
-        "stuck": "the agent was stuck; the same command goes on",
-        "tokens": "the token budget is spent; the same command with more tokens goes on",
-        "cost": "the money budget is spent; the same command with more goes on",
-        "time": "the agent's time is spent; the same command with more goes on",
+        "user": "on request; the same command continues",
+        "stuck": "the agent was stuck; the same command continues",
+        "tokens": "the token budget is spent; the same command with more tokens continues",
+        "cost": "the money budget is spent; the same command with more continues",
+        "time": "the agent's time is spent; the same command with more continues",
         "agent": "the agent ended; the same command starts it again",
     }[reason]
 

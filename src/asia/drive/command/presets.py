@@ -83,8 +83,8 @@ def make_preset(name: str, command: str | None) -> Preset:
     if name in PRESETS:
         if command is not None:
             raise UserError(
-                f"--command goes with --agent command:NAME for a NAME of your own, "
-                f"not with the preset '{name}'"
+                "--command requires --agent command:NAME with a NAME of your own, not the "
+                f"preset '{name}'"
             )
         return PRESETS[name]
     if command is None:

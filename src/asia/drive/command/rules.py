@@ -139,17 +139,18 @@ def check_rules(preset: Preset, rules: CommandRules) -> None:
     """Raises UserError for a cap that this agent's stream cannot keep."""
     if rules.cost is not None and not preset.tells_cost:
         raise UserError(
-            "--max-cost: this agent does not tell what it costs; cap it with --max-tokens or "
+            "--max-cost: this agent does not report its cost; limit it with --max-tokens or "
             "--agent-minutes"
         )
     if rules.tokens is not None and preset.format == "none":
         raise UserError(
-            "--max-tokens: nothing is known of this agent's stream; cap it with --agent-minutes"
+            "--max-tokens: ASIA cannot read tokens from this agent's output; limit it with "
+            "--agent-minutes"
         )
     if rules.tokens is not None and preset.tells_late and rules.minutes is None:
         raise UserError(
-            "--max-tokens: this agent tells its tokens only at the end of a turn or session, which "
-            "may be far beyond the cap; give --agent-minutes as well"
+            "--max-tokens: this agent reports its tokens only at the end of a turn or "
+            "session, when they may be far above the limit; give --agent-minutes as well"
         )
 
 
@@ -162,15 +163,16 @@ def check_places(preset: Preset, rules: CommandRules, directory: Path) -> None:
             real = path.resolve()
             if real == runs or real in runs.parents or runs in real.parents:
                 raise UserError(
-                    f"{path} would show the agent the runs in {runs}, whose ledgers it must not "
-                    "see: name a smaller folder, or keep the runs elsewhere with --runs"
+                    f"{path} would show the agent the runs in {runs}, whose ledgers it must "
+                    "not see: give a smaller folder, or another folder for the runs with "
+                    "--runs"
                 )
         found = Jail(directory, directory, rules.mounts).find(program)
     else:
         found = shutil.which(program)
     if found is None:
         raise UserError(
-            f"the agent's program '{program}' cannot be run: install it, or, where it is installed "
-            "in your home, mount the folder that holds it and the folder that its link leads to "
-            "with --agent-mount"
+            f"the agent's program '{program}' cannot be run: install it. If it is installed "
+            "in your home, give --agent-mount for its folder and for the folder that its "
+            "link leads to"
         )

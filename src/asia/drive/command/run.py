@@ -322,7 +322,7 @@ def run_command(
     # A level further down than the runs are looked for: what lies in it is never taken for one.
     folder = directory.resolve().parent / WORKSPACES / directory.name
     if os.path.lexists(folder / "ledger.jsonl"):
-        raise UserError(f"{folder} holds a ledger: it must not look like a run; remove that file")
+        raise UserError(f"{folder} contains ledger.jsonl, so it looks like a run: remove this file")
     write_folder(folder, prepared.problem, prepared.started.experiments)
     agent = CommandAgent(prepared.started.agent, preset, rules, prepared, folder)
     store = Store(directory / "artifacts")
