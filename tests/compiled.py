@@ -27,6 +27,10 @@ def kept(shared: Path) -> Iterator[None]:
     JAX writes its files in place, so each process has a folder of its own in the meantime.
     """
     shared.mkdir(parents=True, exist_ok=True)
+    for left in shared.parent.glob(f"{shared.name}-*"):  # by a run that was killed
+        with suppress(FileNotFoundError):
+            if time.time() - left.stat().st_mtime > _WEEK:
+                shutil.rmtree(left, ignore_errors=True)
     with TemporaryDirectory(prefix=f"{shared.name}-", dir=shared.parent) as name:
         own = Path(name)
         for program in shared.iterdir():
