@@ -21,9 +21,9 @@ or a directory with `problem.toml`.
 |---|---|
 | 0 | done |
 | 1 | a fault of ASIA or its sandbox, or a check that failed |
-| 2 | something that you can mend: the message says what |
+| 2 | an error that you can correct: the message explains it |
 | 3 | the search is finished and no candidate has a score |
-| 130, 143 | interrupted, terminated: the same command goes on |
+| 130, 143 | interrupted, terminated: the same command continues |
 """
 
 
