@@ -31,7 +31,7 @@ from asia.agents.controls.bayes import BayesAgent
 from asia.agents.controls.random import SPACES, RandomAgent, SpaceName
 from asia.agents.expert.agent import ExpertAgent
 from asia.agents.llm.agent import LlmAgent
-from asia.agents.llm.problem import MODEL_RULES, briefing, equations, library
+from asia.agents.llm.problem import MODEL_RULES, briefing, equations, ladder_rule, library
 from asia.agents.llm.settings import LlmSettings
 
 __all__ = [
@@ -64,6 +64,7 @@ __all__ = [
     "briefing",
     "choose_agent",
     "equations",
+    "ladder_rule",
     "library",
     "make_agent",
     "packages_of",

@@ -17,7 +17,7 @@ def check(
     runs: Runs = DEFAULT_RUNS,
     draw: Annotated[bool, typer.Option(help="Draw the training data.")] = True,
 ) -> None:
-    """Print what was understood of a problem, and draw its data."""
+    """Print the data and the protocol of a problem, and draw the data."""
     from asia.problem.load import check_problem, load_problem
     from asia.protocol import make_folds
     from asia.report import draw_problem

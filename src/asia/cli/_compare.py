@@ -42,8 +42,9 @@ def compare(
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Search with each agent and each seed at the same budget: V, experiments to reach the other's
-    best, a paired test, curves with bands. After an interrupt, the same command continues.
+    """Search with each agent and each seed at the same budget, and compare V: experiments to reach
+    the best V of the others, a paired test, curves with bands. After an interrupt, the same command
+    continues.
     """
     from asia.bench import ComparisonPlan, bench
     from asia.search import with_early_stopping

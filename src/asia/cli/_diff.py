@@ -16,7 +16,7 @@ def diff(
     words: Annotated[list[str], typer.Argument(metavar="[RUN] N M", help="Two experiments.")],
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """What changed in the source from experiment N to M, and what it did to V."""
+    """Print the change of the source from experiment N to M, and both scores."""
     from rich.text import Text
 
     from asia.cli._output.experiment import wide_console

@@ -18,7 +18,7 @@ _INDENT = 13
 
 
 def doctor(json: Json = False) -> None:
-    """Try every isolation level here: which works, why not more, and how to get it."""
+    """Test every isolation level on this machine, and print how to enable a stronger one."""
     from asia.sandbox import machine, survey
 
     here, levels = machine(), survey()

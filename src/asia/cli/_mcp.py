@@ -35,8 +35,8 @@ def mcp(
 ) -> None:
     """Serve a search to a coding agent: it submits candidates, the search evaluates them.
 
-    Coding agents start this themselves: asia mcp-config prints what to tell them. The search is a
-    process of its own, and outlives this one; asia status, steer and stop work on it.
+    Coding agents start this themselves: asia mcp-config prints their configuration. The search
+    is a separate process and continues after this one; asia status, steer and stop work on it.
     """
     from asia.errors import UserError
     from asia.mcp import AGENT, open_search, require_sdk, serve_http, serve_stdio
@@ -63,7 +63,7 @@ def mcp_config(
 ) -> None:
     """Print what a coding agent's configuration needs to start asia mcp.
 
-    The configuration goes to stdout; where it belongs, and what else matters, to stderr.
+    The configuration goes to stdout, the name of its file and notes to stderr.
     """
     from asia.errors import UserError
     from asia.mcp import CLIENTS, client_configuration

@@ -65,7 +65,7 @@ def redteam(
     """Let scripted cheats attack this installation: each must be blocked or flagged, and honest
     candidates must not be.
 
-    Attacks run unprotected in an outer sandbox only. Exit code 1 if anything gets through, if an
+    Attacks run without isolation only in an outer sandbox. Exit code 1 if an attack succeeds, if an
     attack does not succeed even with isolation off, or if an honest candidate could not be checked.
     """
     chosen = _attacks(attack)

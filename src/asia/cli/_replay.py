@@ -30,10 +30,10 @@ def replay(
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Ask the agent again with the answers in the ledger, evaluate every candidate again, compare.
+    """Repeat a search from its ledger: ask the agent and evaluate every candidate again, compare.
 
-    Needs no network and no key, and writes nothing. Experiments that the deadline decided are not
-    evaluated again. Exit code 1: something differs.
+    Needs no network and no key, and writes nothing. Experiments that the deadline affected are
+    not evaluated again. Exit code 1: something differs.
     """
     from asia.ledger import find_run
     from asia.search import replay_run

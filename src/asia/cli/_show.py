@@ -32,7 +32,7 @@ def show(
     source: Annotated[bool, typer.Option("--source", help="Print candidate.py alone.")] = False,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """An experiment: hypothesis, what happened, evidence, source."""
+    """Print an experiment: hypothesis, result, evidence, source."""
     from rich.syntax import Syntax
 
     from asia.cli._output.experiment import describe, wide_console

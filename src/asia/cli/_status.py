@@ -17,7 +17,7 @@ LAST = 50
 
 
 def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
-    """Where a run stands: state, experiments, best so far."""
+    """Print the progress of a run: state, experiments, best candidate so far."""
     from asia.ledger import brief, find_run
 
     directory = find_run(runs, run)

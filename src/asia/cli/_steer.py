@@ -15,7 +15,7 @@ def steer(
     text: Annotated[str, typer.Argument(help="What the agent should know or try.")],
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Leave a note that the agent sees at its next step; the ledger keeps it."""
+    """Write a note for the agent into the ledger. The agent reads it at its next step."""
     from asia.agents import AGENTS
     from asia.ledger import find_run, open_run
     from asia.search import Steering
@@ -34,7 +34,7 @@ def pause(
     go_on: Annotated[bool, typer.Option("--end", help="End the pause.")] = False,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Begin no further experiment until asia pause --end; the one that runs is finished."""
+    """Pause the search after the current experiment, until asia pause --end."""
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
     from asia.search import Steering
@@ -55,7 +55,7 @@ def pause(
 
 
 def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
-    """End the search after the current experiment; the command that began it continues it later."""
+    """End the search after the current experiment. The command that began it can continue it."""
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
     from asia.search import Steering

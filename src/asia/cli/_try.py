@@ -1,4 +1,4 @@
-"""asia try: have the workspace's candidate judged."""
+"""asia try: submit the candidate of a workspace."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def try_(
     ] = Path(),
     json: Json = False,
 ) -> None:
-    """Judge candidate.py of this workspace; waits for the result.
+    """Evaluate candidate.py of this workspace, and wait for the result.
 
     Exit code 3: the candidate has no score. It is evaluated even if you interrupt this command.
     """

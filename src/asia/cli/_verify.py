@@ -12,7 +12,8 @@ from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
     """Check the chain of the ledger and every artifact it names.
 
-    Note the head elsewhere: it alone tells a whole ledger from one whose end was cut off.
+    Write down the head, the hash of the last line. Only the head shows whether lines at the end of
+    the ledger were removed.
     """
     from asia.ledger import find_run
     from asia.ledger import verify as check

@@ -19,10 +19,10 @@ def workspace(
     options: SearchOptions,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Make a folder with the training data, the task and the baseline; asia try judges what you
-    write there. The evaluator is another process, and the ledger lies elsewhere.
+    """Make a folder with the training data, the task and the baseline. Edit the candidate there and
+    submit it with asia try. The evaluator is another process, and the ledger is in another folder.
 
-    The same command again renews the texts, keeps your candidate, and raises the budget.
+    The same command again updates the texts, keeps your candidate, and can increase the budget.
     """
     from asia.drive import make_workspace, prepare_request
 

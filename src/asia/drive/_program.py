@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-from asia.agents import MODEL_RULES, equations, library
+from asia.agents import MODEL_RULES, equations, ladder_rule, library
 from asia.candidate import installed_libraries
 from asia.data import Signal
 from asia.problem.load import Problem
@@ -43,7 +43,7 @@ def _task(problem: Problem) -> str:
     return f"""# Find a model of {problem.name}
 
 You identify a dynamical system from input-output records. You write candidates, each one file,
-`candidate.py`; an evaluator that you cannot see fits and judges them. Lower V is better.
+`candidate.py`. An evaluator that you cannot see fits and scores them. Lower V is better.
 
 Read `description.md` first. Inputs: {_signals(problem.inputs)}. Outputs:
 {_signals(problem.outputs)}. Sampling time {problem.sampling_time:g} s. The training records are in
@@ -58,7 +58,7 @@ def _judgement(problem: Problem) -> str:
         if problem.test.source is not None
         else "This problem has no test: V is all there is."
     )
-    return f"""## How a candidate is judged
+    return f"""## How a candidate is scored
 
 {_protocol(problem)}
 
@@ -94,8 +94,8 @@ def _how(experiments: int) -> str:
     return f"""## What to do
 
 You may edit `candidate.py`, and write notes and scripts of your own beside it. `results.tsv`,
-`search_journal.md` and `best.py`, the best candidate, are written for you. To have the candidate
-judged:
+`search_journal.md` and `best.py`, the best candidate, are written for you. To submit the
+candidate:
 
 ```sh
 asia try -m "hypothesis: what you changed, and why it should help" --expect "what you expect"
@@ -191,13 +191,7 @@ def _folds(rule: FoldRule) -> str:
 
 
 def _feedback(rule: ProtocolRule) -> str:
-    if rule.ladder is None:
-        return ""
-    return (
-        f"V is told on a ladder: a candidate that beats the last V told by more than "
-        f"{rule.ladder:.0%}, and not by chance, is kept and its V told roughly; for any other the "
-        "last V told is repeated, which says no more than that.\n"
-    )
+    return "" if rule.ladder is None else f"{ladder_rule(rule.ladder)}\n"
 
 
 def _early_stopping(rule: ProtocolRule) -> str:

@@ -1,4 +1,4 @@
-"""`feedback = "ladder"`: everywhere an agent reads V it reads what is told; the ledger has all."""
+"""`feedback = "ladder"`: an agent reads only the reported V; the ledger has all."""
 
 import json
 from collections.abc import Callable
@@ -189,11 +189,11 @@ def test_prompts_say_how_scores_are_told(
     laddered: tuple[SearchView, Path, list[AgentView]],
 ) -> None:
     _, directory, seen = laddered
-    assert "told on a ladder" in problem_text(seen[-1].facts)
+    assert "by the rule of the Ladder" in problem_text(seen[-1].facts)
     assert "10%" in problem_text(seen[-1].facts)
     problem = load_lock(directory / "problem.lock.toml")
     assert problem.protocol.ladder == 0.1
-    assert "told on a ladder" in program(problem, 3)
+    assert "by the rule of the Ladder" in program(problem, 3)
     assert "causal in u" in problem_text(seen[-1].facts)
     assert "causal in u" in program(problem, 3)
     exact = replace(problem, protocol=replace(problem.protocol, ladder=None))

@@ -1,4 +1,4 @@
-"""What a language model is told of a problem: the same text in every request of a search."""
+"""The problem as a language model reads it: the same text in every request of a search."""
 
 from __future__ import annotations
 
@@ -158,11 +158,16 @@ def _judgement(facts: Facts) -> Iterator[str]:
     )
     yield (f"V: {find_metric(facts.metric).v_words}, mean over outputs, then over folds.")
     if facts.ladder is not None:
-        yield (
-            f"V is told on a ladder: a candidate that beats the last V told by more than "
-            f"{facts.ladder:.0%}, and not by chance, is kept and its V told roughly; for any other "
-            "the last V told is repeated, which says no more than that."
-        )
+        yield ladder_rule(facts.ladder)
+
+
+def ladder_rule(step: float) -> str:
+    """How V is reported with the feedback `ladder`."""
+    return (
+        "V is reported by the rule of the Ladder. A candidate is kept if its V is lower than the "
+        f"last reported V by more than {step:.0%}, and not by chance. Then its rounded V is "
+        "reported. For any other candidate the last reported V is repeated."
+    )
 
 
 def equations(physics: Physics) -> Iterator[str]:
