@@ -7,8 +7,10 @@ answers need no threshold on how good a model may be (Chen et al., ACM Computing
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import time
+from collections.abc import Collection, Iterator, Sequence
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from asia.data import Array
 from asia.errors import CandidateError, Reason
 from asia.evaluation._batches import batches
 from asia.evaluation._relations import (
+    LaterStarts,
     RequestCheck,
     Suspicion,
     SuspicionKind,
@@ -26,12 +29,17 @@ from asia.evaluation._requests import (
     among_strangers,
     held_out_requests,
     largest,
+    simulate_alone,
     simulate_requests,
 )
 from asia.protocol import Block
 
 ROUNDING = 1e-6
-_PREFIXES = (0.25, 0.65), (0.65, 1.0)
+_BY_ITSELF = 3
+# Parts of a case that are asked alone: a short one, and two anywhere beyond.
+_SHORT, _FURTHER = (0.02, 0.25), (0.25, 1.0)
+# Further lengths, for a model that answers in less time than a compilation takes.
+_MORE, _MORE_SECONDS, _COMPILES = 24, 1.0, 0.1
 
 
 def suspicions(
@@ -55,26 +63,26 @@ def suspicions(
     relations that are left out; rounding: by how many standard deviations other cases may move an
     answer.
 
-    First comes what `dependences` asks. Then, on at most six requests, inputs and past moved by
-    1e-6 of their standard deviations, there and back (`perturbation`: an isolated answer, or a jump
-    at once), and by 1e-2 (`table`: no change at all); the scored requests again (`replay`); on
-    whole blocks that data follow two later starts (`block end`: both much worse at the end); and,
-    last, as their past windows are held-out outputs, four later starts on the same record, where
-    the output moves about as fast (`restart`: all much worse over the rest of it, or failing).
+    First come, on whole blocks that data follow, two later starts that end with the block (`block
+    end`: both much worse at its end). Then what `dependences` asks. Then, on at most six requests,
+    inputs and past moved by 1e-6 of their standard deviations, there and back (`perturbation`: an
+    isolated answer, or a jump at once), and by 1e-2 (`table`: no change at all); the scored
+    requests again (`replay`); and, last, as their past windows are held-out outputs, four later
+    starts on the same record, where the output moves about as fast (`restart`: all much worse over
+    the rest of it, or failing).
     Raises CandidateError where an answer does not come, but for `restart` only where time or memory
     ran out; one that is not finite breaks `perturbation`, `restart`, `replay`, `strangers` and
     `causality`, and says nothing about the others.
     """
     inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed)
+    later = inquiry.later_starts() if SuspicionKind.BLOCK_END not in without else []
     found = inquiry.dependences()
     checks = inquiry.checks
     for check in checks:
         found += check.perturbation(), check.table()
     found += [check.replay() for check in reversed(checks)]
-    for check in checks:
-        lengths = check.lengths(inquiry.fractions)
-        if check.batch.followed and lengths is not None and SuspicionKind.BLOCK_END not in without:
-            found += check.block_end(lengths)
+    for check, answers in later:
+        found += check.block_end(answers)
     found.append(restart_suspicion(checks))
     return _worst(found, without)
 
@@ -92,10 +100,11 @@ def dependences(
 ) -> tuple[Suspicion, ...]:
     """The relations that need no measured output; arguments as for `suspicions`.
 
-    The simulator is asked for the first inputs of at most six requests alone, at two random
-    lengths (`causality`: the answer is not the start of the scored one), then for all cases in
-    another order and among other cases (`strangers`: an answer changes by more than rounding). So
-    it cannot know what came before a case in the scored order, after it, or beside it.
+    The simulator is asked for the first inputs of at most six requests alone, at three random
+    lengths, and at more where that is quick (`causality`: the answer is not the start of the scored
+    one), then for a few cases without any other, and for all of them in another order and among
+    other cases (`strangers`: an answer changes by more than rounding). So it cannot know what came
+    before a case in the scored order, after it, or beside it.
     """
     inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding)
     return _worst(inquiry.dependences(), without)
@@ -111,21 +120,27 @@ def strangers(
     rounding: float = ROUNDING,
     most: int | None = None,
 ) -> Suspicion | None:
-    """The relation `strangers` alone; most: about how many cases are asked, None for all."""
+    """The relation `strangers` alone: first a few cases without any other, then all of them, or
+    about `most`, among others."""
     random = np.random.default_rng(seed)
     requests = held_out_requests(blocks, horizon)
     rows = largest(requests)
+    place = {index: row for request in requests for row, index in enumerate(request)}
+    by_itself = random.choice(len(blocks), min(len(blocks), _BY_ITSELF), replace=False).tolist()
     mixed = among_strangers(requests, random)[: None if most is None else -(-most // rows)]
+    answers: list[tuple[int, Array]] = []
     try:
-        answers = simulate_requests(simulator, blocks, mixed, rows)
+        for index in by_itself if rows > 1 else ():
+            answers.append((index, simulate_alone(simulator, blocks[index], place[index], rows)))
+        answers += simulate_requests(simulator, blocks, mixed, rows).items()
     except CandidateError as error:
         if error.reason is not Reason.NOT_FINITE:
             raise
         change = np.inf
     else:
-        apart = [np.abs(y - y_hat[i]) / scale for i, y in answers.items()]
+        apart = [np.abs(y - y_hat[index]) / scale for index, y in answers]
         change = max((float(a.max(initial=0.0)) for a in apart), default=0.0)
-    words = "a case asked in another order, among other cases, is answered otherwise"
+    words = "a case asked in another order, alone or among other cases, is answered otherwise"
     return Suspicion(SuspicionKind.STRANGERS, words, change) if change > rounding else None
 
 
@@ -157,7 +172,10 @@ class _Inquiry:
     ) -> None:
         random = np.random.default_rng(seed)
         chosen = batches(blocks, y_hat, horizon, random, followed)
-        self.fractions = [float(random.uniform(low, high)) for low, high in _PREFIXES]
+        further = np.sort(random.uniform(*_FURTHER, size=2))
+        self.fractions = (float(random.uniform(*_SHORT)), float(further[0]), float(further[1]))
+        self._more_fractions = random.uniform(_SHORT[0], 1.0, size=_MORE).tolist()
+        self._slowest = 0.0
         self.checks = [RequestCheck(simulator, batch, scale, random) for batch in chosen]
         self._strangers = partial(
             strangers, simulator, blocks, y_hat, scale, horizon, int(random.integers(2**31)),
@@ -166,12 +184,36 @@ class _Inquiry:
 
     def dependences(self) -> list[Suspicion | None]:
         """Prefixes come before any whole case, and are compared when 1e-6 was tried too."""
-        asked = [
-            (check, length, check.ask_prefix(length))
-            for place in range(max(len(self.checks), len(_PREFIXES)) if self.checks else 0)
-            for check in [self.checks[place % len(self.checks)]]
-            for lengths in [check.lengths(self.fractions)]
-            if lengths is not None
-            for length in [lengths[place % len(lengths)]]
-        ]
+        asked = [(*one, self._prefix(*one)) for one in self._prefixes()]
         return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]
+
+    def _prefixes(self) -> Iterator[tuple[RequestCheck, int]]:
+        """Requests and lengths: the same three for all, at which a model compiles; then others, as
+        many as a model that does not compile answers in a second."""
+        checks = [check for check in self.checks if check.lengths(self.fractions) is not None]
+        for place in range(max(len(checks), len(self.fractions)) if checks else 0):
+            check = checks[place % len(checks)]
+            lengths = check.lengths(self.fractions)
+            assert lengths is not None
+            yield check, lengths[place % len(lengths)]
+        end = time.monotonic() + _MORE_SECONDS
+        for check, part in zip(cycle(checks), self._more_fractions, strict=False):
+            if self._slowest > _COMPILES or time.monotonic() > end:
+                return
+            whole = check.batch.u.shape[1]
+            yield check, min(max(int(part * whole), 1), whole - 1)
+
+    def _prefix(self, check: RequestCheck, length: int) -> Array | None:
+        begin = time.monotonic()
+        answer = check.ask(check.batch.prefix(length))
+        self._slowest = max(self._slowest, time.monotonic() - begin)
+        return answer
+
+    def later_starts(self) -> list[tuple[RequestCheck, LaterStarts]]:
+        """Asked before all else: a longer request would tell where they start."""
+        return [
+            (check, check.ask_later(lengths[1:]))
+            for check in self.checks
+            for lengths in [check.lengths(self.fractions)]
+            if check.batch.followed and lengths is not None
+        ]

@@ -27,6 +27,7 @@ _WORSE, _MUCH_WORSE = 0.1, 5.0
 _FALLS, _WORSE_END, _LAST_PART = 0.5, 2.0, 20
 _OF_THE_MACHINE = (Reason.SIMULATE_TIMEOUT, Reason.MEMORY)
 _SHORTEST = 10
+_RECENT = 10
 
 
 class SuspicionKind(StrEnum):
@@ -57,6 +58,18 @@ class Suspicion:
 
 
 @dataclass(frozen=True)
+class LaterStarts:
+    """Answers to starts later on the record that end with the block; None where not finite."""
+
+    beginning: Array | None
+    """To the first inputs of the longer one."""
+    short: Array | None
+    """To the shorter one."""
+    long: Array | None
+    """To the longer one."""
+
+
+@dataclass(frozen=True)
 class RequestCheck:
     """The relations on one request."""
 
@@ -73,7 +86,7 @@ class RequestCheck:
     def nearby(self) -> tuple[Array | None, Array | None]:
         """The answers to inputs and past moved by 1e-6, there and back."""
         there, back = self.batch.moved(TINY, self.scale, self.random)
-        return self._ask(there), self._ask(back)
+        return self.ask(there), self.ask(back)
 
     def perturbation(self) -> Suspicion | None:
         """Answers to two cases close to the scored one must lie about as near to its answer as to
@@ -97,7 +110,7 @@ class RequestCheck:
 
     def table(self) -> Suspicion | None:
         """Outputs that move in time but depend on no input and no past output are stored data."""
-        near = self._ask(self.batch.moved(COARSE, self.scale, self.random)[0])
+        near = self.ask(self.batch.moved(COARSE, self.scale, self.random)[0])
         if near is None:
             return None
         y_hat = self.batch.y_hat[: self.batch.count]
@@ -120,24 +133,28 @@ class RequestCheck:
         words = "inputs after a sample move the output before it"
         return Suspicion(SuspicionKind.CAUSALITY, words, change)
 
-    def block_end(self, lengths: tuple[int, int]) -> tuple[Suspicion | None, ...]:
-        """Started later, at two samples, a simulation that reaches the block's end is about as
-        good there as the scored one, and does not know the end before it gets there."""
+    def ask_later(self, lengths: tuple[int, int]) -> LaterStarts:
+        """Starts later on the record that end with the block, `lengths` samples before it."""
         short, long = lengths
         later = self.batch.ending(long)
-        first = self._ask(later.prefix(short))
-        second, third = self._ask(later), self._ask(self.batch.ending(short))
-        if first is None or second is None or third is None:
+        beginning, last = self.ask(later.prefix(short)), self.ask(self.batch.ending(short))
+        return LaterStarts(beginning, last, self.ask(later))
+
+    def block_end(self, later: LaterStarts) -> tuple[Suspicion | None, ...]:
+        """Started later, at two samples, a simulation that reaches the block's end is about as
+        good there as the scored one, and does not know the end before it gets there."""
+        beginning, short, long = later.beginning, later.short, later.long
+        if beginning is None or short is None or long is None:
             return ()
-        ahead = self._beyond_rounding(first, second[:, :short])
-        last = max(self.batch.u.shape[1] // _LAST_PART, 1)
-        overall = self._end_error(self.batch.y_hat, self.batch.u.shape[1])
-        own = self._end_error(self.batch.y_hat, last)
-        other = min(self._end_error(answer, last) for answer in (second, third))
         found: list[Suspicion | None] = []
+        ahead = self._beyond_rounding(beginning, long[:, : beginning.shape[1]])
         if ahead > _SAME:
             words = "the length of a simulation moves its output"
             found.append(Suspicion(SuspicionKind.CAUSALITY, words, ahead))
+        last = max(self.batch.u.shape[1] // _LAST_PART, 1)
+        overall = self._end_error(self.batch.y_hat, self.batch.u.shape[1])
+        own = self._end_error(self.batch.y_hat, last)
+        other = min(self._end_error(answer, last) for answer in (short, long))
         falls = overall < 1.0 and own < _FALLS * overall
         if falls and other - own > _WORSE and other > _WORSE_END * own:
             words = "the simulation is right at the block's end from the scored start alone"
@@ -150,17 +167,20 @@ class RequestCheck:
         return _rms((answer[rows] - self.batch.y[rows]) / self.scale)
 
     def _beyond_rounding(self, one: Array, other: Array) -> float:
-        """Largest difference, but for what chaos makes of rounding: less than of 1e-6."""
+        """Largest difference, but for what chaos makes of rounding: less than of 1e-6, at that
+        sample or the few before it."""
         apart = self._apart(one, other)
         near = [a for a in self.nearby if a is not None]
         if len(near) == 2:
             grown = self._apart(near[0], near[1])[:, : apart.shape[1]]
-            apart = np.where(apart > np.maximum.accumulate(grown, axis=1), apart, 0.0)
+            grown = np.pad(grown, ((0, 0), (_RECENT, 0)))
+            recent = np.lib.stride_tricks.sliding_window_view(grown, _RECENT + 1, axis=1)
+            apart = np.where(apart > recent.max(axis=2), apart, 0.0)
         return float(apart.max(initial=0.0))
 
     def replay(self) -> Suspicion | None:
         """The answer to a case does not depend on the requests before it."""
-        answer = self._ask(self.batch)
+        answer = self.ask(self.batch)
         change = np.inf if answer is None else float(self._apart(answer, self.batch.y_hat).max())
         if change <= _SAME:
             return None
@@ -179,7 +199,7 @@ class RequestCheck:
             own = float(np.mean(((batch.y_hat - batch.y)[wanted] / self.scale) ** 2))
         others: list[float] = []
         for later, starts in batch.later_starts(STARTS, self.scale):
-            answer = self._ask(later)
+            answer = self.ask(later)
             if answer is None:
                 others.append(np.inf)
                 continue
@@ -191,19 +211,15 @@ class RequestCheck:
                 others.append(float(np.mean(np.square(rows))))
         return own, others
 
-    def lengths(self, fractions: Sequence[float]) -> tuple[int, int] | None:
-        """Two lengths of prefixes, None where a case is too short to have any."""
+    def lengths(self, fractions: tuple[float, float, float]) -> tuple[int, int, int] | None:
+        """Lengths of prefixes, None where a case is too short to have any."""
         whole = self.batch.u.shape[1]
-        if whole < _SHORTEST:
+        if whole < 2:
             return None
-        short, long = (min(int(part * whole), whole - 1) for part in fractions)
-        return short, long
+        short, middle, long = (min(max(int(part * whole), 1), whole - 1) for part in fractions)
+        return short, middle, long
 
-    def ask_prefix(self, length: int) -> Array | None:
-        """The answer to the first inputs alone; None where it is not finite."""
-        return self._ask(self.batch.prefix(length))
-
-    def _ask(self, batch: CaseBatch) -> Array | None:
+    def ask(self, batch: CaseBatch) -> Array | None:
         """The answer; None where it is not finite."""
         try:
             answer = self.simulator.simulate(batch.past_u, batch.past_y, batch.u)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -36,10 +37,17 @@ def simulate_held_out(
 
 
 def held_out_requests(blocks: Sequence[Block], horizon: int | None) -> list[list[int]]:
-    """The requests of `simulate_held_out`, as lists of indices into `blocks`."""
+    """The requests of `simulate_held_out`, as lists of indices into `blocks`.
+
+    The rows of a request are in an order drawn from the held-out outputs, which no worker has: the
+    row of a window would tell its record, whose other part trains.
+    """
     if horizon is None:
         return [[i] for i in range(len(blocks))]
-    return time_order([block.record for block in blocks])
+    digest = hashlib.sha256(b"".join(block.y.tobytes() for block in blocks)).digest()
+    random = np.random.default_rng(int.from_bytes(digest[:8], "big"))
+    requests = time_order([block.record for block in blocks])
+    return [random.permutation(request).tolist() for request in requests]
 
 
 def simulate_training(
@@ -115,3 +123,13 @@ def simulate_requests(
             check_reply(simulated, blocks[index].y.shape)
             found[index] = simulated
     return found
+
+
+def simulate_alone(worker: CaseSimulator, block: Block, row: int, rows: int) -> Array:
+    """The simulated outputs (H, ny) in one row of a request that holds nothing but this case, in
+    all its rows. Raises CandidateError."""
+    case = block.case
+    given = (np.repeat(a[None], rows, axis=0) for a in (case.past_u, case.past_y, case.u))
+    simulated = worker.simulate(*given)[row]
+    check_reply(simulated, block.y.shape)
+    return simulated

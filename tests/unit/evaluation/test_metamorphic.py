@@ -7,11 +7,17 @@ import pytest
 
 from asia.data import Array
 from asia.errors import CandidateError, Reason
-from asia.evaluation import SuspicionKind, simulate_held_out, suspicions
+from asia.evaluation import SuspicionKind, _metamorphic, simulate_held_out, suspicions
 from asia.evaluation._requests import held_out_requests
 from tests.unit.evaluation.relations import Answer, Model, fold, found, honest, suspicions_of
 
 HORIZONS = [None, 20]
+
+
+@pytest.fixture(autouse=True)
+def only_lengths_that_are_always_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How many more there are depends on the time."""
+    monkeypatch.setattr(_metamorphic, "_MORE", 0)
 
 
 def kinds(answer: Answer, horizon: int | None = None, records: int = 3) -> set[str]:
@@ -141,6 +147,60 @@ def test_inputs_of_the_future_are_found_out(horizon: int | None):
     assert kinds(ahead, horizon) == {"causality"}
 
 
+def test_a_look_ahead_at_few_places_takes_more_lengths(monkeypatch: pytest.MonkeyPatch):
+    """Every tenth sample: three lengths miss it, more of them do not."""
+
+    def ahead(past_u: Array, past_y: Array, u: Array) -> Array:
+        y = honest(past_u, past_y, u)
+        y[:, :-1:10] = honest(past_u, past_y, np.roll(u, -1, axis=1))[:, :-1:10]
+        return y
+
+    held = fold(None)
+    y_hat = simulate_held_out(Model(ahead), held.validation, None)
+
+    def flagged(seed: int) -> bool:
+        found = suspicions(Model(ahead), held.validation, y_hat, held.scale, None, seed)
+        return "causality" in {one.kind.value for one in found}
+
+    few = sum(flagged(seed) for seed in range(20))
+    monkeypatch.setattr(_metamorphic, "_MORE", 60)
+    monkeypatch.setattr(_metamorphic, "_COMPILES", np.inf)
+    monkeypatch.setattr(_metamorphic, "_MORE_SECONDS", np.inf)
+    assert few < 15
+    assert sum(flagged(seed) for seed in range(20)) >= 19
+
+
+def test_the_only_window_of_each_record_is_asked_alone():
+    def mixed(past_u: Array, past_y: Array, u: Array) -> Array:
+        return honest(past_u, past_y, u) + 0.1 * past_y[:, -1:].mean(axis=0)
+
+    assert "strangers" in kinds(mixed, 112)
+
+
+def test_windows_of_a_record_stand_in_no_row_of_their_own():
+    requests = held_out_requests(fold(10).validation, 10)
+    records = [block.record for block in fold(10).validation]
+    orders = {tuple(records[i] for i in request) for request in requests}
+    assert len(orders) > 3
+    assert requests == held_out_requests(fold(10).validation, 10)
+
+
+def test_a_short_window_has_prefixes():
+    def ahead(past_u: Array, past_y: Array, u: Array) -> Array:
+        return honest(past_u, past_y, np.roll(u, -1, axis=1))
+
+    assert kinds(ahead, 4) == {"causality"}
+
+
+def test_wild_first_samples_excuse_no_later_ones():
+    def wild(past_u: Array, past_y: Array, u: Array) -> Array:
+        y = honest(past_u, past_y, np.roll(u, -1, axis=1))
+        y[:, :3, 0] += 0.8 * np.sign(np.sin(1e8 * (u[:, :3, 0] + past_y[:, -1:, 0])))
+        return y
+
+    assert "causality" in kinds(wild)
+
+
 def test_cases_that_know_their_neighbours_are_found_out():
     def mixed(past_u: Array, past_y: Array, u: Array) -> Array:
         return honest(past_u, past_y, u) + 0.1 * past_y[:1, -1:]
@@ -230,7 +290,9 @@ def test_requests_are_few_and_in_few_shapes(horizon: int | None):
     held_out, model = fold(horizon), Model(honest)
     suspicions_of(model, held_out.validation, held_out.scale, horizon)
     scored = len(held_out.validation) if horizon is None else -(-len(held_out.validation) // 3)
-    assert len(set(model.asked)) == 3
+    least, whole = min(shape[1] for shape in model.asked), held_out.validation[0].case.u.shape[0]
+    assert least < 0.25 * whole
+    assert max(model.asked)[1] == whole
     assert len(model.asked) <= 2 * scored + 6 * 11
 
 

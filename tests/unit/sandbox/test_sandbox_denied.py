@@ -30,6 +30,8 @@ CALLS = {
     "timerfd_create": "1, 0",
     "signalfd4": "-1, room, 8, 0",
     "statfs": "b'/', room",
+    "madvise MADV_COLD": "page, 4096, 20",
+    "madvise MADV_PAGEOUT": "page, 4096, 21",
     "fstatfs": "fd, room",
     "membarrier": "0, 0, 0",
     "getpgid": "1",

@@ -57,6 +57,7 @@ get_robust_list 274 100
 _CHECKED = """
 clone 56 220; clone3 435 435; kill 62 129; tgkill 234 131; prlimit64 302 261; fcntl 72 25
 ioctl 16 29; prctl 157 167; futex 202 98; seccomp 317 277; exit 60 93; exit_group 231 94
+madvise 28 233
 """
 _LAST_KNOWN = 450  # set_mempolicy_home_node; to the worker, later ones do not exist
 _ARCHITECTURES = {"x86_64": (0xC000003E, 1), "aarch64": (0xC00000B7, 2)}
@@ -71,6 +72,7 @@ _FCNTL = (0, 1, 2, 3, 4, 1030, 1032)
 # TCGETS and TCGETS2 (is it a terminal?), TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX.
 _IOCTL = (0x5401, 0x802C542A, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
 _KILLED = 128 + signal.SIGKILL
+_MADV_COLD, _MADV_PAGEOUT = 20, 21
 _FUTEX_PRIVATE, _FUTEX_CLOCK = 0x80, 0x100
 _FUTEX_WAIT, _FUTEX_WAKE, _FUTEX_WAIT_BITSET = 0, 1, 9
 _PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS, _PR_GET_SECCOMP, _PR_SET_TIMERSLACK = 1, 38, 21, 29
@@ -145,6 +147,10 @@ def build(machine: str, pid: int) -> bytes:
     code += _when(known["fcntl"], _only(1, _FCNTL)) + _when(known["ioctl"], _only(1, _IOCTL))
     code += _when(known["prctl"], _unless(0, _PR_SET_PDEATHSIG))
     code += _when(known["futex"], _futex())
+    # Throwing a file out of memory, so that another worker sees it come from the disk.
+    advice = _step(_LOAD, _low(2)) + _step(_JUMP_EQUAL, _MADV_COLD, 1, 0)
+    advice += _step(_JUMP_EQUAL, _MADV_PAGEOUT, 0, 1) + _deny() + _allow()
+    code += _when(known["madvise"], advice)
     for name, number in known.items():
         if name not in checked:
             code += _when(number, _deny())
