@@ -24,7 +24,7 @@ from asia.agents.llm.reply import MalformedReplyError, read_reply
 from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source, source_digest
 from asia.data._store import read_seal
-from asia.data.sources.csv import column_names, read_csv, split_csv
+from asia.data.sources.csv import read_csv, split_csv
 from asia.drive import RunDesk, SearchRequest, Workspace
 from asia.drive._desk import tidy
 from asia.drive._queue import Queue
@@ -177,7 +177,6 @@ def _problem_targets(place: Place) -> tuple[Target, ...]:
 
     def csv(data: bytes) -> None:
         path = place.put("record.csv", data)
-        column_names(path)
         split_csv(path, ["u", "y"], 0.2)
         read_csv(path, ["u"], ["y"], 0.5)
 

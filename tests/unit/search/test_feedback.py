@@ -143,7 +143,7 @@ def test_a_verdict_from_held_out_outputs_is_told_as_no_new_best(
 ) -> None:
     broken = (Suspicion(SuspicionKind.RESTART, "far worse", 9.0),)
     calls = iter([(), (), broken, broken])
-    monkeypatch.setattr(evaluator_module, "suspicions", lambda *a: next(calls, ()))
+    monkeypatch.setattr(evaluator_module, "suspicions", lambda *a, **named: next(calls, ()))
     agent = Scripted((arx(2), arx(1).replace("n = 1", "n = 1 + 0")))
     ready = prepare(load_problem(with_feedback(tmp_path)), agent.name, seed=0, runs=tmp_path / "r")
     view = search(ready, agent, lambda event, view: None, lambda view: None)
