@@ -98,7 +98,7 @@ def without_words(source: str, tree: ast.Module) -> str:
     except (tokenize.TokenError, SyntaxError, ValueError, RecursionError, MemoryError):
         pass
     raise CandidateError(
-        Reason.SYNTAX, "comments cannot be told from code: use plain line ends and indents"
+        Reason.SYNTAX, "comments cannot be separated from code: use plain line ends and indents"
     )
 
 

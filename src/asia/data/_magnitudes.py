@@ -29,7 +29,8 @@ def check_magnitudes(
             raise UserError(
                 f"{role} '{names[channel]}' of {what} record '{t.name}' is "
                 f"{values[sample, channel]:.3g} at sample {sample + 1}, expected a magnitude of at "
-                f"most {LARGEST_VALUE:g}, for squares must not overflow: mend the sample, or give "
+                f"most {LARGEST_VALUE:g}, since its square must not overflow: correct the "
+                "sample, or give "
                 "the signal in a larger unit (divide its column by a power of ten)"
             )
 
@@ -52,6 +53,6 @@ def _check_range(arrays: Sequence[Array], role: str, names: Sequence[str]) -> No
         if 0 < span < LEAST_RANGE:
             raise UserError(
                 f"{role} '{name}' moves by {span:.3g} in all training records together, expected "
-                f"a range of at least {LEAST_RANGE:g}, for squares must not vanish: give the "
+                f"a range of at least {LEAST_RANGE:g}, since its square must not vanish: give the "
                 "signal in a smaller unit (multiply its column by a power of ten)"
             )

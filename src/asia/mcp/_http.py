@@ -67,8 +67,9 @@ def _address(address: str) -> tuple[str, int]:
         raise UserError(f"--http {address}: expected HOST:PORT, such as 127.0.0.1:8765")
     if host not in LOOPBACK:
         raise UserError(
-            f"--http {address}: expected a host of this machine ({', '.join(LOOPBACK)}), for the "
-            "token goes in the clear; from elsewhere, forward the port: ssh -L"
+            f"--http {address}: expected a host of this machine ({', '.join(LOOPBACK)}), "
+            "since the token is not encrypted; from another machine, forward the port: ssh "
+            "-L"
         )
     return host, int(port)
 

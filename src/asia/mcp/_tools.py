@@ -95,7 +95,7 @@ class Tools:
             await anyio.sleep(min(_POLL, timeout_s - waited))
             submission = await ask(self._desk.submission, ticket)
         if submission.state == "unknown":
-            raise ToolError(f"submission {ticket} was taken back meanwhile: asia_submit another")
+            raise ToolError(f"submission {ticket} was withdrawn: asia_submit another")
         return await self._waited(submission)
 
     async def status(self) -> ProgressAnswer:
@@ -161,7 +161,7 @@ class Tools:
         submission = await ask(self._desk.submission, name)
         if submission.state == "unknown":
             raise ToolError(
-                f"no submission has the ticket '{one_line(name, 60)}': it was taken back, or "
+                f"no submission has the ticket '{one_line(name, 60)}': it was withdrawn, or "
                 "belongs to another run; asia_results lists what was evaluated"
             )
         return submission

@@ -52,25 +52,25 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
     if table.ladder_step is not None and table.feedback == "exact":
         raise UserError(
             'protocol.ladder_step belongs to feedback = "ladder": set that, or leave the step out '
-            "to tell agents all of V"
+            "to report every V to agents"
         )
     _check_test(table, table.test.rule(), outputs)
 
 
 def check_feedback(rule: ProtocolRule) -> None:
-    """Raises UserError when a fit would be told what the agent must not know."""
+    """Raises UserError when a fit could learn what the agent must not know."""
     if rule.ladder is not None and rule.early_stopping == "validation":
         raise UserError(
-            'protocol.feedback = "ladder" hides V from the agent, which early_stopping = '
-            '"validation" tells its candidates: keep one of them'
+            'protocol.feedback = "ladder" hides V from the agent, but early_stopping = '
+            '"validation" reports it to candidates: keep one of them'
         )
 
 
 def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) -> None:
     if table.kind == "windows" and test.skip:
         raise UserError(
-            "protocol.test.skip leaves out the start of a long simulation, every sample of a "
-            'window counts: leave it out with kind = "windows"'
+            "protocol.test.skip leaves out the start of a long simulation, but every sample of a "
+            'window counts: remove protocol.test.skip, or kind = "windows"'
         )
     if "mee" not in test.metrics:
         if test.groups or test.horizons:
@@ -86,8 +86,8 @@ def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) ->
         )
     if set(test.metrics) == {"mee"}:
         raise UserError(
-            'protocol.test.metrics names "mee" alone, a table: add "rmse" or "mae", one number to '
-            "stand for it"
+            'protocol.test.metrics names "mee" alone, which is a table: add "rmse" or "mae", which '
+            "is one number"
         )
     if not test.groups:
         raise UserError(
@@ -133,7 +133,7 @@ def with_groups(rule: ProtocolRule, groups: GroupsTable, names: Sequence[str]) -
             where = f"in groups {' and '.join(owners)}" if owners else "in no group"
             raise UserError(
                 f"[data.groups]: training record '{record}' is {where}, expected exactly one: "
-                "mend the names or wildcards"
+                "correct the names or wildcards"
             )
     return replace(rule, folds=replace(rule.folds, count=len(found), groups=found))
 

@@ -287,8 +287,8 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
     lost = [layer for layer in start.layers if layer not in wanted.layers]
     if lost:
         raise UserError(
-            f"run '{start.run}' began with a layer of isolation that is not there "
-            f"({', '.join(lost)}): go on where it began, or choose another --name"
+            f"run '{start.run}' started with a layer of isolation that is not available "
+            f"({', '.join(lost)}): continue it where it started, or choose another --name"
         )
     settings = start.agent_settings, wanted.agent_settings
     for what in dict.fromkeys([*settings[0], *settings[1]]):
@@ -311,7 +311,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
     grows = wanted.experiments > view.budget or _hours(wanted.hours) > _hours(view.hours)
     if view.unsealing and grows:
         raise UserError(
-            f"run '{start.run}' was unsealed; a search ends there: choose another --name"
+            f"run '{start.run}' was unsealed, which ended the search: choose another --name"
         )
 
 

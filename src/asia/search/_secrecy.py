@@ -40,6 +40,6 @@ def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
         for place in hidden:
             if real == place or real in place.parents or place in real.parents:
                 raise UserError(
-                    f"{path} would show the agent {place}, which holds test data or their key: "
-                    "name a smaller folder"
+                    f"{path} would show the agent {place}, which contains test data or "
+                    "their key: give a smaller folder"
                 )

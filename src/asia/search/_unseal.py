@@ -73,8 +73,9 @@ def unseal(
         consented = process_consent and needs_consent(view)
         if needs_consent(view) and not consented:
             raise UserError(
-                f"{CONSENT.format(run=view.started.run)}; to open the test all the same say "
-                "--yes-process (in Python: process_consent=True), and the ledger keeps it"
+                f"{CONSENT.format(run=view.started.run)}; to open the test nevertheless, "
+                "give --yes-process (in Python: process_consent=True); the ledger records "
+                "it"
             )
         verify(directory)
         problem = load_lock(directory / LOCK)

@@ -165,7 +165,7 @@ def test_a_token_is_made_up_and_told_once(setting: Setting) -> None:
         ("127.0.0.1:http", "expected HOST:PORT"),
         ("127.0.0.1:99999", "expected HOST:PORT"),
         ("0.0.0.0:8765", "expected a host of this machine"),
-        ("example.org:80", "the token goes in the clear"),
+        ("example.org:80", "the token is not encrypted"),
     ],
 )
 def test_an_address_must_be_of_this_machine(setting: Setting, address: str, words: str) -> None:

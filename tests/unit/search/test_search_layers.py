@@ -28,7 +28,9 @@ def test_a_run_that_would_go_on_with_fewer_layers_is_refused(
 
     assert go(1) == 1
     monkeypatch.setattr(_level, "missing_layers", lambda: {"landlock": "taken away"})
-    with pytest.raises(UserError, match=r"a layer .* not there \(landlock\): go on where it began"):
+    with pytest.raises(
+        UserError, match=r"a layer .* not available \(landlock\): continue it where it started"
+    ):
         go(2)
     monkeypatch.undo()
     assert go(2) == 2

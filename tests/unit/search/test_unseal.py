@@ -187,5 +187,5 @@ def test_rules_of_a_command_agent_are_checked_for_it(tmp_path: Path) -> None:
     toy = write_problem(tmp_path / "toy")
     ready = prepare(load_problem(toy), "claude", seed=0, runs=tmp_path / "elsewhere" / "runs")
     rules = CommandRules(mounts=(toy,), jail=True)
-    with pytest.raises(UserError, match="holds test data or their key"):
+    with pytest.raises(UserError, match="contains test data or their key"):
         run_command(ready, fake("claude", "search"), rules, lambda e, v: None, lambda v: None)

@@ -134,8 +134,8 @@ def check_key_folder(keys: Path, directory: Path) -> None:
     real = keys.resolve()
     if real == directory or directory in real.parents:
         raise UserError(
-            f"the keys in {keys} would lie in the problem's directory, and open what they lie "
-            "beside: name another folder with --keys or ASIA_KEYS"
+            f"the keys in {keys} would be in the problem's directory, beside the data that "
+            "they open: give another folder with --keys or ASIA_KEYS"
         )
 
 
