@@ -35,7 +35,7 @@ class Facts:
     in the person's words; groups: names of the records held out together, one tuple a
     fold, () where folds are cut inside the records; early_stopping: `validation` lets a fit ask
     for its score on the held-out part; ladder: the share of V by which a new best must be better to
-    be told, None where all of V is told.
+    be reported, None where every V is reported.
     """
 
     description: str
@@ -80,7 +80,7 @@ class Facts:
 @dataclass(frozen=True)
 class Trial:
     """An evaluated experiment. `value` and `folds` are None and () when there is no score; with the
-    Ladder `folds` is () and `value` what was told last, a new best where the status is `keep`;
+    Ladder `folds` is () and `value` the last reported V, a new best where the status is `keep`;
     `failure` is what happened and what to do, `error` the candidate's own words for it: data, not
     to be trusted."""
 

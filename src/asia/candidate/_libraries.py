@@ -8,5 +8,5 @@ _LIBRARIES = ("numpy", "scipy", "jax", "equinox", "optax")
 
 
 def installed_libraries() -> tuple[str, ...]:
-    """Those of them that are installed here, as agents and people are told."""
+    """Those of them that are installed here, as agents and people read them."""
     return tuple(name for name in _LIBRARIES if find_spec(name) is not None)

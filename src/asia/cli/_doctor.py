@@ -44,7 +44,7 @@ def doctor(json: Json = False) -> None:
 
 
 def _plugged() -> tuple[tuple[Part, ...], str | None]:
-    """The parts of other packages; without them, why they cannot be told apart."""
+    """The parts of other packages; without them, why they cannot be listed."""
     from asia._plugins import parts
     from asia.errors import UserError
 

@@ -66,8 +66,8 @@ def _print(directory: Path, found: Brief) -> None:
         experiment_line,
         guard_words,
         stop_words,
-        told,
         usage_words,
+        validation_words,
         value_words,
     )
     from asia.ledger import control, control_words, metric_of
@@ -89,7 +89,7 @@ def _print(directory: Path, found: Brief) -> None:
     if view.usage is not None:
         say(f"agent   {usage_words(view.usage)}")
     if view.started.early_stopping == "validation":
-        say(f"V is {told(found.validation_scores)}")
+        say(f"V is {validation_words(found.validation_scores)}")
     if words := again_words(view):
         say(f"again   {words}")
     if view.looks:

@@ -25,7 +25,7 @@ def unseal(
     json: Json = False,
 ) -> None:
     """Score the winner on the sealed test. This ends the search and can be done once."""
-    from asia.cli._output.words import told
+    from asia.cli._output.words import validation_words
     from asia.errors import UserError
     from asia.ledger import find_run, open_run
     from asia.report import write_report
@@ -57,7 +57,7 @@ def unseal(
         return
     _print_text(result.record)
     if view.started.early_stopping == "validation":
-        say(f"chosen {told(view.validation_scores)}; the test itself was never seen")
+        say(f"chosen {validation_words(view.validation_scores)}; the test itself was never seen")
     for picture in pictures:
         if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
             say(f"picture  {picture}")

@@ -146,7 +146,7 @@ class RunDesk:
         self._seen: tuple[tuple[int, ...], Run] | None = None
 
     def run(self) -> Run:
-        """The run as it stands, its scores as they are told, read anew where its ledger has
+        """The run as it stands, with the reported scores, read again where its ledger has
         changed. A search that never began is started first. Raises UserError as `open_run` does."""
         ledger = self._directory / "ledger.jsonl"
         if self._keep_alive is not None and not has_begun(self._directory):

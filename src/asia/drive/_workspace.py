@@ -154,7 +154,7 @@ def write_folder(folder: Path, problem: Problem, experiments: int, run: Path | N
 
 
 def write_views(folder: Path, view: SearchView, store: Store) -> None:
-    """results.tsv and search_journal.md with the scores as they are told, read-only; the best
+    """results.tsv and search_journal.md with the reported scores, read-only; the best
     candidate beside them."""
     view = published(view)
     texts = {VIEWS[0]: results_table(view), VIEWS[1]: journal(view)}

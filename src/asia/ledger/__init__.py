@@ -36,7 +36,7 @@ from asia.ledger._exports import (
     error_value,
     journal,
     results_table,
-    scores_told,
+    validation_score_words,
     write_exports,
 )
 from asia.ledger._index import Brief, brief, refresh
@@ -105,7 +105,7 @@ __all__ = [
     "refresh",
     "replay",
     "results_table",
-    "scores_told",
+    "validation_score_words",
     "verify",
     "write_exports",
     "write_whole",

@@ -81,7 +81,7 @@ class Chain:
         seq = self._place.seq
         line = decode(raw, seq, str(self._path))
         # An interrupt may have cut off an earlier call before it returned: then its record is
-        # still there, and nobody was told that it is.
+        # still there, but was never confirmed.
         with writing(self._path):
             self._cut_back()
             try:

@@ -68,8 +68,8 @@ def _entry(view: SearchView, e: Experiment, position: int) -> str:
     )
 
 
-def scores_told(result: Evaluated) -> str:
-    """How often the fits of an experiment were told their score on the held-out parts."""
+def validation_score_words(result: Evaluated) -> str:
+    """How often the fits of an experiment requested their score on the held-out parts."""
     count = result.validation_scores
     return f"{count} validation score{'' if count == 1 else 's'}"
 
@@ -89,8 +89,12 @@ def describe_result(e: Experiment, view: SearchView) -> str:
 def _outcome_words(e: Experiment, view: SearchView) -> str:
     if e.score and e.result:
         folds = ", ".join(error_value(f.value) for f in e.score.folds)
-        told = "" if view.started.early_stopping == "inner" else f", {scores_told(e.result)}"
-        parts = f" (folds {folds}{told})" if folds else ""
+        asked = (
+            ""
+            if view.started.early_stopping == "inner"
+            else f", {validation_score_words(e.result)}"
+        )
+        parts = f" (folds {folds}{asked})" if folds else ""
         return f"{view.v_name} = {error_value(e.score.value)}{parts}"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""

@@ -1,11 +1,11 @@
 """What whoever proposes may know of the scores.
 
-The Ladder (Blum and Hardt, ICML 2015): a score is told only when it beats the last one told by a
-step, and then on a grid of steps, so that what anybody learns from any number of candidates is
-bounded by the rungs passed on the way down. V has no upper end, so the step is a share of V and the
-grid geometric; and as in their parameter-free form the gain must stand out from its own scatter,
-here over parts of the held-out records, whose errors hang together in time too much to count
-samples.
+The Ladder (Blum and Hardt, ICML 2015): a score is reported only when it is lower than the last
+reported one by a step, and then rounded to a grid of steps. So the information in the reported
+scores of any number of candidates is bounded by the number of steps. V has no upper limit, so the
+step is relative and the grid geometric. As in their parameter-free form, the gain must exceed its
+own scatter. Here this is the scatter over parts of the held-out records, because the errors of
+single samples are correlated in time.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _DEVIATIONS = 3.0
 
 
 def beats(score: Score, view: SearchView) -> bool:
-    """Whether it is a new best: below the incumbent's V; with the Ladder, below what was told of
-    that by more than the step, and better over the parts by three standard errors."""
+    """Whether it is a new best: below the incumbent's V; with the Ladder, below its reported V by
+    more than the step, and better over the parts by three standard errors."""
     best = view.best.score if view.best else None
     if best is None:
         return True
@@ -42,25 +42,25 @@ def on_ladder(value: float, step: float) -> float:
 
 
 def published(view: SearchView) -> SearchView:
-    """The view with the scores as they are told; as it is without the Ladder. With it an experiment
-    that was kept has its V on the grid, any other that has a score the one told last, and none has
-    scores of its folds. A failure that hangs on held-out outputs is told, once a V was, as a score
+    """The view with the reported scores; unchanged without the Ladder. With it, an experiment that
+    was kept has its V on the grid. Any other with a score has the last reported V. None has scores
+    of its folds. A failure that depends on held-out outputs is reported, once a V was, as a score
     that was not kept."""
     step = view.started.ladder
     if step is None:
         return view
-    told: float | None = None
+    reported: float | None = None
     experiments = list(view.experiments)
     for i, experiment in enumerate(experiments):
         result, score, failure = experiment.result, experiment.score, experiment.failure
         hidden = failure is not None and failure.reason is Reason.RESTART
-        if result is None or not (score or (hidden and told is not None)):
+        if result is None or not (score or (hidden and reported is not None)):
             continue
-        if score and (told is None or result.status == "keep"):
-            told = on_ladder(score.value, step)
-        assert told is not None
+        if score and (reported is None or result.status == "keep"):
+            reported = on_ladder(score.value, step)
+        assert reported is not None
         status = "discard" if hidden else result.status
-        result = replace(result, status=status, outcome=Score(told, ()))
+        result = replace(result, status=status, outcome=Score(reported, ()))
         experiments[i] = replace(experiment, result=result)
     return replace(view, experiments=tuple(experiments))
 

@@ -103,7 +103,7 @@ def test_forward_folds_with_a_gap_are_locked_and_said(
     problem = load_problem(write(f'{HEAD}[data]\ntrain = ["slow_1.csv"]\n{small}'))
     assert problem.protocol.folds == FoldRule("forward", 2, gap=4)
     text = "\n".join(check_problem(problem, Seal(None)).lines())
-    assert "fold 1: holds out slow_1 22..41; trains on 16 samples" in text
+    assert "fold 1: holds out slow_1 22-41; trains on 16 samples" in text
     path = tmp_path / "problem.lock.toml"
     path.write_text(lock_text(problem, Seal(None)), encoding="utf-8")
     assert load_lock(path).protocol == problem.protocol

@@ -67,10 +67,10 @@ def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> Study:
     study = optuna.create_study(sampler=sampler)
     worst = max((t.value for t in view.trials if t.value is not None), default=1.0)
     for trial in view.trials:
-        told = _told(trial, view.facts, rows)
-        if told is not None:
+        asked = _as_asked(trial, view.facts, rows)
+        if asked is not None:
             value = trial.value if trial.value is not None else _FAILED * worst
-            params, distributions = told
+            params, distributions = asked
             study.add_trial(
                 optuna.trial.create_trial(params=params, distributions=distributions, value=value)
             )
@@ -93,7 +93,7 @@ def _asked(study: Study, facts: Facts, rows: Sequence[Family]) -> tuple[Recipe, 
     return _built(row, facts, pick), row
 
 
-def _told(
+def _as_asked(
     trial: Trial, facts: Facts, rows: Sequence[Family]
 ) -> tuple[dict[str, Number], dict[str, BaseDistribution]] | None:
     """An earlier trial as the estimator would have asked for it; None for a source that is no

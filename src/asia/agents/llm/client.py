@@ -140,13 +140,13 @@ class ChatClient:
         input tokens for a byte of a request, with a margin."""
         exchanges = self._journal.exchanges
         sizes = [len(self._journal.get(e.request)) for e in exchanges]
-        told = [
+        reported = [
             e.usage.input_tokens / size
             for e, size in zip(exchanges, sizes, strict=True)
             if e.usage is not None
         ]
         # A token is a byte or more; then the server's own counts tell.
-        rate = _MARGIN * max(told) if told else 1.0
+        rate = _MARGIN * max(reported) if reported else 1.0
         tokens, cost = 0, 0.0
         for e in exchanges:
             if e.usage is not None:

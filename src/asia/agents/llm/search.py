@@ -1,4 +1,4 @@
-"""What a language model is told of the search so far, and what it is asked for.
+"""What a language model reads of the search so far, and the request to it.
 
 A pure function of the view: no measured time, no paths, nothing that a second run would say
 otherwise.
@@ -85,10 +85,10 @@ def _lines(view: AgentView) -> Iterator[str]:
     kept = [trial for trial in view.trials if trial.number in best | recent]
     if len(kept) < len(view.trials):
         yield f"({len(view.trials) - len(kept)} older ones are left out)"
-    told = {trial.number for trial in view.trials[-_TOLD:]}
+    shown = {trial.number for trial in view.trials[-_TOLD:]}
     for trial in kept:
         yield _line(trial)
-        if trial.number in told:
+        if trial.number in shown:
             yield (
                 f"    hypothesis {quoted(trial.hypothesis, _SAID)}, expected "
                 f"{quoted(trial.expected, _SAID)}"

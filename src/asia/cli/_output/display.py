@@ -25,8 +25,8 @@ from asia.cli._output.words import (
     guard_words,
     last_line,
     stop_words,
-    told,
     usage_words,
+    validation_words,
     value_words,
 )
 from asia.evaluation import TRUTH
@@ -173,7 +173,7 @@ class TextDisplay:
                 style="bold",
             )
             if view.started.early_stopping == "validation":
-                self._print(f"V is     {told(view.validation_scores)}")
+                self._print(f"V is     {validation_words(view.validation_scores)}")
             beside = control(self.prepared.directory, view.started, len(view.finished))
             if beside is not None:
                 self._print(f"control  {control_words(beside, view.started)}")

@@ -65,8 +65,8 @@ def _fold_table(console: Terminal, run: Run, experiment: Experiment) -> None:
     table.add_column("fold", justify="right")
     for head in ("V", *channels):
         table.add_column(head, justify="right")
-    told = run.view.started.early_stopping == "validation"
-    if told:
+    asked = run.view.started.early_stopping == "validation"
+    if asked:
         table.add_column("val. scores", justify="right")
     for head in ("train", "bias", "white", "u-corr", "top", "start", "fit s"):
         table.add_column(head, justify="right")
@@ -76,7 +76,7 @@ def _fold_table(console: Terminal, run: Run, experiment: Experiment) -> None:
             str(k),
             error_value(fold.value),
             *(() if wide else (*map(_error, errors), *map(_fit, fold.fit_index))),
-            *((str(kept.validation_scores),) if told else ()),
+            *((str(kept.validation_scores),) if asked else ()),
             error_value(d.train_error),
             f"{d.bias:.3f}",
             f"{d.whiteness:.2f}",

@@ -14,7 +14,7 @@ from asia.ledger import (
     SearchView,
     Usage,
     error_value,
-    scores_told,
+    validation_score_words,
 )
 from asia.scoring import Failure, Outcome, Score
 
@@ -34,7 +34,7 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600}h{whole % 3600 // 60:02d}m"
 
 
-def told(validation_scores: int) -> str:
+def validation_words(validation_scores: int) -> str:
     """With validation early stopping: what V is, and how often held-out parts were asked."""
     return (
         f"with validation early stopping, not leak-free; {validation_scores} validation scores "
@@ -71,7 +71,7 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     if best and best.score:
         tail = f"best #{best.number:02d} {error_value(best.score.value)}"
     title = experiment.proposed.title
-    asked = "" if view.started.early_stopping == "inner" else f" | {scores_told(r):<21}"
+    asked = "" if view.started.early_stopping == "inner" else f" | {validation_score_words(r):<21}"
     return (
         f"#{experiment.number:02d} {r.status:<8}{found:<25}  {duration(r.seconds):>6}  "
         f"{title:<44}{asked} | {tail}"

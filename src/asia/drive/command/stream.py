@@ -21,7 +21,7 @@ StreamFormat = Literal["claude", "codex", "gemini", "none"]
 
 @dataclass
 class Stream:
-    """What one session's stream has told so far."""
+    """What one session's stream has reported so far."""
 
     format: StreamFormat
     """How its lines are read."""
@@ -35,7 +35,7 @@ class Stream:
     outcome: str = ""
     """The agent's own word for its end."""
     totals: Usage | None = None
-    """The agent's own totals as they stand now; None until they are told."""
+    """The agent's own totals as they stand now; None until they are reported."""
     _seen: set[str] = field(default_factory=set[str])
 
     def feed(self, line: str) -> None:
@@ -62,7 +62,7 @@ class Stream:
         )
 
     def first_time(self, name: str) -> bool:
-        """Whether an item is met for the first time; one reply may be told in several events."""
+        """Whether an item occurs for the first time; one reply may have several events."""
         new = name not in self._seen
         self._seen.add(name)
         return new
@@ -92,7 +92,7 @@ def _claude_totals(stream: Stream, event: dict[str, Any]) -> None:
         now = replace(now, cost=max(0.0, float(cost) - (before.cost or 0.0)))
     models = [_table(m) for m in _table(event.get("modelUsage")).values()]
     if models:
-        # With sub-agents; what is told on the way is the main loop alone.
+        # With sub-agents; before the end only the main loop is reported.
         cached = sum(_count(m, "cacheReadInputTokens") for m in models)
         fresh = sum(
             _count(m, "inputTokens") + _count(m, "cacheCreationInputTokens") for m in models
