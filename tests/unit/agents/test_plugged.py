@@ -166,7 +166,7 @@ def test_an_agent_by_the_name_its_package_gives_it(plug) -> None:
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        ("loose_agent:Impostor", "names itself 'expert'"),
+        ("loose_agent:Impostor", "its name is 'expert'"),
         ("loose_agent:Needy", "without arguments failed: TypeError"),
         ("loose_agent:SOURCE", "expected a class"),
         ("loose_agent:Nobody", "has no 'Nobody'"),
