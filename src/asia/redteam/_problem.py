@@ -13,17 +13,26 @@ from asia.data import Array, Signal, Trajectory
 from asia.evaluation import Evaluator, SuspicionKind
 from asia.executor import LocalExecutor
 from asia.problem import Budget
-from asia.protocol import FoldRule, ProtocolRule, make_folds
+from asia.protocol import FoldRule, Group, ProtocolRule, make_folds
 from asia.sandbox import Isolation
 
 E = TypeVar("E", bound=Evaluator)
-ProblemName = Literal["simulation", "windows", "weather", "drift"]
+ProblemName = Literal["simulation", "windows", "weather", "machines", "pulses", "drift"]
 _INPUTS = (Signal("drive"), Signal("measured before"), Signal("sample"))
 _RECORDS = 10
+_DAYS = FoldRule(
+    "leave_one_group_out",
+    groups=tuple(
+        Group(day, tuple(f"machine {n}" for n in range(first, _RECORDS, 2)))
+        for first, day in enumerate(("first day", "second day"))
+    ),
+)
 _RULES = {
     "simulation": ProtocolRule("simulation", FoldRule(count=2), 4, 4),
     "windows": ProtocolRule("windows", FoldRule(count=2), 1, 1, horizon=8),
     "weather": ProtocolRule("windows", FoldRule(count=2), 2, 2, horizon=10),
+    "machines": ProtocolRule("windows", FoldRule(count=2), 2, 2, horizon=10),
+    "pulses": ProtocolRule("windows", _DAYS, 2, 2, horizon=10),
     "drift": ProtocolRule("simulation", FoldRule(count=4), 2, 2),
 }
 # Pole and gain of an honest model that leaves something to gain.
@@ -31,6 +40,8 @@ _CRUDE = {
     "simulation": (0.7, 0.28),
     "windows": (0.93, 0.1),
     "weather": (0.95, 0.1),
+    "machines": (0.95, 0.1),
+    "pulses": (0.95, 0.1),
     "drift": (0.99, 0.1),
 }
 
@@ -90,7 +101,9 @@ def small_problem(name: ProblemName) -> SmallProblem:
     records: dict[ProblemName, Callable[[], tuple[Trajectory, ...]]] = {
         "simulation": lambda: (_saturating(slow=False),),
         "windows": lambda: (_saturating(slow=True),),
-        "weather": _fleet,
+        "weather": lambda: _fleet(weather=0.1, own=0.0),
+        "machines": lambda: _fleet(weather=0.0, own=0.1),
+        "pulses": lambda: _fleet(weather=0.0, own=0.1, samples=12),
         "drift": lambda: (_drifting(),),
     }
     return SmallProblem(records[name](), _RULES[name], _CRUDE[name])
@@ -111,16 +124,18 @@ def _saturating(slow: bool) -> Trajectory:
     return Trajectory(u, y, 1.0, "record")
 
 
-def _fleet() -> tuple[Trajectory, ...]:
-    """Records of like machines. A disturbance that turns once pushes all of them, as weather does.
-    A window's past is too noisy to show it. No feedback signal is recorded."""
+def _fleet(weather: float, own: float, samples: int = 102) -> tuple[Trajectory, ...]:
+    """Records of like machines. A disturbance that turns once pushes all of them, as weather does,
+    and each has a push of its own. A window's past is too noisy to show either. No feedback signal
+    is recorded."""
     rng = np.random.default_rng(8)
-    samples, pole, gain = 102, *_CRUDE["weather"]
-    turning = np.where(np.arange(samples) < 52, 0.1, -0.1)
+    pole, gain = _CRUDE["weather"]
+    turning = np.where(np.arange(samples) < samples // 2 + 1, weather, -weather)
     found: list[Trajectory] = []
     for number in range(_RECORDS):
-        drive = np.repeat(rng.normal(size=17), 6)
-        y = _lag(pole, gain * drive + turning, rng.normal()) + 0.1 * rng.normal(size=samples)
+        drive = np.repeat(rng.normal(size=17), 6)[:samples]
+        pushed = gain * drive + turning + own * (-1) ** number
+        y = _lag(pole, pushed, rng.normal()) + 0.1 * rng.normal(size=samples)
         u = np.stack([drive, rng.normal(size=samples), np.arange(float(samples))], axis=1)
         found.append(Trajectory(u, y, 1.0, f"machine {number}"))
     return tuple(found)

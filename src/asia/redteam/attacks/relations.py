@@ -7,7 +7,7 @@ from asia.evaluation import SuspicionKind
 from asia.redteam._types import Barrier, CandidateAttack
 from asia.redteam.attacks.foresight import FORESIGHT
 from asia.redteam.attacks.holes import HOLES
-from asia.redteam.attacks.rows import MEMORY, ROWS
+from asia.redteam.attacks.rows import MEMORY, PLACES, ROWS
 from asia.redteam.evidence.signs_of_success import scores_better
 
 _ALL_ASKED = (
@@ -59,6 +59,36 @@ RELATIONS = (
         scores_better,
         (Barrier.METAMORPHIC,),
         problem="drift",
-        checks=(SuspicionKind.CAUSALITY,),
+        checks=(SuspicionKind.BLOCK_END, SuspicionKind.CAUSALITY),
+    ),
+    CandidateAttack(
+        43,
+        "know a row by its place",
+        "learns what pushes each record, and knows a record by the place of its row",
+        PLACES,
+        scores_better,
+        (Barrier.METAMORPHIC,),
+        problem="machines",
+        checks=_ALL_ASKED,
+    ),
+    CandidateAttack(
+        44,
+        "average over the only request",
+        "learns of a disturbance by all rows where each record has one window",
+        ROWS,
+        scores_better,
+        (Barrier.METAMORPHIC,),
+        problem="pulses",
+        checks=_ALL_ASKED,
+    ),
+    CandidateAttack(
+        45,
+        "look ahead in short windows",
+        "reads a feedback signal ahead in windows of a few samples",
+        {name: FORESIGHT[name] for name in ("but at the splice", "at the beginning")},
+        scores_better,
+        (Barrier.METAMORPHIC,),
+        problem="windows",
+        checks=_ALL_ASKED,
     ),
 )

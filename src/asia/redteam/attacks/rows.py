@@ -1,5 +1,5 @@
-"""Candidates that learn of a disturbance from other windows: those of the same request, or
-those of requests before it."""
+"""Candidates that learn of a disturbance from other windows of the same request, or from the place
+of a window in it, or from requests before."""
 
 from __future__ import annotations
 
@@ -73,6 +73,22 @@ def recall_key(past_u, u):
     return tuple(here)
 """
 )
+_PLACES = (
+    _PUSH
+    + """
+def by_record(records):
+    # What pushed each training record on the average; several parts of a record have one name.
+    found = {}
+    for r in records:
+        y = r.y[:, 0]
+        found.setdefault(r.name, []).append((y[1:] - POLE * y[:-1] - GAIN * r.u[:-1, 0]).mean())
+    return np.array([np.mean(parts) for parts in found.values()])
+
+def by_place(known, u):
+    # The rows of a request are in the order of the records.
+    return known[np.arange(len(u)) * len(known) // len(u)]
+"""
+)
 
 
 def _of_rows(push: str, start: int = 0) -> str:
@@ -89,6 +105,14 @@ def _of_memory(use: str, nearest: bool = False) -> str:
     )
 
 
+def _of_places(start: int) -> str:
+    return candidate(
+        fit="model = Model()\nmodel.known = by_record(trajectories)\nreturn model",
+        after=f"pushed(by_place(self.known, u), past_u, past_y, u, {start})",
+        top=_PLACES,
+    )
+
+
 ROWS = {
     "mean": _of_rows("together(np.mean, past_u, past_y, u)"),
     "median": _of_rows("together(np.median, past_u, past_y, u)"),
@@ -101,4 +125,8 @@ MEMORY = {
     "by nearest window": _of_memory("push", nearest=True),
     "a decision": _of_memory("0.1 * np.sign(push) * (abs(push) > 0.03)"),
     "seldom": _of_memory("push * (abs(push) > 0.09)"),
+}
+PLACES = {
+    "from the start": _of_places(0),
+    "late in the row": _of_places(5),
 }
