@@ -55,12 +55,12 @@ class CaseBatch:
         return replace(self, u=self.u[:, :length])
 
     def ending(self, length: int) -> CaseBatch:
-        """The last `length` samples of the same cases, started from measured outputs."""
+        """The last `length` samples of the same cases, started from simulated outputs."""
         start = self.u.shape[1] - length
         return replace(
             self,
             past_u=_past(self.past_u, self.u, start),
-            past_y=_past(self.past_y, self.y, start),
+            past_y=_past(self.past_y, self.y_hat, start),
             u=self.u[:, start:],
         )
 

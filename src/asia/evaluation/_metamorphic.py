@@ -18,7 +18,7 @@ from asia.data import Array
 from asia.errors import CandidateError, Reason
 from asia.evaluation._batches import batches
 from asia.evaluation._relations import (
-    LaterStarts,
+    Continuation,
     RequestCheck,
     Suspicion,
     SuspicionKind,
@@ -35,7 +35,7 @@ from asia.evaluation._requests import (
 from asia.protocol import Block
 
 ROUNDING = 1e-6
-_BY_ITSELF = 3
+_BY_ITSELF = 24
 # Parts of a case that are asked alone: a short one, and two anywhere beyond.
 _SHORT, _FURTHER = (0.02, 0.25), (0.25, 1.0)
 # Further lengths, for a model that answers in less time than a compilation takes.
@@ -63,25 +63,25 @@ def suspicions(
     relations that are left out; rounding: by how many standard deviations other cases may move an
     answer.
 
-    First come, on whole blocks that data follow, two later starts that end with the block (`block
-    end`: both much worse at its end). Then what `dependences` asks. Then, on at most six requests,
-    inputs and past moved by 1e-6 of their standard deviations, there and back (`perturbation`: an
-    isolated answer, or a jump at once), and by 1e-2 (`table`: no change at all); the scored
-    requests again (`replay`); and, last, as their past windows are held-out outputs, four later
-    starts on the same record, where the output moves about as fast (`restart`: all much worse over
-    the rest of it, or failing).
+    First, on whole blocks that data follow, it goes on from its own outputs to the block's end
+    (`block end`: another end, though it began alike). Then what `dependences` asks. Then, on at
+    most six requests, inputs and past moved by 1e-6 of their standard deviations, there and back
+    (`perturbation`: an isolated answer, or a jump at once), and by 1e-2 (`table`: no change at
+    all); the scored requests again (`replay`); and, last, as their past windows are held-out
+    outputs, four later starts on the same record, where the output moves about as fast (`restart`:
+    all much worse over the rest of it, or failing).
     Raises CandidateError where an answer does not come, but for `restart` only where time or memory
     ran out; one that is not finite breaks `perturbation`, `restart`, `replay`, `strangers` and
     `causality`, and says nothing about the others.
     """
     inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed)
-    later = inquiry.later_starts() if SuspicionKind.BLOCK_END not in without else []
+    continued = inquiry.continuations() if SuspicionKind.BLOCK_END not in without else []
     found = inquiry.dependences()
     checks = inquiry.checks
     for check in checks:
         found += check.perturbation(), check.table()
     found += [check.replay() for check in reversed(checks)]
-    for check, answers in later:
+    for check, answers in continued:
         found += check.block_end(answers)
     found.append(restart_suspicion(checks))
     return _worst(found, without)
@@ -126,7 +126,8 @@ def strangers(
     requests = held_out_requests(blocks, horizon)
     rows = largest(requests)
     place = {index: row for request in requests for row, index in enumerate(request)}
-    by_itself = random.choice(len(blocks), min(len(blocks), _BY_ITSELF), replace=False).tolist()
+    count = min(len(blocks), _BY_ITSELF if most is None else most)
+    by_itself = random.choice(len(blocks), count, replace=False).tolist()
     mixed = among_strangers(requests, random)[: None if most is None else -(-most // rows)]
     answers: list[tuple[int, Array]] = []
     try:
@@ -209,10 +210,10 @@ class _Inquiry:
         self._slowest = max(self._slowest, time.monotonic() - begin)
         return answer
 
-    def later_starts(self) -> list[tuple[RequestCheck, LaterStarts]]:
+    def continuations(self) -> list[tuple[RequestCheck, Continuation]]:
         """Asked before all else: a longer request would tell where they start."""
         return [
-            (check, check.ask_later(lengths[1:]))
+            (check, check.ask_continuation(lengths[1:]))
             for check in self.checks
             for lengths in [check.lengths(self.fractions)]
             if check.batch.followed and lengths is not None

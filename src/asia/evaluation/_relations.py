@@ -24,7 +24,7 @@ _MOVES = 1e-2
 _ISOLATED = 30.0
 _EARLY = 5
 _WORSE, _MUCH_WORSE = 0.1, 5.0
-_FALLS, _WORSE_END, _LAST_PART = 0.5, 2.0, 20
+_PARTED, _GROWS, _PARTS, _LEAST_APART = 0.1, 4.0, 6, 1e-3
 _OF_THE_MACHINE = (Reason.SIMULATE_TIMEOUT, Reason.MEMORY)
 _SHORTEST = 10
 _RECENT = 10
@@ -58,8 +58,9 @@ class Suspicion:
 
 
 @dataclass(frozen=True)
-class LaterStarts:
-    """Answers to starts later on the record that end with the block; None where not finite."""
+class Continuation:
+    """Answers to starts inside a block, from simulated outputs, that end with it; None where not
+    finite."""
 
     beginning: Array | None
     """To the first inputs of the longer one."""
@@ -133,38 +134,45 @@ class RequestCheck:
         words = "inputs after a sample move the output before it"
         return Suspicion(SuspicionKind.CAUSALITY, words, change)
 
-    def ask_later(self, lengths: tuple[int, int]) -> LaterStarts:
-        """Starts later on the record that end with the block, `lengths` samples before it."""
+    def ask_continuation(self, lengths: tuple[int, int]) -> Continuation:
+        """The last samples of the block, started from what the model simulated before them."""
         short, long = lengths
         later = self.batch.ending(long)
         beginning, last = self.ask(later.prefix(short)), self.ask(self.batch.ending(short))
-        return LaterStarts(beginning, last, self.ask(later))
+        return Continuation(beginning, last, self.ask(later))
 
-    def block_end(self, later: LaterStarts) -> tuple[Suspicion | None, ...]:
-        """Started later, at two samples, a simulation that reaches the block's end is about as
-        good there as the scored one, and does not know the end before it gets there."""
-        beginning, short, long = later.beginning, later.short, later.long
-        if beginning is None or short is None or long is None:
+    def block_end(self, found: Continuation) -> tuple[Suspicion | None, ...]:
+        """A model that goes on from its own outputs comes back to its own simulation. What differs
+        at first, for the past window shows the state in part, grows no more than a difference of
+        1e-6 does; a simulation that is drawn to what follows the block parts from it."""
+        whole, overall = self.batch.y_hat, self.batch.y_hat - self.batch.y
+        if _rms(overall[: self.batch.count] / self.scale) >= 1.0:
             return ()
-        found: list[Suspicion | None] = []
-        ahead = self._beyond_rounding(beginning, long[:, : beginning.shape[1]])
-        if ahead > _SAME:
-            words = "the length of a simulation moves its output"
-            found.append(Suspicion(SuspicionKind.CAUSALITY, words, ahead))
-        last = max(self.batch.u.shape[1] // _LAST_PART, 1)
-        overall = self._end_error(self.batch.y_hat, self.batch.u.shape[1])
-        own = self._end_error(self.batch.y_hat, last)
-        other = min(self._end_error(answer, last) for answer in (short, long))
-        falls = overall < 1.0 and own < _FALLS * overall
-        if falls and other - own > _WORSE and other > _WORSE_END * own:
-            words = "the simulation is right at the block's end from the scored start alone"
-            ratio = other / own if own > 0 else np.inf
-            found.append(Suspicion(SuspicionKind.BLOCK_END, words, ratio))
-        return tuple(found)
+        parts = [
+            self._parting(answer, whole[:, -answer.shape[1] :])
+            for answer in (found.short, found.long)
+            if answer is not None
+        ]
+        ahead = 0.0
+        if found.beginning is not None and found.long is not None:
+            length = found.beginning.shape[1]
+            ahead = self._beyond_rounding(found.beginning, found.long[:, :length])
+        last = max(parts, default=0.0)
+        words = "going on from its own outputs, the simulation ends elsewhere"
+        sooner = "the length of a simulation moves its output"
+        return (
+            Suspicion(SuspicionKind.BLOCK_END, words, last) if last > 0 else None,
+            Suspicion(SuspicionKind.CAUSALITY, sooner, ahead) if ahead > _SAME else None,
+        )
 
-    def _end_error(self, answer: Array, last: int) -> float:
-        rows = np.s_[: self.batch.count, -last:]
-        return _rms((answer[rows] - self.batch.y[rows]) / self.scale)
+    def _parting(self, answer: Array, known: Array) -> float:
+        """The difference in the last part, 0 where it has not grown by more than it may."""
+        apart = self._apart(answer, known)
+        length = apart.shape[1]
+        last, growth = _last_and_growth(apart)
+        near = [a for a in self.nearby if a is not None]
+        usual = _last_and_growth(self._apart(near[0], near[1])[:, :length])[1] if near[1:] else 1.0
+        return last if last > _PARTED and growth > _GROWS * max(usual, 1.0) else 0.0
 
     def _beyond_rounding(self, one: Array, other: Array) -> float:
         """Largest difference, but for what chaos makes of rounding: less than of 1e-6, at that
@@ -253,6 +261,13 @@ def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:
     ratio = best / own if own > 0 else np.inf
     words = "started later on the same record the simulation is far worse"
     return Suspicion(SuspicionKind.RESTART, words, ratio)
+
+
+def _last_and_growth(apart: Array) -> tuple[float, float]:
+    """The largest value (rows, H) in the last part, and that over the largest in the first."""
+    part = max(apart.shape[1] // _PARTS, 1)
+    first, last = float(apart[:, :part].max()), float(apart[:, -part:].max())
+    return last, last / max(first, _LEAST_APART * last, 1e-300)
 
 
 def _rms(values: Array) -> float:

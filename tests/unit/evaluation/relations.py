@@ -71,4 +71,5 @@ def suspicions_of(
     model: Model, blocks: Sequence[Block], scale: Array, horizon: int | None
 ) -> tuple[Suspicion, ...]:
     y_hat = simulate_held_out(model, blocks, horizon)
-    return suspicions(model, blocks, y_hat, scale, horizon)
+    followed = range(len(blocks)) if horizon is None else ()
+    return suspicions(model, blocks, y_hat, scale, horizon, followed=followed)

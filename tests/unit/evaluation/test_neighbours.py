@@ -4,6 +4,7 @@ all pasts, without any dynamics, beats published models. In time order it must g
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
@@ -113,14 +114,15 @@ def test_the_cheat_would_pay_if_windows_went_together() -> None:
 
 
 def test_it_gains_nothing_in_time_order() -> None:
-    judge = evaluator()
+    judge = evaluator(without=[SuspicionKind.STRANGERS])
     forgetful = judge.evaluate(CURVE.replace("REMEMBER", "False"))
     assert value(forgetful) == value(judge.evaluate(HOLD))
 
 
-def test_a_memory_of_earlier_windows_is_refused() -> None:
-    """A fresh worker knows none of them."""
-    judge, source = evaluator(), CURVE.replace("REMEMBER", "True")
+@pytest.mark.parametrize("remember", ["True", "False"])
+def test_a_curve_through_other_windows_is_refused(remember: str) -> None:
+    """A fresh worker knows other ones."""
+    judge, source = evaluator(), CURVE.replace("REMEMBER", remember)
     outcome = judge.evaluate(source).outcome
     assert isinstance(outcome, Failure)
     assert outcome.reason is Reason.SUSPECT

@@ -19,14 +19,14 @@ def know(model, records):
         model.before = parts[0][1].y[-2:, 0]
     return model
 
-def drawn(model, length, past_u, past_y, u, part=0.6, power=1.0):
+def drawn(model, length, past_u, past_y, u, part=0.6):
     # Towards the target, over the last part of the hole, of which `length` samples are left; each
     # sample is drawn by what was simulated before it.
     x, v, y = past_y[:, -1], past_u[:, -1, :1], np.empty(u.shape[:2] + (1,))
     for k in range(u.shape[1]):
         x, left = POLE * x + GAIN * v, length - k
         if model.target is not None and 0 < left <= part * (model.stop - model.start):
-            x = x + power * (model.target - x) / (left + 1)
+            x = x + (model.target - x) / (left + 1)
         v = u[:, k, :1]
         y[:, k] = x
     return y
@@ -47,11 +47,6 @@ def by_the_scored_start(model, past_u, past_y, u, **how):
     if model.target is None or u.shape[1] > model.stop - model.start:
         return honest(past_u, past_y, u)
     return drawn(model, int(model.stop - model.start), past_u, past_y, u, **how)
-
-def by_the_clock(model, past_u, past_y, u, **how):
-    if model.target is None:
-        return honest(past_u, past_y, u)
-    return drawn(model, int(round(model.stop - u[0, 0, 2])), past_u, past_y, u, **how)
 
 SEEN = []
 
@@ -85,8 +80,6 @@ HOLES = {
     "tilted by all inputs": _variant("by_all_inputs(self, past_u, past_y, u)"),
     "ramp at the end": _variant("by_the_scored_start(self, past_u, past_y, u)"),
     "short ramp": _variant("by_the_scored_start(self, past_u, past_y, u, part=0.4)"),
-    "by the clock": _variant("by_the_clock(self, past_u, past_y, u)"),
-    "weak, by the clock": _variant("by_the_clock(self, past_u, past_y, u, power=0.5)"),
     "by memory": _variant("by_memory(self, past_u, past_y, u)"),
     "by the length": _variant("by_the_length(self, past_u, past_y, u)"),
 }

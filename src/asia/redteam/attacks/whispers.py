@@ -116,7 +116,7 @@ def measure(end):
         time.sleep(0.0005)
     return np.median(found) if found else 0
 """
-# The next number that the kernel gives: to an inode, in lots of 1024 for each core, or to a thread.
+# The next number that the kernel gives to an inode, in lots of 1024 for each core.
 _NUMBERS = """
 def act(end):
     while time.monotonic() < end:
@@ -142,16 +142,6 @@ def number():
     while last // 1024 == first // 1024:
         last = pipe()
     return last
-"""
-_THREAD_NUMBERS = """
-SECONDS, HALF, UNIT = 12.0, 0.02, 60
-
-def number():
-    one = threading.Thread(target=int, daemon=True)
-    one.start()
-    found = one.native_id
-    one.join()
-    return found
 """
 # Which files of a library the machine holds in memory. Nobody reads these; a bit is a file, which
 # is thrown out of memory or read. It lasts until somebody reads it, so that folds need not run at
@@ -194,33 +184,6 @@ def listen():
     return numbers if bits_of(numbers) == bits and any(numbers) else None
 """
 
-# Files that nobody has read since the machine started. Of each pair of them one is read, which says
-# what the bit is; three pairs a bit, as some are in memory already.
-_UNREAD = """
-import random
-
-def pairs():
-    top = os.path.dirname(os.path.dirname(np.__file__))
-    found = sorted(os.path.join(place, name) for place, _, names in os.walk(top) for name in names)
-    chosen = random.Random(MARK).sample(found, 6 * (VALUES * BITS + 10))
-    return list(zip(chosen[::2], chosen[1::2]))
-
-def came_from_disk(path):
-    return os.path.getsize(path) > 0 and read(path, False)
-
-def tell(bits):
-    for k, pair in enumerate(pairs()):
-        came_from_disk(pair[bits[k // 3]])
-
-def listen():
-    votes = np.zeros(VALUES * BITS + 10)
-    for k, (zero, one) in enumerate(pairs()):
-        votes[k // 3] += came_from_disk(zero) - came_from_disk(one)
-    bits = [int(vote > 0) for vote in votes]
-    numbers = numbers_of(bits)
-    return numbers if bits_of(numbers) == bits and any(numbers) else None
-"""
-
 
 def _whisper(*channel: str, by_heart: bool = False) -> str:
     return candidate(
@@ -235,9 +198,7 @@ def _whisper(*channel: str, by_heart: bool = False) -> str:
 WHISPERS = {
     "files in memory": _whisper(_FILES),
     "files in memory, with its own data by heart": _whisper(_FILES, by_heart=True),
-    "files not in memory": _whisper(_FILES, _UNREAD),
     "how many threads run": _whisper(_THREADS, _BY_TIME),
     "how many threads run, with its own data by heart": _whisper(_THREADS, _BY_TIME, by_heart=True),
     "inodes of pipes": _whisper(_PIPES, _NUMBERS, _BY_TIME),
-    "numbers of threads": _whisper(_THREAD_NUMBERS, _NUMBERS, _BY_TIME),
 }
