@@ -182,7 +182,7 @@ def _show_unchecked(
             levels, concerned, kinds, lambda result: _print_result(result, names, json)
         )
     if not json:
-        print(unchecked_table(found))
+        say_lines(unchecked_table(found))
 
 
 def _names_checks(words: list[str]) -> bool:

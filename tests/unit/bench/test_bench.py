@@ -191,6 +191,7 @@ class Killed(Log):
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_a_killed_comparison_goes_on(compared: Compared, toy: Problem, tmp_path: Path) -> None:
     plan = make_plan(toy, tmp_path, settings=("inner",), arms=(EXPERT,))
     with pytest.raises(KeyboardInterrupt):

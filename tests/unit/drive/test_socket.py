@@ -38,7 +38,7 @@ def test_a_desk_that_hangs_up_is_told_in_a_sentence(tmp_path: Path) -> None:
             channel.close()
 
         threading.Thread(target=once, daemon=True).start()
-        with pytest.raises(UserError, match="hung up"):
+        with pytest.raises(UserError, match="closed the connection"):
             SocketDesk(path).progress()
 
 

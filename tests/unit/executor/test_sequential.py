@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import make_agent
 from asia.errors import UserError
 from asia.evaluation import _evaluator as evaluator_module
 from asia.executor import LocalExecutor
@@ -13,7 +12,7 @@ from asia.ledger import open_run
 from asia.problem.load import load_problem
 from asia.sandbox import Isolation, Limits, Worker, open_worker
 from asia.search import Prepared, prepare, search
-from tests.unit.search.toy import write_problem
+from tests.unit.search.toy import Scripted, arx, write_problem
 
 
 @pytest.fixture
@@ -44,14 +43,14 @@ def prepared(root: Path, *, strict: bool) -> Prepared:
     if not problem.is_dir():
         write_problem(problem, experiments=2)
     return prepare(
-        load_problem(problem), "random", seed=0, runs=root / "runs", isolation_strict=strict
+        load_problem(problem), "scripted", seed=0, runs=root / "runs", isolation_strict=strict
     )
 
 
 @pytest.mark.parametrize("strict", [True, False])
 def test_folds_run_one_by_one_when_asked(tmp_path: Path, at_once: list[int], strict: bool) -> None:
     ready = prepared(tmp_path, strict=strict)
-    agent = make_agent("random")
+    agent = Scripted((arx(2), arx(3)))
     search(ready, agent, lambda *event: None, lambda view: None, LocalExecutor(3))
     assert len(at_once) > 6
     assert (max(at_once) == 1) is strict
@@ -63,7 +62,7 @@ def test_folds_run_one_by_one_when_asked(tmp_path: Path, at_once: list[int], str
 
 def test_a_run_goes_on_as_it_began(tmp_path: Path) -> None:
     ready = prepared(tmp_path, strict=True)
-    search(ready, make_agent("random"), lambda *event: None, lambda view: None)
+    search(ready, Scripted((arx(2), arx(3))), lambda *event: None, lambda view: None)
     again = prepared(tmp_path, strict=False)
     with pytest.raises(UserError, match=r"has isolation \w+, strict, not \w+: choose"):
-        search(again, make_agent("random"), lambda *event: None, lambda view: None)
+        search(again, Scripted((arx(2), arx(3))), lambda *event: None, lambda view: None)

@@ -59,6 +59,7 @@ def test_a_search_over_stdio(setting: Setting) -> None:
     verify(setting.directory)
 
 
+@pytest.mark.slow
 def test_killing_the_server_loses_nothing(setting: Setting) -> None:
     async def until_killed() -> tuple[str, str]:
         async with Client(stdio(setting)) as client:
@@ -120,6 +121,7 @@ def status(url: str, *authorization: str) -> int:
     ).status_code
 
 
+@pytest.mark.slow
 def test_a_search_over_http(setting: Setting) -> None:
     async def main(url: str) -> None:
         headers = {"Authorization": f"Bearer {TOKEN}"}

@@ -157,6 +157,7 @@ def test_what_does_not_make_a_problem(
     assert not (tmp_path / "mine").exists()
 
 
+@pytest.mark.slow
 def test_a_search_on_arrays_resumes_verifies_and_unseals(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

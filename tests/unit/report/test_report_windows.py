@@ -76,6 +76,7 @@ def windows_problem(groups: bool = True) -> Problem:
     return replace(problem, protocol=rule)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("groups", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_every_picture_of_windows_can_be_read(tmp_path: Path, groups: bool) -> None:
     problem = windows_problem(groups)

@@ -55,7 +55,7 @@ def machine(request) -> str:
 def test_every_listed_call_is_denied_and_others_pass(machine):
     known = seccomp.numbers(machine)
     checked = {"clone", "clone3", "kill", "tgkill", "prlimit64", "fcntl", "ioctl", "prctl"}
-    checked |= {"futex", "exit", "exit_group"}
+    checked |= {"futex", "exit", "exit_group", "madvise"}
     for name, number in known.items():
         if name not in checked | {"seccomp"}:
             assert decide(machine, number) == EPERM, name
@@ -90,6 +90,9 @@ def test_calls_with_arguments_are_decided_by_them(machine):
     assert decide(machine, limits, 0, 7, 1 << 32) == EPERM
     assert decide(machine, known["prctl"], 1) == EPERM
     assert decide(machine, known["prctl"], 15) == ALLOW
+    for advice in range(30):
+        verdict = EPERM if advice in (20, 21) else ALLOW
+        assert decide(machine, known["madvise"], 0, 4096, advice) == verdict
 
 
 def test_files_are_marked_and_shared_memory_is_waited_on_by_nobody(machine):

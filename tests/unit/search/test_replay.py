@@ -27,6 +27,7 @@ def replayed(directory: Path, tolerance: float = 0.0) -> dict[str, Replayed]:
     return {item.name: item for item in report.items if not item.name.startswith("rung")}
 
 
+@pytest.mark.slow
 def test_an_agent_is_asked_again(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -91,6 +91,7 @@ def problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return write_problem(tmp_path / "toy")
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_again_and_again_loses_nothing(problem: Path, tmp_path: Path) -> None:
     ready = prepare(load_problem(problem), AGENT.name, seed=0, runs=tmp_path / "runs")
     undisturbed = search(ready, AGENT, lambda event, view: None, lambda view: None)

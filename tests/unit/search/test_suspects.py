@@ -79,6 +79,7 @@ def test_a_table_of_answers_is_recorded_and_never_kept(problem: Path, tmp_path: 
     assert replay_run(directory, lambda item: None).agrees
 
 
+@pytest.mark.slow
 def test_killed_before_the_verdict_it_comes_to_the_same(problem: Path, tmp_path: Path) -> None:
     cheat = looking(problem)
     first = go(problem, tmp_path / "runs", cheat, arx(2))

@@ -100,6 +100,7 @@ def test_the_opening_is_on_record_before_its_result_and_ends_the_search(problem:
     verify(directory)
 
 
+@pytest.mark.slow
 def test_a_kill_while_the_test_is_open_loses_nothing_and_opens_it_once(problem: Path) -> None:
     directory = go(problem)
     result = unseal(directory, process_consent=True).record

@@ -70,6 +70,7 @@ def test_an_inner_search_keeps_its_name_and_its_words(problem: Path, tmp_path: P
     assert "alidation" not in journal(run.view) + results_table(run.view)
 
 
+@pytest.mark.slow
 def test_it_resumes_from_every_record(problem: Path, tmp_path: Path) -> None:
     directory = go(problem, tmp_path / "runs")
     whole = [(e.proposed, e.score, e.failure) for e in open_run(directory).view.experiments]

@@ -142,6 +142,7 @@ def test_finds_the_limit_and_the_spilled_fraction_of_a_full_tank() -> None:
     assert error(model, tank_record(200, 5)) < 0.3 * error(plain, tank_record(200, 5))
 
 
+@pytest.mark.slow
 def test_finds_an_input_delay() -> None:
     record = duffing_record(200, 0, NOISE)
     context = context_for(DUFFING, "force", "y", 0.15)

@@ -69,6 +69,7 @@ def linear() -> physics_net.PhysicsNet:
     return fitted(physics_net.Config(linear=True, lag=False))
 
 
+@pytest.mark.slow
 def test_sparse_linear_terms_are_the_drag_and_nothing_else(linear: physics_net.PhysicsNet) -> None:
     cell, params = linear.network.cell, linear.network.params
     assert isinstance(cell, MeasuredCell)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from asia.models import koopman
 from asia.models._networks.layers import mlp
@@ -14,6 +15,7 @@ from tests.unit.models.systems.black_box import case, wiener
 SMALL = koopman.Config(levels=2, states=3, lift=2, width=8)
 
 
+@pytest.mark.slow
 def test_training_learns_the_system() -> None:
     data = case(wiener)
     config = koopman.Config(levels=2, states=6, lift=4, width=16, tau_max=20.0)

@@ -14,6 +14,7 @@ from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, two_by_two, wiener
 
 
+@pytest.mark.slow
 def test_training_learns_the_system() -> None:
     data = case(wiener)
     model = subnet.build(subnet.Config(states=2, width=16), data.context)
