@@ -74,7 +74,7 @@ def suspicions(
     ran out; one that is not finite breaks `perturbation`, `restart`, `replay`, `strangers` and
     `causality`, and says nothing about the others.
     """
-    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed)
+    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed, without)
     continued = inquiry.continuations() if SuspicionKind.BLOCK_END not in without else []
     found = inquiry.dependences()
     checks = inquiry.checks
@@ -106,7 +106,7 @@ def dependences(
     other cases (`strangers`: an answer changes by more than rounding). So it cannot know what came
     before a case in the scored order, after it, or beside it.
     """
-    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding)
+    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, without=without)
     return _worst(inquiry.dependences(), without)
 
 
@@ -170,7 +170,9 @@ class _Inquiry:
         seed: int,
         rounding: float,
         followed: Collection[int] = (),
+        without: Collection[SuspicionKind] = (),
     ) -> None:
+        self._ahead_is_asked = SuspicionKind.CAUSALITY not in without
         random = np.random.default_rng(seed)
         chosen = batches(blocks, y_hat, horizon, random, followed)
         further = np.sort(random.uniform(*_FURTHER, size=2))
@@ -185,7 +187,8 @@ class _Inquiry:
 
     def dependences(self) -> list[Suspicion | None]:
         """Prefixes come before any whole case, and are compared when 1e-6 was tried too."""
-        asked = [(*one, self._prefix(*one)) for one in self._prefixes()]
+        lengths = self._prefixes() if self._ahead_is_asked else ()
+        asked = [(*one, self._prefix(*one)) for one in lengths]
         return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]
 
     def _prefixes(self) -> Iterator[tuple[RequestCheck, int]]:

@@ -68,6 +68,8 @@ def as_asked_before(past_u, past_y, u):
 def at_the_beginning(past_u, past_y, u):
     # Fits itself to the first fifth, which every longer request begins with.
     y, known = honest(past_u, past_y, u), min(12, u.shape[1] - 1)
+    if known == 0:
+        return y
     told = u[:, 1 : known + 1, 1:2]
     grown = np.concatenate([past_u[:, -1:, :1], u[:, :-1, :1]], axis=1)
     inputs = np.concatenate([np.concatenate([past_y[:, -1:], told[:, :-1]], axis=1),
@@ -84,7 +86,7 @@ def at_the_beginning(past_u, past_y, u):
 def behind_wild_samples(past_u, past_y, u):
     # What moves wildly with the last digits of the inputs excuses what moves later on.
     y = peek(np.ones(u.shape[1], bool), past_u, past_y, u)
-    for k in range(3):
+    for k in range(min(3, u.shape[1])):
         y[:, k, 0] += 0.8 * np.sign(np.sin(3.7 ** k * 1e8 * (u[:, 0, 0] + past_y[:, -1, 0])))
     return y
 """

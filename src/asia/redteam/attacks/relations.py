@@ -69,7 +69,6 @@ RELATIONS = (
         scores_better,
         (Barrier.METAMORPHIC,),
         problem="machines",
-        checks=_ALL_ASKED,
     ),
     CandidateAttack(
         44,
