@@ -57,6 +57,7 @@ def hostile(tmp_path: Path) -> Path:
     return problem
 
 
+@pytest.mark.slow
 def test_sources_and_output_of_candidates(hostile: Path, tmp_path: Path, asia: Asia) -> None:
     runs = tmp_path / "runs"
     line = ("--agent", "random", "--experiments", 2, "--runs", runs)

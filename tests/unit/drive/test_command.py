@@ -74,6 +74,7 @@ def test_an_agent_that_leaves_at_once_is_asked_twice(problem: Path) -> None:
     assert len(view.sessions) == 2
 
 
+@pytest.mark.slow
 def test_failures_in_a_row_are_stuck(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy", experiments=9)
     view = go(problem, fake("claude", "fail"), replace(RULES, failures=3))
@@ -82,6 +83,7 @@ def test_failures_in_a_row_are_stuck(tmp_path: Path) -> None:
     assert len(view.finished) <= 5
 
 
+@pytest.mark.slow
 def test_cost_of_a_resumed_session_is_not_counted_twice(problem: Path) -> None:
     view = go(problem, fake("claude", "twice"), with_config(problem))
     assert len(view.finished) == 3

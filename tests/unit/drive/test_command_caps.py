@@ -73,6 +73,7 @@ def test_a_session_that_a_crash_cut_off_is_charged_later(problem: Path) -> None:
     assert view.stopped is not None
 
 
+@pytest.mark.slow
 def test_failures_of_an_earlier_sitting_do_not_count(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy", experiments=4)
     first = go(problem, fake("claude", "fail"), replace(RULES, failures=1))

@@ -23,6 +23,7 @@ def place(tmp_path: Path) -> Iterator[Place]:
     end_searches(made.directory)
 
 
+@pytest.mark.slow
 def test_a_search_of_its_own_runs_to_the_end_of_its_budget(
     place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -192,6 +192,7 @@ def test_own_data_under_a_benchmarks_name_is_not_ranked(tmp_path: Path) -> None:
     assert "leaderboard" not in draw_all(tmp_path / "run", shape, FIVE[:1], 1)
 
 
+@pytest.mark.slow
 def test_files_are_the_same_twice_and_have_their_size(tmp_path: Path) -> None:
     problem = make_problem(Shape())
     run = open_run(write_run(tmp_path / "run", problem, FIVE[:2]))

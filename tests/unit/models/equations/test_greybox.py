@@ -69,6 +69,7 @@ def test_recovers_the_parameters_with_unknown_initial_states(duffing: greybox.Gr
         assert found[name] == pytest.approx(value, rel=0.03)
 
 
+@pytest.mark.slow
 def test_simulates_a_new_record_from_its_past_window(duffing: greybox.GreyBox) -> None:
     record = duffing_record(80, 7, NOISE)
     assert error(duffing, record) < 3 * NOISE
@@ -103,6 +104,7 @@ def test_leaves_the_default_precision_alone(duffing: greybox.GreyBox) -> None:
     assert jnp.ones(1).dtype == jnp.float32
 
 
+@pytest.mark.slow
 def test_logs_a_falling_cost(duffing_context: Context) -> None:
     points: list[tuple[float, float]] = []
     context = replace(duffing_context, log=lambda step, loss: points.append((step, loss)))

@@ -114,6 +114,7 @@ def test_the_validation_score_keeps_the_best_iterate() -> None:
     assert error(found, test) == asked[1] != asked[-1]
 
 
+@pytest.mark.slow
 def test_a_disturbance_is_bounded_and_trained() -> None:
     model = fitted(physics_net.Config(linear=True, lag=False, disturbance=True))
     assert error(model, record(9)) < 0.05

@@ -32,6 +32,7 @@ def fitted(config: linear.Config, data: Case) -> linear.LinearStateSpace:
     return linear.train(linear.build(config, data.context), data.training, data.context)
 
 
+@pytest.mark.slow
 def test_chosen_order_simulates_below_the_noise() -> None:
     data = case(filtered)
     model = fitted(linear.Config(), data)

@@ -39,6 +39,7 @@ def test_multiple_shooting_fits_where_simulation_from_a_bad_start_diverges() -> 
     assert not error(found[1], data[0]) < 0.5
 
 
+@pytest.mark.slow
 def test_multiple_shooting_closes_the_gaps_between_segments() -> None:
     # Noise makes every segment want a start of its own; only the penalty makes one simulation.
     data = records(80, noise=0.2)

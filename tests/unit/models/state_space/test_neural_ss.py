@@ -75,6 +75,7 @@ def test_adam_improves_on_the_linear_start() -> None:
     assert data.ratio(fitted(neural_ss.Config(order=2), data, method)) < 0.7 * data.ratio(before)
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same_model_whatever_the_precision_of_the_caller() -> None:
     data = case(wiener, lengths=(150,))
     config, method = neural_ss.Config(order=2), LevenbergMarquardt(10)
