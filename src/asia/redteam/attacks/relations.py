@@ -67,7 +67,7 @@ RELATIONS = (
         "learns what pushes each record, and knows a record by the place of its row",
         PLACES,
         scores_better,
-        (Barrier.METAMORPHIC,),
+        (Barrier.PARENT, Barrier.METAMORPHIC),
         problem="machines",
     ),
     CandidateAttack(
