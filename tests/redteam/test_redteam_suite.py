@@ -142,6 +142,10 @@ def test_the_page_shows_what_became_of_them(report):
     assert _cells(found, alike).items() <= _cells(shown, alike).items()
 
 
+# What the machine holds in memory decides whether a whisper fails or says nothing.
+BY_CHANCE = ("42",)
+
+
 def _cells(rows, with_layers):
     """What stands by number and level."""
     cells: dict[tuple[str, str], str] = {}
@@ -150,7 +154,10 @@ def _cells(rows, with_layers):
             if cell and column not in ("#", "attack"):
                 words = cell.split(": ")
                 level = words.pop(0) if words[0] == ANY_LEVEL else column
-                cells[row["#"], level] = ": ".join(words if with_layers else words[:1])
+                word_for_word = with_layers and row["#"] not in BY_CHANCE
+                cells[row["#"], level] = ": ".join(words if word_for_word else words[:1])
+                if row["#"] in BY_CHANCE and words[0] in ("blocked", "no gain"):
+                    cells[row["#"], level] = "stopped"
     return cells
 
 
