@@ -32,8 +32,7 @@ from asia.models._one_step.free_model import (
     usable,
 )
 from asia.models._one_step.polynomial import PolynomialRun, refine, refinement_samples
-from asia.models._solvers.least_squares import LeastSquares
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.least_squares import LeastSquares, LevenbergMarquardt
 
 # An unstable model is held within so many times the width of the training range.
 _MARGIN = 10.0

@@ -22,7 +22,7 @@ from asia.models._config import check_choice
 from asia.models._data.records import check, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import window_pieces
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.progress import silent
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.structure import Basis, Nonlinearity

@@ -24,7 +24,7 @@ from asia.models._equations.measured_windows import measured_simulator
 from asia.models._equations.ode import equations
 from asia.models._equations.simulate import effects, simulator
 from asia.models._equations.starts import cut_segments
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.problem import Bounds
 
 __all__ = ["Config", "GreyBox", "build", "train"]

@@ -35,7 +35,7 @@ from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowPredictor
 
 if TYPE_CHECKING:
-    from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+    from asia.models._solvers.least_squares import LevenbergMarquardt
 
 # Choosing order and delay takes dozens of fits; this many samples tell candidates apart.
 _SELECTION_SAMPLES = 3000

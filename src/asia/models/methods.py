@@ -12,8 +12,11 @@ from typing import Literal, TypeAlias, get_args
 
 from asia.errors import UserError
 from asia.models._config import check_at_least, check_choice, demand, owner
-from asia.models._solvers.least_squares import LeastSquares, MarginalLikelihood
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.least_squares import (
+    LeastSquares,
+    LevenbergMarquardt,
+    MarginalLikelihood,
+)
 
 __all__ = [
     "LBFGS",

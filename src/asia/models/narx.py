@@ -43,8 +43,7 @@ from asia.models._one_step.polynomial import (
     refinement_samples,
     solve,
 )
-from asia.models._solvers.least_squares import LeastSquares
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.least_squares import LeastSquares, LevenbergMarquardt
 
 # The Gram matrix of so many products is still cheap; beyond it the degree is lowered.
 _MOST_PRODUCTS = 1000

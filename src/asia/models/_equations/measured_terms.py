@@ -20,7 +20,8 @@ from jax.flatten_util import ravel_pytree
 from asia.models._data.windows import HorizonWindows
 from asia.models._equations.measured_cell import MeasuredCell
 from asia.models._networks.structure import Params, rollout
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt, value_and_jacobian
+from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._solvers.levenberg_marquardt import value_and_jacobian
 from asia.models._solvers.progress import Progress
 
 Judge = Callable[[Params], float]

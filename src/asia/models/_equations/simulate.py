@@ -11,7 +11,8 @@ import jax.numpy as jnp
 
 from asia.models._equations.config import GreyBoxStructure, Range
 from asia.models._equations.ode import runge_kutta
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt, levenberg_marquardt
+from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._solvers.levenberg_marquardt import levenberg_marquardt
 
 ArrayLike = Any  # NumPy or JAX array
 

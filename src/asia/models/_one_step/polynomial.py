@@ -16,7 +16,7 @@ from asia.data import Array
 from asia.models._data.lags import FreeRun, Lags, lagged_inputs, regressors
 from asia.models._data.records import ScaledData
 from asia.models._data.stretches import Stretches, simulation_error
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.least_squares import LevenbergMarquardt
 
 Terms = NDArray[np.intp]
 

@@ -1,10 +1,11 @@
-"""Training methods of the families that need no iteration on the simulation error."""
+"""Settings of the training methods of models with few parameters."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
-from asia.models._config import check_at_least
+from asia.models._config import check_at_least, demand
 
 
 @dataclass(frozen=True)
@@ -35,3 +36,30 @@ class MarginalLikelihood:
     def __post_init__(self) -> None:
         check_at_least(0, self, "iterations")
         check_at_least(2, self, "points")
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt:
+    """Training method: damped Gauss-Newton on the simulation error.
+
+    Source: Marquardt, SIAM J. Appl. Math. 11 (1963).
+    """
+
+    iterations: int = 50
+    """Greatest number of Jacobians."""
+    starts: int = 1
+    """Starting points, in families that can be started from several."""
+    damping: float = 1e-2
+    """First damping, relative to the scaled normal matrix."""
+    tolerance: float = 1e-9
+    """Relative decrease of the cost below which it stops."""
+    stop: Literal["validation"] | None = None
+    """"validation" keeps the parameters with the least `context.validation_score`, asked for after
+    every iteration, in families that can (physics_net); without such a score, or elsewhere, the
+    last ones are kept."""
+
+    def __post_init__(self) -> None:
+        check_at_least(0, self, "iterations", "tolerance")
+        check_at_least(1, self, "starts")
+        demand(self, "damping", self.damping > 0, "a positive number")
+        demand(self, "stop", self.stop in (None, "validation"), "None or 'validation'")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from asia.models._config import check_at_least, demand
+from asia.models._solvers.least_squares import LevenbergMarquardt
 
 Residual = Callable[[jax.Array], jax.Array]
 Linearised = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
@@ -18,33 +17,6 @@ CostFunction = Callable[[jax.Array], jax.Array]
 
 # Dampings tried side by side in one iteration: one Jacobian then nearly always yields a step.
 _TRIALS = (0.1, 1.0, 10.0, 100.0)
-
-
-@dataclass(frozen=True)
-class LevenbergMarquardt:
-    """Training method: damped Gauss-Newton on the simulation error.
-
-    Source: Marquardt, SIAM J. Appl. Math. 11 (1963).
-    """
-
-    iterations: int = 50
-    """Greatest number of Jacobians."""
-    starts: int = 1
-    """Starting points, in families that can be started from several."""
-    damping: float = 1e-2
-    """First damping, relative to the scaled normal matrix."""
-    tolerance: float = 1e-9
-    """Relative decrease of the cost below which it stops."""
-    stop: Literal["validation"] | None = None
-    """"validation" keeps the parameters with the least `context.validation_score`, asked for after
-    every iteration, in families that can (physics_net); without such a score, or elsewhere, the
-    last ones are kept."""
-
-    def __post_init__(self) -> None:
-        check_at_least(0, self, "iterations", "tolerance")
-        check_at_least(1, self, "starts")
-        demand(self, "damping", self.damping > 0, "a positive number")
-        demand(self, "stop", self.stop in (None, "validation"), "None or 'validation'")
 
 
 class LMResult(NamedTuple):

@@ -1,0 +1,72 @@
+"""One arithmetic for two libraries: a model's step is written once, training runs it in JAX and
+simulation in NumPy, which needs no compiler and no import of JAX.
+
+    xp = namespace(x)
+    return xp.tanh(x @ w) * sigmoid(x)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, TypeAlias
+
+import numpy as np
+
+AnyArray: TypeAlias = Any
+"""A NumPy array in simulation, a JAX array in training."""
+
+_PLAIN = (np.ndarray, np.generic, float, int)
+
+
+def namespace(*arrays: AnyArray) -> ModuleType:
+    """numpy where all are NumPy arrays or numbers, else jax.numpy."""
+    for array in arrays:
+        if not isinstance(array, _PLAIN):
+            import jax.numpy
+
+            return jax.numpy
+    return np
+
+
+def sigmoid(x: AnyArray) -> AnyArray:
+    """1 / (1 + exp(-x)), without overflow."""
+    return 0.5 * namespace(x).tanh(0.5 * x) + 0.5
+
+
+def softplus(x: AnyArray) -> AnyArray:
+    """log(1 + exp(x))."""
+    return namespace(x).logaddexp(x, 0.0)
+
+
+def gelu(x: AnyArray) -> AnyArray:
+    """Gaussian error linear unit in its tanh form: Hendrycks and Gimpel, arXiv 1606.08415, 2016."""
+    return 0.5 * x * (1.0 + namespace(x).tanh(0.7978845608028654 * (x + 0.044715 * x * x * x)))
+
+
+def softmax(x: AnyArray) -> AnyArray:
+    """Over the last axis."""
+    xp = namespace(x)
+    raised = xp.exp(x - x.max(axis=-1, keepdims=True))
+    return raised / raised.sum(axis=-1, keepdims=True)
+
+
+def scan(
+    step: Callable[[Any, AnyArray], tuple[Any, AnyArray]], state: Any, inputs: AnyArray
+) -> tuple[Any, AnyArray]:
+    """The last state, and the results (T, ...) of `step(state, inputs[k])` -> state, result."""
+    if namespace(inputs) is not np:
+        import jax
+
+        return jax.lax.scan(step, state, inputs)
+    results: list[AnyArray] = []
+    for row in inputs:
+        state, result = step(state, row)
+        results.append(result)
+    return state, np.stack(results) if results else _nothing(step, state, inputs)
+
+
+def _nothing(step: Callable[[Any, AnyArray], Any], state: Any, inputs: AnyArray) -> AnyArray:
+    """Results of no samples, of the shape that a sample would give."""
+    result = step(state, np.zeros(inputs.shape[1:], inputs.dtype))[1]
+    return np.zeros((0, *result.shape), result.dtype)
