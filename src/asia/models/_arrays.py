@@ -39,6 +39,11 @@ def softplus(x: AnyArray) -> AnyArray:
     return namespace(x).logaddexp(x, 0.0)
 
 
+def relu(x: AnyArray) -> AnyArray:
+    """max(x, 0), with derivative 0 at 0."""
+    return namespace(x).where(x > 0, x, 0)
+
+
 def gelu(x: AnyArray) -> AnyArray:
     """Gaussian error linear unit in its tanh form: Hendrycks and Gimpel, arXiv 1606.08415, 2016."""
     return 0.5 * x * (1.0 + namespace(x).tanh(0.7978845608028654 * (x + 0.044715 * x * x * x)))
@@ -46,9 +51,38 @@ def gelu(x: AnyArray) -> AnyArray:
 
 def softmax(x: AnyArray) -> AnyArray:
     """Over the last axis."""
+    if namespace(x) is not np:
+        import jax
+
+        # Its derivative leaves out the maximum, which cancels.
+        return jax.nn.softmax(x, axis=-1)
+    raised = np.exp(x - x.max(axis=-1, keepdims=True))
+    raised /= raised.sum(axis=-1, keepdims=True)
+    return raised
+
+
+def bounded(x: AnyArray, low: AnyArray, high: AnyArray) -> AnyArray:
+    """x within low and high."""
     xp = namespace(x)
-    raised = xp.exp(x - x.max(axis=-1, keepdims=True))
-    return raised / raised.sum(axis=-1, keepdims=True)
+    return xp.minimum(xp.maximum(x, low), high)
+
+
+def split(x: AnyArray, parts: int) -> list[AnyArray]:
+    """Equal parts of the last axis; in NumPy without the cost of `numpy.split`."""
+    xp = namespace(x)
+    if xp is not np:
+        return xp.split(x, parts, axis=-1)
+    size = x.shape[-1] // parts
+    return [x[..., i * size : (i + 1) * size] for i in range(parts)]
+
+
+def complex_number(real: AnyArray, imaginary: AnyArray) -> AnyArray:
+    """real + i imaginary, of twice the size of its parts."""
+    if namespace(real, imaginary) is not np:
+        import jax
+
+        return jax.lax.complex(real, imaginary)
+    return real + 1j * imaginary
 
 
 def scan(
@@ -60,7 +94,7 @@ def scan(
 
         return jax.lax.scan(step, state, inputs)
     results: list[AnyArray] = []
-    for row in inputs:
+    for row in np.ascontiguousarray(inputs):
         state, result = step(state, row)
         results.append(result)
     return state, np.stack(results) if results else _nothing(step, state, inputs)

@@ -13,13 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.models import recurrent
+from asia.models._arrays import AnyArray, namespace
 from asia.models._data.records import ScaledData, window_size
 from asia.models._data.scaling import Scaling
 from asia.models._networks.family import Driven, network_family
@@ -59,7 +58,7 @@ class Config:
         )
 
 
-FeedbackState = tuple[Any, jax.Array]
+FeedbackState = tuple[Any, AnyArray]
 
 
 @dataclass(frozen=True)
@@ -109,30 +108,28 @@ class AutoregressiveCell(Driven[Config]):
         del trajectories, context
         return _with_increments
 
-    def initial(self, params: Any, window: jax.Array) -> FeedbackState:
+    def initial(self, params: Any, window: AnyArray) -> FeedbackState:
         """Layers' states and the last measured output, its mean where none is given."""
-        rest = jnp.zeros((window.shape[0], self.ny), window.dtype)
+        rest = np.zeros((window.shape[0], self.ny), window.dtype)
         y = window[:, window.shape[1] - self.ny :] if self.measured else rest
         return self.inner.initial(params["net"], window), y
 
     def step(
-        self, params: Any, state: FeedbackState, u: jax.Array
-    ) -> tuple[FeedbackState, jax.Array]:
+        self, params: Any, state: FeedbackState, u: AnyArray
+    ) -> tuple[FeedbackState, AnyArray]:
         """What the output is read from is the output."""
         inner, y = state
-        drive = jnp.concatenate([self.drive(u), y], axis=-1)
+        drive = namespace(u, y).concatenate([self.drive(u), y], axis=-1)
         inner, h = self.inner.step(params["net"], inner, drive)
         y = y + params["fixed"]["increment"] * (h @ params["out_w"] + params["out_b"])
         return (inner, y), y
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """The features."""
         del params, u
         return features
 
-    def feed(
-        self, params: Any, state: FeedbackState, y: jax.Array, mask: jax.Array
-    ) -> FeedbackState:
+    def feed(self, params: Any, state: FeedbackState, y: AnyArray, mask: AnyArray) -> FeedbackState:
         """The state with its output replaced where the mask is 1."""
         del params
         inner, own = state

@@ -24,12 +24,8 @@ from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import window_pieces
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.progress import silent
-from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.structure import Basis, Nonlinearity
-from asia.models._state_space.wiener_hammerstein import (
-    WienerHammersteinStructure,
-    wiener_hammerstein_starts,
-)
+from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
 from asia.models.neural_ss import FittedStateSpace, NeuralStateSpace
 
 __all__ = ["Config", "NeuralStateSpace", "build", "train"]
@@ -126,6 +122,9 @@ def train(
 def _wiener_hammerstein(
     config: Config, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
 ) -> FittedStateSpace:
+    from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
+    from asia.models._state_space.wiener_hammerstein_starts import wiener_hammerstein_starts
+
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
     found, delay, late = neural_ss.linear_start(records, context, config.order, config.delay)

@@ -10,13 +10,13 @@ Nature Machine Intelligence 4, 2022, for the layer.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import log
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.models._arrays import AnyArray, namespace, sigmoid
 from asia.models._config import check_at_least, demand
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
@@ -72,32 +72,33 @@ class CascadedLTCCell(Driven[Config]):
             "out_b": zeros(context.ny),
         }
 
-    def initial(self, params: Any, window: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def initial(self, params: Any, window: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Slow and fast states before the first sample."""
-        start = jnp.tanh(mlp(params["encoder"], window))
+        start = namespace(window).tanh(mlp(params["encoder"], window))
         return start[:, : self.config.slow], start[:, self.config.slow :]
 
     def step(
-        self, params: Any, state: tuple[jax.Array, jax.Array], u: jax.Array
-    ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+        self, params: Any, state: tuple[AnyArray, AnyArray], u: AnyArray
+    ) -> tuple[tuple[AnyArray, AnyArray], AnyArray]:
         """The fast layer reads the slow states of the same sample."""
-        c, u = self.config, self.drive(u)
+        c, u, xp = self.config, self.drive(u), namespace(u)
         slow = _layer(params["slow"], c.slow_min, c.slow_max, state[0], u)
-        drive = jnp.concatenate([slow, u], axis=-1)
+        drive = xp.concatenate([slow, u], axis=-1)
         fast = _layer(params["fast"], c.fast_min, c.fast_max, state[1], drive)
-        return (slow, fast), jnp.concatenate([slow, fast], axis=-1)
+        return (slow, fast), xp.concatenate([slow, fast], axis=-1)
 
 
-def _layer(p: Any, low: float, high: float, h: jax.Array, drive: jax.Array) -> jax.Array:
-    decay = jnp.exp(-1.0 / time_constants(p["place"], low, high))
-    inner = jnp.tanh(h @ p["h"] + drive @ p["drive"] + p["b1"])
-    return decay * h + (1 - decay) * jnp.tanh(inner @ p["w2"] + p["b2"])
+def _layer(p: Any, low: float, high: float, h: AnyArray, drive: AnyArray) -> AnyArray:
+    xp = namespace(drive)
+    decay = xp.exp(-1.0 / time_constants(p["place"], low, high))
+    inner = xp.tanh(h @ p["h"] + drive @ p["drive"] + p["b1"])
+    target = xp.tanh(inner @ p["w2"] + p["b2"])
+    return target + decay * (h - target)
 
 
-def time_constants(place: jax.Array, low: float, high: float) -> jax.Array:
+def time_constants(place: AnyArray, low: float, high: float) -> AnyArray:
     """In samples, between low and high on a log scale, for parameters of any size."""
-    share = jax.nn.sigmoid(place)
-    return jnp.exp((1 - share) * jnp.log(low) + share * jnp.log(high))
+    return namespace(place).exp(log(low) + sigmoid(place) * log(high / low))
 
 
 def _layer_params(rng: np.random.Generator, inputs: int, states: int, width: int) -> dict[str, Any]:

@@ -12,11 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.models._arrays import AnyArray, namespace, sigmoid, split
 from asia.models._config import check_at_least
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
@@ -77,20 +76,21 @@ class ConvolutionStack(Driven[Config]):
             "out_b": zeros(context.ny),
         }
 
-    def features(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+    def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
         """Last block's channels and the memory of the past window."""
+        xp = namespace(u)
         memory = decaying(mlp(params["encoder"], window), params["log_tau"], u.shape[1])
-        x = mlp(params["in"], jnp.concatenate([self.drive(u), memory], axis=-1))
+        x = mlp(params["in"], xp.concatenate([self.drive(u), memory], axis=-1))
         for p, dilation in zip(params["blocks"], self.config.dilations, strict=True):
             taps = [_late(x, dilation * i) for i in range(self.config.kernel)]
-            value, gate = jnp.split(jnp.concatenate(taps, -1) @ p["taps"] + p["b1"], 2, axis=-1)
-            x = x + (jnp.tanh(value) * jax.nn.sigmoid(gate)) @ p["w2"] + p["b2"]
-        return jnp.concatenate([x, memory], axis=-1)
+            value, gate = split(xp.concatenate(taps, -1) @ p["taps"] + p["b1"], 2)
+            x = x + (xp.tanh(value) * sigmoid(gate)) @ p["w2"] + p["b2"]
+        return xp.concatenate([x, memory], axis=-1)
 
 
-def _late(x: jax.Array, samples: int) -> jax.Array:
+def _late(x: AnyArray, samples: int) -> AnyArray:
     """x (B, T, channels) delayed, zero before the first sample."""
-    return jnp.pad(x, ((0, 0), (samples, 0), (0, 0)))[:, : x.shape[1]]
+    return namespace(x).pad(x, ((0, 0), (samples, 0), (0, 0)))[:, : x.shape[1]]
 
 
 def _block_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:

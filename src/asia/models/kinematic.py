@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import autoregressive
+from asia.models._arrays import AnyArray, namespace
 from asia.models._data.records import ScaledData
 from asia.models._data.scaling import Scaling
 from asia.models._equations.rates import Rate, find_rates, read_by_equations
@@ -99,20 +98,22 @@ class KinematicCell(AutoregressiveCell):
             },
         }
 
-    def initial(self, params: Any, window: jax.Array) -> FeedbackState:
+    def initial(self, params: Any, window: AnyArray) -> FeedbackState:
         """Layers' states and the last measured output, its mean where none is given."""
         _, y = super().initial(params, window)
-        read = jnp.tile(params["fixed"]["read"], self.past)
-        seen = jnp.pad(read, (window.shape[1] - read.size, 0), constant_values=1)
+        read = params["fixed"]["read"]
+        inputs = np.ones(window.shape[1] - self.past * self.ny, window.dtype)
+        seen = namespace(read).concatenate([inputs, *[read] * self.past])
         return self.inner.initial(params["net"], window * seen), y
 
     def step(
-        self, params: Any, state: FeedbackState, u: jax.Array
-    ) -> tuple[FeedbackState, jax.Array]:
+        self, params: Any, state: FeedbackState, u: AnyArray
+    ) -> tuple[FeedbackState, AnyArray]:
         """What the output is read from is the output."""
         inner, y = state
         fixed = params["fixed"]
-        drive = jnp.concatenate([self.drive(u), y * fixed["read"]], axis=-1)
+        xp = namespace(u, y)
+        drive = xp.concatenate([self.drive(u), y * fixed["read"]], axis=-1)
         inner, h = self.inner.step(params["net"], inner, drive)
         moved = fixed["increment"] * (h @ params["out_w"] + params["out_b"])
         integrated = (1 + params["gain"]) * (y @ fixed["rate"] + fixed["drift"])

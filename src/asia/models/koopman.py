@@ -15,11 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.models._arrays import AnyArray, complex_number, namespace, split
 from asia.models._config import check_at_least, demand
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
@@ -82,36 +81,32 @@ class KoopmanMap(Driven[Config]):
             "out_b": zeros(context.ny),
         }
 
-    def features(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+    def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
         """z as real numbers: (B, T, 2 * levels * states)."""
-        u = self.drive(u)
-        v = jnp.concatenate([u, mlp(params["lift"], u)], axis=-1)
-        starts = jnp.split(mlp(params["encoder"], window), self.config.levels, axis=-1)
-        below = jnp.zeros((*v.shape[:2], 0), v.dtype)
+        u, xp = self.drive(u), namespace(u)
+        v = xp.concatenate([u, mlp(params["lift"], u)], axis=-1)
+        starts = split(mlp(params["encoder"], window), self.config.levels)
+        below = xp.zeros((*v.shape[:2], 0), v.dtype)
         before = below
         for p, start in zip(params["levels"], starts, strict=True):
             z = _level(p, v, before, start)
-            below = jnp.concatenate([below, z], axis=-1)
-            previous = jnp.concatenate([start[:, None], z[:, :-1]], axis=1)
-            before = jnp.concatenate([before, previous], axis=-1)
+            below = xp.concatenate([below, z], axis=-1)
+            previous = xp.concatenate([start[:, None], z[:, :-1]], axis=1)
+            before = xp.concatenate([before, previous], axis=-1)
         return below
 
 
-def _level(p: Any, v: jax.Array, before: jax.Array, start: jax.Array) -> jax.Array:
+def _level(p: Any, v: AnyArray, before: AnyArray, start: AnyArray) -> AnyArray:
     """v (B, T, m), before (B, T, lower states) of the sample before, start (B, 2 n) ->
     (B, T, 2 n): real parts, then imaginary parts."""
     pole, gain = poles(p["log_rate"], p["angle"])
     drive = v @ p["b"]
     if before.shape[-1]:
         drive = drive + (before @ p["left"]) * (v @ p["right"] + p["shift"])
-    real, imaginary = jnp.split(drive, 2, axis=-1)
-    z = diagonal_states(pole, jax.lax.complex(gain * real, gain * imaginary), _complex(start))
-    return jnp.concatenate([jnp.real(z), jnp.imag(z)], axis=-1)
-
-
-def _complex(x: jax.Array) -> jax.Array:
-    real, imaginary = jnp.split(x, 2, axis=-1)
-    return jax.lax.complex(real, imaginary)
+    real, imaginary = split(drive, 2)
+    first = complex_number(*split(start, 2))
+    z = diagonal_states(pole, complex_number(gain * real, gain * imaginary), first)
+    return namespace(z).concatenate([z.real, z.imag], axis=-1)
 
 
 def _level_params(rng: np.random.Generator, c: Config, lifted: int, lower: int) -> dict[str, Any]:

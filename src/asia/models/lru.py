@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.models._arrays import AnyArray, complex_number, gelu, split
 from asia.models._config import check_at_least, demand
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
@@ -78,21 +77,21 @@ class LRUStack(Driven[Config]):
             "out_b": zeros(context.ny),
         }
 
-    def features(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+    def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
         """What the last layer gives."""
         x = mlp(params["in"], self.drive(u))
-        starts = jnp.split(mlp(params["encoder"], window), 2 * self.config.layers, axis=-1)
+        starts = split(mlp(params["encoder"], window), 2 * self.config.layers)
         for i, p in enumerate(params["layers"]):
-            x = x + _layer(p, x, jax.lax.complex(starts[2 * i], starts[2 * i + 1]))
+            x = x + _layer(p, x, complex_number(starts[2 * i], starts[2 * i + 1]))
         return x
 
 
-def _layer(p: Any, v: jax.Array, start: jax.Array) -> jax.Array:
+def _layer(p: Any, v: AnyArray, start: AnyArray) -> AnyArray:
     pole, gain = poles(p["log_rate"], p["angle"])
-    drive = jax.lax.complex(gain * (v @ p["b_re"]), gain * (v @ p["b_im"]))
+    drive = complex_number(gain * (v @ p["b_re"]), gain * (v @ p["b_im"]))
     x = diagonal_states(pole, drive, start)
-    y = jnp.real(x) @ p["c_re"] - jnp.imag(x) @ p["c_im"] + v * p["d"]
-    return gated(jax.nn.gelu(y), p["gate_w"], p["gate_b"])
+    y = x.real @ p["c_re"] - x.imag @ p["c_im"] + v * p["d"]
+    return gated(gelu(y), p["gate_w"], p["gate_b"])
 
 
 def _layer_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:

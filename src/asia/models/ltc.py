@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, check_choice
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
@@ -72,21 +71,22 @@ class LTCCell(Driven[Config]):
         del trajectories, context
         return as_built if self.config.start == "uniform" else None
 
-    def initial(self, params: Any, window: jax.Array) -> jax.Array:
+    def initial(self, params: Any, window: AnyArray) -> AnyArray:
         """h before the first sample."""
-        inner = jnp.tanh(window @ params["enc_w1"] + params["enc_b1"])
+        inner = namespace(window).tanh(window @ params["enc_w1"] + params["enc_b1"])
         return self._bent(inner @ params["enc_w2"] + params["enc_b2"])
 
-    def step(self, params: Any, state: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Each state decays towards f with its own time constant."""
-        decay = jnp.exp(-jnp.exp(-params["log_tau"]))
-        inner = jnp.tanh(state @ params["f_h"] + self.drive(u) @ params["f_u"] + params["f_b1"])
+        xp = namespace(u)
+        decay = xp.exp(-xp.exp(-params["log_tau"]))
+        inner = xp.tanh(state @ params["f_h"] + self.drive(u) @ params["f_u"] + params["f_b1"])
         target = self._bent(inner @ params["f_w2"] + params["f_b2"])
-        state = decay * state + (1 - decay) * target
+        state = target + decay * (state - target)
         return state, state
 
-    def _bent(self, values: jax.Array) -> jax.Array:
-        return jnp.tanh(values) if self.config.bounded else values
+    def _bent(self, values: AnyArray) -> AnyArray:
+        return namespace(values).tanh(values) if self.config.bounded else values
 
 
 def _parameters(config: Config, context: Context) -> Params:

@@ -10,18 +10,17 @@ initialization of state-space artificial neural networks, ECC 2021; Paduart et a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
+from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder, affine
 from asia.models._data.records import (
@@ -36,8 +35,6 @@ from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import LinearFit, Refinement, encoder_of
 from asia.models._linear.windows import WindowPredictor
-from asia.models._networks.training import fit as fit_network
-from asia.models._state_space.fit import StateSamples, fit_states, of_records, state_encoder
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
@@ -107,22 +104,23 @@ class StateCell:
 
     structure: StateSpaceStructure
 
-    def initial(self, params: Any, window: jax.Array) -> jax.Array:
+    def initial(self, params: Any, window: AnyArray) -> AnyArray:
         """Encoder, or the past window itself."""
         if self.structure.lags is not None:
-            return window @ jnp.asarray(self.structure.lags.selection(), window.dtype)
+            return window @ self.structure.lags.selection().astype(window.dtype)
         p = params["encoder"]
-        bent = jnp.tanh(window @ p["inner"] + p["shift"])
+        bent = namespace(window).tanh(window @ p["inner"] + p["shift"])
         return window @ p["weights"] + bent @ p["outer"] + p["bias"]
 
-    def step(self, params: Any, state: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Next state and output before r."""
-        return self.structure.split(jnp, params, state, self.structure.input(jnp, params, u))
+        xp = namespace(u)
+        return self.structure.split(xp, params, state, self.structure.input(xp, params, u))
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """r."""
         del u
-        return self.structure.output(jnp, params, features)
+        return self.structure.output(namespace(features), params, features)
 
 
 @dataclass(frozen=True)
@@ -210,6 +208,8 @@ def _train_windowed(
     method: LevenbergMarquardt | Adam,
 ) -> NeuralStateSpace:
     """The state is the past window, so that nothing need be learned of where a window starts."""
+    from asia.models._state_space.fit import StateSamples, fit_states
+
     c, lags = model.config, predictor.lags
     structure = StateSpaceStructure(
         lags.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree, c.channels,
@@ -221,7 +221,7 @@ def _train_windowed(
         members = [_by_adam(structure, params, records, context, method)]
     else:
         starts = [structure.start_windowed(predictor, rng) for _ in range(method.starts)]
-        size = sum(np.size(leaf) for leaf in jax.tree.leaves(starts[0]))
+        size = _size(starts[0])
         most = _WORK / (size**2 * (context.horizon or 1) * context.ny)
         w = cut_windows(records, context, int(np.clip(most, *_WINDOWS)))
         samples = StateSamples(encoder(w.features), w.u, w.y, np.ones(w.y.shape[:2]), known=True)
@@ -264,6 +264,8 @@ def _by_lm(
     context: Context,
     method: LevenbergMarquardt,
 ) -> list[tuple[dict[str, Any], Encoder]]:
+    from asia.models._state_space.fit import fit_states, of_records, state_encoder
+
     rng = _random(context)
     starts = [structure.start(found.system, rng) for _ in range(method.starts)]
     ridge = {**_ridges(config), "x0": found.error / sum(len(r) for r in records)}
@@ -295,9 +297,18 @@ def _by_adam(
     context: Context,
     method: Adam,
 ) -> Any:
-    trained = fit_network(StateCell(structure), _cast(params, np.float32), records, context, method)
+    from asia.models._networks.training import fit
+
+    trained = fit(StateCell(structure), _cast(params, np.float32), records, context, method)
     return _cast(trained, np.float64)
 
 
-def _cast(tree: Any, dtype: type[np.floating[Any]]) -> dict[str, Any]:
-    return jax.tree.map(lambda v: np.asarray(v, dtype), tree)
+def _cast(tree: Mapping[str, Any], dtype: type[np.floating[Any]]) -> dict[str, Any]:
+    return {
+        name: _cast(v, dtype) if isinstance(v, Mapping) else np.asarray(v, dtype)
+        for name, v in tree.items()
+    }
+
+
+def _size(tree: Mapping[str, Any]) -> int:
+    return sum(_size(v) if isinstance(v, Mapping) else np.size(v) for v in tree.values())

@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
+from asia.models._arrays import AnyArray, namespace, relu, sigmoid, split
 from asia.models._config import check_at_least, check_choice
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
@@ -80,19 +79,20 @@ class RecurrentCell(Driven[Config]):
         del trajectories, context
         return as_built if self.config.start == "uniform" else None
 
-    def initial(self, params: Any, window: jax.Array) -> Any:
+    def initial(self, params: Any, window: AnyArray) -> Any:
         """One (h, c) for each layer; c is used by the LSTM alone."""
-        inner = window @ params["enc_w1"] + params["enc_b1"]
-        bend = jnp.tanh if self.config.activation == "tanh" else jax.nn.relu
-        start = bend(inner) @ params["enc_w2"] + params["enc_b2"]
+        tanh = namespace(window).tanh
+        bend = tanh if self.config.activation == "tanh" else relu
+        inner = bend(window @ params["enc_w1"] + params["enc_b1"])
+        start = inner @ params["enc_w2"] + params["enc_b2"]
         if self.config.activation == "tanh":
-            start = jnp.tanh(start)
+            start = tanh(start)
         if self.config.tied:
-            return [(h, h) for h in jnp.split(start, self.config.layers, axis=-1)]
-        parts = jnp.split(start, 2 * self.config.layers, axis=-1)
+            return [(h, h) for h in split(start, self.config.layers)]
+        parts = split(start, 2 * self.config.layers)
         return [(parts[2 * i], parts[2 * i + 1]) for i in range(self.config.layers)]
 
-    def step(self, params: Any, state: Any, u: jax.Array) -> tuple[Any, jax.Array]:
+    def step(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
         """Each layer reads the one below."""
         signal, result = self.drive(u), []
         for layer, (h, c) in zip(params["layers"], state, strict=True):
@@ -101,27 +101,27 @@ class RecurrentCell(Driven[Config]):
             signal = h
         return result, signal
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """Linear in the last layer's h and, with `direct`, in u."""
         if not self.config.direct:
             return features @ params["out_w"] + params["out_b"]
         return linear_output(params, features, u)
 
-    def _layer(
-        self, p: Any, h: jax.Array, c: jax.Array, u: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        drive = u @ p["u"] + p["b"]
+    def _layer(self, p: Any, h: AnyArray, c: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
+        drive, tanh = u @ p["u"] + p["b"], namespace(u).tanh
         if self.config.cell == "rnn":
-            return jnp.tanh(drive + h @ p["h"]), c
-        parts = jnp.split(drive, _GATES[self.config.cell], axis=-1)
-        back = jnp.split(h @ p["h"], _GATES[self.config.cell], axis=-1)
+            return tanh(drive + h @ p["h"]), c
+        # The gates, side by side, and what they let through.
+        wide = (_GATES[self.config.cell] - 1) * h.shape[-1]
         if self.config.cell == "gru":
-            reset = jax.nn.sigmoid(parts[0] + back[0])
-            keep = jax.nn.sigmoid(parts[1] + back[1])
-            return keep * h + (1 - keep) * jnp.tanh(parts[2] + reset * back[2]), c
-        write, keep, read, new = (a + b for a, b in zip(parts, back, strict=True))
-        c = jax.nn.sigmoid(keep) * c + jax.nn.sigmoid(write) * jnp.tanh(new)
-        return jax.nn.sigmoid(read) * jnp.tanh(c), c
+            back = h @ p["h"]
+            reset, keep = split(sigmoid(drive[..., :wide] + back[..., :wide]), 2)
+            new = tanh(drive[..., wide:] + reset * back[..., wide:])
+            return new + keep * (h - new), c
+        drive = drive + h @ p["h"]
+        write, keep, read = split(sigmoid(drive[..., :wide]), 3)
+        c = keep * c + write * tanh(drive[..., wide:])
+        return read * tanh(c), c
 
 
 def _parameters(rng: np.random.Generator, config: Config, context: Context) -> Params:

@@ -15,13 +15,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.models import linear
+from asia.models._arrays import AnyArray, bounded, namespace
 from asia.models._config import check_at_least, check_choice
 from asia.models._data.records import ScaledData, window_size
 from asia.models._data.scaling import Scaling
@@ -98,20 +97,22 @@ class SubnetCell(Driven[Config]):
             return as_built
         return partial(_from_linear_model, context=context)
 
-    def initial(self, params: Any, window: jax.Array) -> jax.Array:
+    def initial(self, params: Any, window: AnyArray) -> AnyArray:
         """State at the first sample."""
         linear_part = window @ params["encode_w"] + params["encode_b"]
         return linear_part + mlp(params["encode"], window)
 
-    def step(self, params: Any, state: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
         """The output of a sample is read from the state at that sample."""
-        bent = mlp(params["f"], jnp.concatenate([state, self.drive(u)], axis=-1))
+        bent = mlp(params["f"], namespace(state, u).concatenate([state, self.drive(u)], axis=-1))
         after = state @ params["a"] + u @ params["b"] + bent
-        return jnp.clip(after, -_LARGEST_STATE, _LARGEST_STATE), state
+        return bounded(after, -_LARGEST_STATE, _LARGEST_STATE), state
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """C x + D u + offset + h(x, u)."""
-        bent = mlp(params["h"], jnp.concatenate([features, self.drive(u)], axis=-1))
+        bent = mlp(
+            params["h"], namespace(features, u).concatenate([features, self.drive(u)], axis=-1)
+        )
         return features @ params["c"] + u @ params["d"] + params["offset"] + bent
 
 

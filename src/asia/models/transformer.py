@@ -10,13 +10,13 @@ Smith and Lewis, ICLR 2022 (the biases at the start).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
+from asia.models._arrays import AnyArray, gelu, namespace, softmax, split
 from asia.models._config import check_at_least, demand
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
@@ -70,38 +70,40 @@ class Transformer(Driven[Config]):
             "out_b": zeros(context.ny),
         }
 
-    def features(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+    def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
         """Last layer's channels of the samples."""
-        c, samples = self.config, u.shape[1]
+        c, samples, xp = self.config, u.shape[1], namespace(u)
         token = mlp(params["encoder"], window)[:, None]
-        x = jnp.concatenate([token, mlp(params["in"], self.drive(u))], axis=1)
-        x = jnp.pad(x, ((0, 0), (0, -(samples + 1) % c.span), (0, 0)))
+        x = xp.concatenate([token, mlp(params["in"], self.drive(u))], axis=1)
+        x = xp.pad(x, ((0, 0), (0, -(samples + 1) % c.span), (0, 0)))
         for p in params["layers"]:
             x = x + banded_attention(p, normalised(x, p["gain1"]), c.heads, c.span) @ p["merge"]
-            inner = jax.nn.gelu(normalised(x, p["gain2"]) @ p["w1"] + p["b1"])
+            inner = gelu(normalised(x, p["gain2"]) @ p["w1"] + p["b1"])
             x = x + inner @ p["w2"] + p["b2"]
         return x[:, 1 : samples + 1]
 
 
-def banded_attention(p: Any, x: jax.Array, heads: int, span: int) -> jax.Array:
+def banded_attention(p: Any, x: AnyArray, heads: int, span: int) -> AnyArray:
     """x (B, T, width), T a multiple of span -> (B, T, width). Each block of `span` tokens looks
     at itself and at the block before it."""
-    batch, length, width = x.shape
+    xp, (batch, length, width) = namespace(x), x.shape
     shape = (batch, length // span, span, heads, width // heads)
-    query, key, value = (part.reshape(shape) for part in jnp.split(x @ p["qkv"], 3, axis=-1))
-    keys, values = _with_block_before(key), _with_block_before(value)
-    scores = jnp.einsum("bnihd,bnjhd->bnhij", query, keys) / np.sqrt(width // heads)
+    # (B, blocks, heads, tokens, channels)
+    parts = [part.reshape(shape).swapaxes(2, 3) for part in split(x @ p["qkv"], 3)]
+    query, keys, values = parts[0], _with_block_before(parts[1]), _with_block_before(parts[2])
+    scores = (query / sqrt(width // heads)) @ keys.swapaxes(-1, -2)
     distance = np.arange(span)[:, None] + span - np.arange(2 * span)
     seen = np.broadcast_to((distance >= 0) & (distance < span), (shape[1], span, 2 * span)).copy()
     seen[0, :, :span] = False
     bias = p["bias"][:, np.clip(distance, 0, span - 1)]
-    weights = jax.nn.softmax(jnp.where(seen[:, None], scores + bias, -1e9), axis=-1)
-    return jnp.einsum("bnhij,bnjhd->bnihd", weights, values).reshape(batch, length, width)
+    weights = softmax(xp.where(seen[:, None], scores + bias, -1e9))
+    return (weights @ values).swapaxes(2, 3).reshape(batch, length, width)
 
 
-def _with_block_before(x: jax.Array) -> jax.Array:
-    before = jnp.pad(x, ((0, 0), (1, 0), (0, 0), (0, 0), (0, 0)))[:, :-1]
-    return jnp.concatenate([before, x], axis=2)
+def _with_block_before(x: AnyArray) -> AnyArray:
+    xp = namespace(x)
+    before = xp.pad(x, ((0, 0), (1, 0), (0, 0), (0, 0), (0, 0)))[:, :-1]
+    return xp.concatenate([before, x], axis=3)
 
 
 def _layer_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:

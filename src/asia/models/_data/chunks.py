@@ -1,16 +1,16 @@
 """What one training step sees: whole records, chunks laid end to end, or chunks at random places.
 
-All arrays are z-scored float32; T is the length of a simulation, B how many run in parallel.
+All arrays are z-scored float32, in NumPy but for random chunks; T is the length of a simulation, B
+how many run in parallel.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from asia.models._arrays import AnyArray
 from asia.models._data.cuts import laid_end_to_end, rows
 from asia.models._data.records import PaddedBatch
 
@@ -18,35 +18,35 @@ from asia.models._data.records import PaddedBatch
 class Simulations(NamedTuple):
     """Simulations to compare with measurements."""
 
-    window: jax.Array
+    window: AnyArray
     """Past window of each (B, d)."""
-    u: jax.Array
+    u: AnyArray
     """(B, T, nu)."""
-    y: jax.Array
+    y: AnyArray
     """Measured outputs (B, T, ny)."""
-    weight: jax.Array
+    weight: AnyArray
     """(B, T), 0 where a sample does not count."""
 
 
 class Places(NamedTuple):
     """Trajectories, and where chunks may start in them."""
 
-    u: jax.Array
+    u: AnyArray
     """(R, T, nu)."""
-    y: jax.Array
+    y: AnyArray
     """(R, T, ny)."""
-    weight: jax.Array
+    weight: AnyArray
     """(R, T)."""
-    windows: jax.Array
+    windows: AnyArray
     """Past windows before the starts (S, d)."""
-    starts: jax.Array
+    starts: AnyArray
     """(trajectory, sample) of each start (S, 2)."""
 
 
 def whole(batch: PaddedBatch) -> Simulations:
     """Each record as one simulation."""
     arrays = (batch.window, batch.u, batch.y, batch.weight)
-    return Simulations(*(jnp.asarray(a, jnp.float32) for a in arrays))
+    return Simulations(*(np.asarray(a, np.float32) for a in arrays))
 
 
 def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
@@ -63,7 +63,7 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
     at = record[:, None], np.minimum(samples, batch.u.shape[1] - 1)
     weight = batch.weight[at] * inside
     arrays = batch.start_windows[first], batch.u[at], batch.y[at], weight
-    return Simulations(*(jnp.asarray(a, jnp.float32) for a in arrays))
+    return Simulations(*(np.asarray(a, np.float32) for a in arrays))
 
 
 def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> Simulations:
@@ -72,14 +72,14 @@ def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> 
     longest = batch.u.shape[1]
     if count is not None:
         longest = min(longest, -(-sum(batch.lengths) // count))
-    data = laid(batch, longest, overlap=False)
-    spare = -data.u.shape[1] % length
+    window, u, y, weight = laid(batch, longest, overlap=False)
+    weight[:, :washout] = 0.0
+    spare = -u.shape[1] % length
 
-    def padded(values: jax.Array) -> jax.Array:
-        return jnp.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
+    def padded(values: AnyArray) -> AnyArray:
+        return np.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
 
-    weight = data.weight.at[:, :washout].set(0.0)
-    return Simulations(data.window, padded(data.u), padded(data.y), padded(weight))
+    return Simulations(window, padded(u), padded(y), padded(weight))
 
 
 def places(batch: PaddedBatch, length: int) -> Places:
@@ -94,19 +94,21 @@ def places(batch: PaddedBatch, length: int) -> Places:
         index = np.arange(len(starts))
         chosen = np.where(short, index - starts[:, 1], index)[fits | short]
     arrays = (batch.u, batch.y, batch.weight, batch.start_windows[chosen])
-    u, y, weight, windows = (jnp.asarray(a, jnp.float32) for a in arrays)
-    return Places(u, y, weight, windows, jnp.asarray(starts[chosen]))
+    u, y, weight, windows = (np.asarray(a, np.float32) for a in arrays)
+    return Places(u, y, weight, windows, starts[chosen])
 
 
-def random_chunks(p: Places, length: int, count: int | None, key: jax.Array) -> Simulations:
-    """`count` chunks; None: as many as cover the records once, but at most 128."""
+def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> Simulations:
+    """`count` chunks; None: as many as cover the records once, but at most 128. For JAX."""
+    import jax
+
     length = min(length, p.u.shape[1])
     if count is None:
         count = max(1, min(128, p.u.shape[0] * p.u.shape[1] // length))
     picked = jax.random.randint(key, (count,), 0, p.starts.shape[0])
 
-    def cut(values: jax.Array) -> jax.Array:
-        def one(start: jax.Array) -> jax.Array:
+    def cut(values: AnyArray) -> AnyArray:
+        def one(start: AnyArray) -> AnyArray:
             return jax.lax.dynamic_slice_in_dim(values[start[0]], start[1], length)
 
         return jax.vmap(one)(p.starts[picked])

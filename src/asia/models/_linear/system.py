@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import next_fast_len
 
 from asia.data import Array
 
@@ -72,17 +71,24 @@ def powers(a: Array, count: int) -> Array:
 def delayed_convolution(kernel: Array, signals: Array) -> Array:
     """kernel (T, p, q), signals (T, s) -> (T, p, q, s): sum over k < t of kernel[t-1-k] s[k]."""
     length = len(signals)
-    size = next_fast_len(2 * length, real=True)
+    size = _transform_size(length)
     spectrum = np.fft.rfft(kernel, size, axis=0)[..., None]
     product = spectrum * np.fft.rfft(signals, size, axis=0)[:, None, None, :]
     full = np.fft.irfft(product, size, axis=0)[: length - 1]
     return np.concatenate([np.zeros((1, *full.shape[1:])), full])
 
 
+def _transform_size(samples: int) -> int:
+    """Length of a fast Fourier transform whose convolution does not wrap around."""
+    from scipy.fft import next_fast_len  # not needed by a simulation
+
+    return next_fast_len(2 * samples, real=True)  # pyright: ignore[reportReturnType]
+
+
 def states_of(system: LinearSystem, power: Array, x0: Array, u: Array) -> Array:
     """u (T, nu) -> states (T, n); `power` holds a^k for k < T."""
     drive = u @ system.b.T
-    size = next_fast_len(2 * len(u), real=True)
+    size = _transform_size(len(u))
     spectrum = np.einsum(
         "fij,fj->fi", np.fft.rfft(power, size, axis=0), np.fft.rfft(drive, size, axis=0)
     )

@@ -15,11 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
 
-import jax
-
 from asia.candidate import Context
 from asia.data import Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray
 from asia.models._data.records import check
 from asia.models._networks.features import Features, NetworkConfig
 from asia.models._networks.layers import linear_output
@@ -50,7 +49,7 @@ class Driven(Generic[C]):
         """Untrained parameters drawn from `context.seed`."""
         raise NotImplementedError
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """Linear in the features (..., hidden) and in u (..., nu): (..., ny)."""
         return linear_output(params, features, u)
 

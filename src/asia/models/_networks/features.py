@@ -8,21 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace
 from asia.models._config import owner
 from asia.models._data.scaling import Scaling
 
 
-def _signed_root(u: Any) -> Any:
+def _signed_root(u: AnyArray) -> AnyArray:
     # The slope of the square root has no bound at zero, where an input often rests.
-    return u / (jnp.sqrt(jnp.abs(u) + 1e-3))
+    return u / namespace(u).sqrt(abs(u) + 1e-3)
 
 
 class NetworkConfig(Protocol):
@@ -34,10 +33,10 @@ class NetworkConfig(Protocol):
         ...
 
 
-FUNCTIONS: dict[str, Callable[[Any], Any]] = {
+FUNCTIONS: dict[str, Callable[[AnyArray], AnyArray]] = {
     "square": lambda u: u * u,
     "cube": lambda u: u * u * u,
-    "abs": jnp.abs,
+    "abs": abs,
     "sqrt": _signed_root,
 }
 
@@ -85,8 +84,7 @@ class Features:
         u = np.concatenate([t.u for t in trajectories])
         size = np.sqrt((u**2).mean(axis=0))
         size = np.where(size > 0, size, 1.0)
-        with jax.enable_x64(False):
-            raw = np.asarray(_applied(self.names, jnp.asarray(u / size, jnp.float32)), np.float64)
+        raw = _applied(self.names, u / size)
         spread = raw.std(axis=0)
         spread = np.where(spread > 1e-6, spread, 1.0)
         return Features(
@@ -97,17 +95,18 @@ class Features:
             _floats(spread),
         )
 
-    def __call__(self, u: jax.Array) -> jax.Array:
+    def __call__(self, u: AnyArray) -> AnyArray:
         """(..., nu) z-scores -> (..., nu * (1 + functions))."""
         if not self.names:
             return u
-        raw = _applied(self.names, u * jnp.asarray(self.gain) + jnp.asarray(self.offset))
-        extra = (raw - jnp.asarray(self.centre)) / jnp.asarray(self.spread)
-        return jnp.concatenate([u, extra], axis=-1)
+        numbers = (self.gain, self.offset, self.centre, self.spread)
+        gain, offset, centre, spread = (np.asarray(v, u.dtype) for v in numbers)
+        extra = (_applied(self.names, u * gain + offset) - centre) / spread
+        return namespace(u).concatenate([u, extra], axis=-1)
 
 
-def _applied(names: Sequence[str], u: jax.Array) -> jax.Array:
-    return jnp.concatenate([FUNCTIONS[name](u) for name in names], axis=-1)
+def _applied(names: Sequence[str], u: AnyArray) -> AnyArray:
+    return namespace(u).concatenate([FUNCTIONS[name](u) for name in names], axis=-1)
 
 
 def _floats(values: Array) -> tuple[float, ...]:

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+
+from asia.models._arrays import AnyArray, complex_number, namespace, scan, sigmoid, split
 
 Float32 = NDArray[np.float32]
 
@@ -34,9 +34,10 @@ def zeros(*shape: int) -> Float32:
     return np.zeros(shape, np.float32)
 
 
-def linear_output(params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+def linear_output(params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
     """Output layer out_w (hidden + nu, ny), out_b (ny,)."""
-    return jnp.concatenate([features, u], axis=-1) @ params["out_w"] + params["out_b"]
+    read = namespace(features, u).concatenate([features, u], axis=-1)
+    return read @ params["out_w"] + params["out_b"]
 
 
 def mlp_params(
@@ -50,31 +51,32 @@ def mlp_params(
     ]
 
 
-def mlp(layers: Sequence[Mapping[str, Any]], x: jax.Array) -> jax.Array:
+def mlp(layers: Sequence[Mapping[str, Any]], x: AnyArray) -> AnyArray:
     """(..., sizes[0]) -> (..., sizes[-1]); tanh between layers, none after the last."""
+    xp = namespace(x)
     for layer in layers[:-1]:
-        x = jnp.tanh(x @ layer["w"] + layer["b"])
+        x = xp.tanh(x @ layer["w"] + layer["b"])
     return x @ layers[-1]["w"] + layers[-1]["b"]
 
 
-def normalised(x: jax.Array, gain: jax.Array) -> jax.Array:
+def normalised(x: AnyArray, gain: AnyArray) -> AnyArray:
     """Each sample scaled to unit root mean square over its channels, times gain (channels,).
 
     Source: Zhang and Sennrich, NeurIPS 2019 (RMSNorm).
     """
-    return gain * x / jnp.sqrt(jnp.mean(x * x, axis=-1, keepdims=True) + 1e-6)
+    return gain * x / namespace(x).sqrt((x * x).mean(axis=-1, keepdims=True) + 1e-6)
 
 
-def gated(x: jax.Array, w: jax.Array, b: jax.Array) -> jax.Array:
+def gated(x: AnyArray, w: AnyArray, b: AnyArray) -> AnyArray:
     """Gated linear unit, w (channels, 2 * out): Dauphin et al., ICML 2017."""
-    value, gate = jnp.split(x @ w + b, 2, axis=-1)
-    return value * jax.nn.sigmoid(gate)
+    value, gate = split(x @ w + b, 2)
+    return value * sigmoid(gate)
 
 
-def decaying(start: jax.Array, log_tau: jax.Array, samples: int) -> jax.Array:
+def decaying(start: AnyArray, log_tau: AnyArray, samples: int) -> AnyArray:
     """start (B, n) -> (B, samples, n): start * exp(-(k + 1) / tau), tau (n,) in samples."""
-    time = jnp.arange(1, samples + 1, dtype=start.dtype)
-    return start[:, None] * jnp.exp(-time[:, None] * jnp.exp(-log_tau))
+    xp, time = namespace(start, log_tau), np.arange(1, samples + 1, dtype=start.dtype)
+    return start[:, None] * xp.exp(-time[:, None] * xp.exp(-log_tau))
 
 
 def log_spaced(first: float, last: float, count: int) -> Float32:
@@ -82,20 +84,21 @@ def log_spaced(first: float, last: float, count: int) -> Float32:
     return np.linspace(np.log(first), np.log(last), count).astype(np.float32)
 
 
-def poles(log_rate: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+def poles(log_rate: AnyArray, angle: AnyArray) -> tuple[AnyArray, AnyArray]:
     """exp(-rate + i angle), inside the unit circle whatever the parameters, and the gain at which
     white noise of unit variance gives states of unit variance, however slow the pole."""
-    rate = jnp.exp(log_rate) + _SLOWEST_RATE
-    return jnp.exp(jax.lax.complex(-rate, angle)), jnp.sqrt(-jnp.expm1(-2 * rate))
+    xp = namespace(log_rate, angle)
+    rate = xp.exp(log_rate) + _SLOWEST_RATE
+    return xp.exp(complex_number(-rate, angle)), xp.sqrt(-xp.expm1(-2 * rate))
 
 
-def diagonal_states(pole: jax.Array, drive: jax.Array, start: jax.Array) -> jax.Array:
+def diagonal_states(pole: AnyArray, drive: AnyArray, start: AnyArray) -> AnyArray:
     """x[k] = pole x[k-1] + drive[k], x[-1] = start: pole (n,), drive (B, T, n), start (B, n), all
     complex -> (B, T, n)."""
     # An associative scan is no faster on a processor and takes eight times as long to compile.
 
-    def step(x: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def step(x: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray]:
         x = pole * x + v
         return x, x
 
-    return jnp.swapaxes(jax.lax.scan(step, start, jnp.swapaxes(drive, 0, 1))[1], 0, 1)
+    return scan(step, start, drive.swapaxes(0, 1))[1].swapaxes(0, 1)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
-import jax
 import numpy as np
 
 from asia.candidate import Context
@@ -15,23 +13,18 @@ from asia.errors import UserError
 from asia.models._data.chunks import laid, whole
 from asia.models._data.records import ScaledData, batch, check, scaled, window
 from asia.models._data.scaling import Scaling
+from asia.models._networks.simulation import features_of, outputs_of
 from asia.models._networks.structure import (
     Cell,
     NetworkStructure,
     Params,
     Restartable,
     SequenceMap,
-    rollout,
-    trace,
 )
-from asia.models._networks.training import fit
 from asia.models.methods import NetworkMethod
 
 Prepare = Callable[[Params, ScaledData, Scaling], Params]
 """Parameters to start training from, given z-scored records: for example a linear fit."""
-
-_rollout = partial(jax.jit, static_argnums=0)(rollout)
-_trace = partial(jax.jit, static_argnums=0)(trace)
 
 
 @dataclass(frozen=True)
@@ -53,11 +46,9 @@ class NetworkModel:
         if self.scaling is None:
             raise UserError("network model: not trained yet; call train before simulate")
         past = window(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
-        inputs = self.scaling.inputs(u)
-        arrays = np.asarray(past, np.float32), np.asarray(inputs, np.float32)
+        arrays = past.astype(np.float32), self.scaling.inputs(u).astype(np.float32)
         members = (self.params, *self.others)
-        with jax.enable_x64(False):
-            outputs = [np.asarray(_rollout(self.cell, p, *arrays), np.float64) for p in members]
+        outputs = [np.asarray(outputs_of(self.cell, p, *arrays), np.float64) for p in members]
         return self.scaling.physical(sum(outputs[1:], outputs[0]) / len(outputs))
 
 
@@ -74,6 +65,8 @@ def train_network(
     ridge regression where the structure reads it as `linear_output` does. Raises UserError for
     records too short or mis-shaped, and for a method that does not go with the structure.
     """
+    from asia.models._networks.training import fit  # imports JAX, which a simulation must not
+
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
@@ -112,10 +105,9 @@ def with_output_layer(
     if "out_w" not in params or (isinstance(cell, SequenceMap) and not isinstance(cell, Cell)):
         return params
     samples = batch(records, context)
-    with jax.enable_x64(False):
-        data = whole(samples) if context.horizon is None else laid(samples, context.horizon)
-        traced = _trace(cell, params, data.window, data.u)
-        x, u, y, weight = (np.asarray(v, np.float64) for v in (traced, *data[1:]))
+    data = whole(samples) if context.horizon is None else laid(samples, context.horizon)
+    traced = features_of(cell, params, data.window, data.u)
+    x, u, y, weight = (np.asarray(v, np.float64) for v in (traced, *data[1:]))
     rows = len(params["out_w"])
     if rows == x.shape[-1] + u.shape[-1]:
         x = np.concatenate([x, u], axis=-1)

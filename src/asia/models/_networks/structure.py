@@ -9,17 +9,20 @@ A family writes a structure, a frozen dataclass, as one of
 and adds, where it has them, `feed` (`OutputFeedback`: teacher forcing) and `parameters`
 (`Restartable`: fits from several seeds). `params["fixed"]` may hold a mapping of constants, such
 as the scaling that an equation in physical units needs: no method changes them.
+
+A structure is written once, for JAX arrays in training and NumPy arrays in simulation: it computes
+by operators, by methods of arrays, and by what `asia.models._arrays` has for both. NumPy must stay
+in float32: no NumPy number or array of float64 may meet the arrays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
-import jax
-import jax.numpy as jnp
-
 from asia.candidate import Context
+from asia.models._arrays import AnyArray, scan
 
 Params = Mapping[str, Any]
 """Arrays by name: weights, and trees of weights of inner layers."""
@@ -32,15 +35,15 @@ class Cell(Protocol):
     Shapes: window (B, d), u (B, nu), a state is any tree of arrays (B, ...).
     """
 
-    def initial(self, params: Any, window: jax.Array) -> Any:
+    def initial(self, params: Any, window: AnyArray) -> Any:
         """State before the first sample."""
         ...
 
-    def step(self, params: Any, state: Any, u: jax.Array) -> tuple[Any, jax.Array]:
+    def step(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
         """Next state, and what the output of this sample is read from, (B, hidden)."""
         ...
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """features (..., hidden), u (..., nu) -> outputs (..., ny)."""
         ...
 
@@ -49,11 +52,11 @@ class Cell(Protocol):
 class FeatureMap(Protocol):
     """A structure that computes the features of all samples at once, causally."""
 
-    def features(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+    def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
         """window (B, d), u (B, T, nu) -> (B, T, hidden)."""
         ...
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """features (..., hidden), u (..., nu) -> outputs (..., ny)."""
         ...
 
@@ -63,7 +66,7 @@ class SequenceMap(Protocol):
     """A structure that computes the outputs of all samples at once, causally; it is used in place
     of stepping where a structure has both."""
 
-    def sequence(self, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+    def sequence(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
         """window (B, d), u (B, T, nu) -> outputs (B, T, ny)."""
         ...
 
@@ -75,7 +78,7 @@ NetworkStructure: TypeAlias = Cell | FeatureMap | SequenceMap
 class OutputFeedback(Protocol):
     """A cell whose state holds its own last output, which training may replace by the measured."""
 
-    def feed(self, params: Any, state: Any, y: jax.Array, mask: jax.Array) -> Any:
+    def feed(self, params: Any, state: Any, y: AnyArray, mask: AnyArray) -> Any:
         """State after a step with its output replaced by y (B, ny), z-scored, of the same sample
         where mask (B, 1) is 1, and unchanged where it is 0."""
         ...
@@ -90,18 +93,17 @@ class Restartable(Protocol):
         ...
 
 
-def rollout(cell: NetworkStructure, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+def rollout(cell: NetworkStructure, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
     """window (B, d), u (B, T, nu) -> outputs (B, T, ny), all z-scored."""
     if isinstance(cell, SequenceMap):
         return cell.sequence(params, window, u)
     return cell.output(params, trace(cell, params, window, u), u)
 
 
-def trace(cell: Cell | FeatureMap, params: Any, window: jax.Array, u: jax.Array) -> jax.Array:
+def trace(cell: Cell | FeatureMap, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
     """Features (B, T, hidden) that the outputs are read from."""
     if isinstance(cell, FeatureMap):
         return cell.features(params, window, u)
-    inputs = jnp.swapaxes(u, 0, 1)
     start = cell.initial(params, window)
-    _, features = jax.lax.scan(lambda state, u: cell.step(params, state, u), start, inputs)
-    return jnp.swapaxes(features, 0, 1)
+    step = partial(cell.step, params)
+    return scan(step, start, u.swapaxes(0, 1))[1].swapaxes(0, 1)

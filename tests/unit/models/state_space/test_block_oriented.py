@@ -11,8 +11,8 @@ from asia.models import block_oriented, linear
 from asia.models._data.records import scaled
 from asia.models._data.scaling import Scaling
 from asia.models._linear.fit import Refinement
-from asia.models._state_space.wiener_hammerstein import (
-    WienerHammersteinStructure,
+from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
+from asia.models._state_space.wiener_hammerstein_starts import (
     wiener_hammerstein_starts,
 )
 from asia.models.methods import LevenbergMarquardt
