@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from asia.data import Array
+from asia.models._arrays import AnyArray, namespace
 from asia.models._solvers.least_squares import LevenbergMarquardt
 
 Residual = Callable[[jax.Array], jax.Array]
@@ -17,6 +20,15 @@ CostFunction = Callable[[jax.Array], jax.Array]
 
 # Dampings tried side by side in one iteration: one Jacobian then nearly always yields a step.
 _TRIALS = (0.1, 1.0, 10.0, 100.0)
+
+
+class LMLimits(NamedTuple):
+    """When a minimisation ends, as numbers that may be traced: one program then serves all."""
+
+    iterations: int | jax.Array
+    """Greatest number of Jacobians."""
+    tolerance: float | jax.Array
+    """Relative decrease of the cost below which it stops."""
 
 
 class LMResult(NamedTuple):
@@ -45,12 +57,12 @@ class Normal(NamedTuple):
 class LMState(NamedTuple):
     """Where a minimisation stands; `history` as in `LMResult`."""
 
-    theta: jax.Array
-    cost: jax.Array
-    damping: jax.Array
-    iteration: jax.Array
-    done: jax.Array
-    history: jax.Array
+    theta: AnyArray
+    cost: AnyArray
+    damping: AnyArray
+    iteration: AnyArray
+    done: AnyArray
+    history: AnyArray
 
     @property
     def result(self) -> LMResult:
@@ -120,17 +132,19 @@ def levenberg_marquardt(
 
 
 def initial_state(
-    theta0: jax.Array, method: LevenbergMarquardt, cost: jax.Array | None = None
+    theta0: jax.Array | Array, method: LevenbergMarquardt, cost: jax.Array | None = None
 ) -> LMState:
     """Before the first iteration, at theta0 (n,) float64."""
-    unknown = jnp.asarray(jnp.inf) if cost is None else cost
+    # NumPy numbers have the types of what comes out of an iteration: a state that goes in and out
+    # of a compiled program must not make JAX compile it once more for its second round.
+    unknown = np.float64(np.inf) if cost is None else cost
     return LMState(
         theta=theta0,
         cost=unknown,
-        damping=jnp.asarray(method.damping),
-        iteration=jnp.asarray(0),
-        done=jnp.asarray(False),
-        history=jnp.full(method.iterations + 1, unknown),
+        damping=np.float64(method.damping),
+        iteration=np.int64(0),
+        done=np.bool_(False),
+        history=namespace(unknown).full(method.iterations + 1, unknown),
     )
 
 
@@ -138,13 +152,13 @@ def advance(
     cost: CostFunction,
     normal: Callable[[jax.Array], Normal],
     state: LMState,
-    method: LevenbergMarquardt,
+    limits: LevenbergMarquardt | LMLimits,
     until: jax.Array | None = None,
 ) -> LMState:
     """Iterate to the end, or to iteration `until`, so that a long fit can be watched. Traced, in
     float64."""
     trials = jnp.asarray(_TRIALS)
-    last = method.iterations if until is None else jnp.minimum(until, method.iterations)
+    last = limits.iterations if until is None else jnp.minimum(until, limits.iterations)
 
     def unfinished(state: LMState) -> jax.Array:
         return (state.iteration < last) & ~state.done
@@ -159,7 +173,7 @@ def advance(
         better = costs[best] < at.cost
         reached = jnp.where(better, costs[best], at.cost)
         damping = jnp.where(better, dampings[best] * 0.3, dampings[-1] * 10.0)
-        small = better & (at.cost - reached <= method.tolerance * at.cost)
+        small = better & (at.cost - reached <= limits.tolerance * at.cost)
         iteration = state.iteration + 1
         return LMState(
             theta=jnp.where(better, candidates[best], state.theta),
@@ -167,7 +181,7 @@ def advance(
             damping=jnp.maximum(damping, 1e-12),
             iteration=iteration,
             done=small | (damping > 1e12) | (reached == 0.0),
-            history=jnp.where(jnp.arange(method.iterations + 1) >= iteration, reached, history),
+            history=jnp.where(jnp.arange(len(history)) >= iteration, reached, history),
         )
 
     return jax.lax.while_loop(unfinished, iterate, state)

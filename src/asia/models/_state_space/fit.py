@@ -9,21 +9,24 @@ with the length of the records.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from asia.candidate import Context
 from asia.data import Array
+from asia.models._arrays import AnyArray
 from asia.models._data.cuts import padded, side_by_side
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, past_length, windows
 from asia.models._solvers.levenberg_marquardt import (
     LevenbergMarquardt,
+    LMLimits,
     LMState,
     Normal,
     advance,
@@ -36,7 +39,7 @@ from asia.models._state_space.structure import StateSpaceStructure
 
 # Numbers in the derivatives of one chunk of samples.
 _CHUNK_VALUES = 4_000_000
-_ITERATIONS_BETWEEN_LOGS = 5
+_ITERATIONS_BETWEEN_LOGS, _ITERATIONS_HELD = 5, 64
 
 
 class StateSamples(NamedTuple):
@@ -109,17 +112,18 @@ def fit_states(
             name: jax.tree.map(lambda v, r=ridge[name]: np.full(np.shape(v), r), value)
             for name, value in tree.items()
         }
-        theta, unravel = _flat(tree)
-        data = _chunked(samples, structure, _flat(pull)[0], theta)
+        theta, shapes = _flat(tree), _shapes(tree)
+        data = _chunked(samples, structure, _flat(pull), theta)
+        limits = LMLimits(method.iterations, method.tolerance)
         with jax.enable_x64(True):
-            state = initial_state(jnp.asarray(theta), method)
+            state = initial_state(theta, replace(method, iterations=_rounded(method.iterations)))
             for stop in _stops(method.iterations):
-                state = _advance(structure, method, _shapes(tree), state, data, stop)
+                state = _advance(structure, shapes, limits, state, data, stop)
                 lowest = min(lowest, float(state.cost))
                 log(float(i * method.iterations + int(state.iteration)), float(np.sqrt(lowest)))
                 if state.done:
                     break
-            best = jax.tree.map(np.asarray, unravel(state.theta))
+        best = shapes.tree(np.asarray(state.theta))
         history = np.sqrt(np.asarray(state.history))[: int(state.iteration) + 1]
         x0 = best.pop("x0", samples.x0)
         results.append(StateFit(x0, best, float(state.cost), history))
@@ -164,10 +168,13 @@ def _chunked(
     return SampleChunks(u, y, weight, samples.x0, pull, origin)
 
 
-def _flat(tree: Any) -> tuple[Any, Any]:
-    with jax.enable_x64(True):
-        flat, unravel = ravel_pytree(jax.tree.map(lambda v: jnp.asarray(v, jnp.float64), tree))
-        return np.asarray(flat), unravel
+def _rounded(iterations: int) -> int:
+    """Iterations that a history has room for: one program serves fits of several lengths."""
+    return -(-iterations // _ITERATIONS_HELD) * _ITERATIONS_HELD
+
+
+def _flat(tree: Any) -> Array:
+    return np.concatenate([np.ravel(v) for v in jax.tree.leaves(tree)], dtype=np.float64)
 
 
 class _Shapes(NamedTuple):
@@ -176,9 +183,9 @@ class _Shapes(NamedTuple):
     treedef: Any
     shapes: tuple[tuple[int, ...], ...]
 
-    def tree(self, theta: jax.Array) -> Any:
-        sizes = [int(np.prod(s)) for s in self.shapes]
-        parts = jnp.split(theta, np.cumsum(sizes)[:-1])
+    def tree(self, theta: AnyArray) -> Any:
+        ends = np.cumsum([int(np.prod(s)) for s in self.shapes]).tolist()
+        parts = [theta[a:b] for a, b in pairwise([0, *ends])]
         leaves = [p.reshape(s) for p, s in zip(parts, self.shapes, strict=True)]
         return jax.tree.unflatten(self.treedef, leaves)
 
@@ -188,11 +195,11 @@ def _shapes(tree: Any) -> _Shapes:
     return _Shapes(treedef, tuple(np.shape(v) for v in leaves))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
+@partial(jax.jit, static_argnums=(0, 1))
 def _advance(
     structure: StateSpaceStructure,
-    method: LevenbergMarquardt,
     shapes: _Shapes,
+    limits: LMLimits,
     state: LMState,
     data: SampleChunks,
     until: Any,
@@ -225,7 +232,7 @@ def _advance(
         pull = data.pull * (theta - data.origin)
         return normal_from_sums(total + penalty(theta), gram + jnp.diag(data.pull), gradient + pull)
 
-    return advance(cost, normal, state, method, until)
+    return advance(cost, normal, state, limits, until)
 
 
 def _run(step: Any, n: int, theta: jax.Array, x: jax.Array, part: Any) -> Any:
