@@ -18,12 +18,12 @@ from asia.models._linear.fit import (
     Refinement,
     encoder_of,
     refine,
-    simulation_error,
     solve_linear_part,
     unseen_error,
 )
+from asia.models._linear.response import DrivenRecords
 from asia.models._linear.subspace import spread_poles
-from asia.models._linear.system import LinearSystem, powers, states_of
+from asia.models._linear.system import LinearSystem
 from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
 from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two
 
@@ -99,10 +99,15 @@ def test_convolution_gives_the_states_of_the_recursion() -> None:
         np.zeros((1, 2)),
         np.zeros(1),
     )
-    u, x0 = rng.standard_normal((77, 2)), rng.standard_normal(3)
-    by_recursion = system.simulate(x0[None], u[None])[0][0]
-    by_convolution = states_of(system, powers(system.a, 77), x0, u)
-    np.testing.assert_allclose(by_convolution, by_recursion, atol=1e-10)
+    records = [
+        ScaledTrajectory(u, np.zeros((len(u), 1)), np.ones(len(u)), u)
+        for u in (rng.standard_normal((length, 2)) for length in (77, 70, 300, 1))
+    ]
+    x0 = rng.standard_normal((4, 3))
+    by_convolution = DrivenRecords(records).response(system, x0).states
+    for record, start, states in zip(records, x0, by_convolution, strict=True):
+        by_recursion = system.simulate(start[None], record.u[None])[0][0]
+        np.testing.assert_allclose(states, by_recursion, atol=1e-10)
 
 
 def test_refinement_lowers_the_simulation_error_and_ignores_unweighted_samples() -> None:
@@ -118,8 +123,8 @@ def test_refinement_lowers_the_simulation_error_and_ignores_unweighted_samples()
     assert better.error < 0.9 * start.error
     spoiled = y.copy()
     spoiled[100:150] = 1e3
-    error = simulation_error([replace(record, y=spoiled)], better.system, better.x0)
-    assert error == pytest.approx(better.error)
+    seen = DrivenRecords([replace(record, y=spoiled)]).response(better.system, better.x0)
+    assert seen.error == pytest.approx(better.error)
 
 
 def test_integrator_stays_simulable() -> None:

@@ -1,0 +1,163 @@
+"""Response of a linear system on training records, and its derivatives, by fast convolution.
+
+The sensitivity of the output to an entry of A or B is the response of C (zI - A)^-1 e_i to a state
+or an input, so all of them come from one set of impulse responses (Ljung, System Identification,
+2nd ed., section 10.3). Transforms of the inputs are made once for a fit, those of the powers of A
+once for a system.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data import Array
+from asia.models._data.records import ScaledData, ScaledTrajectory
+from asia.models._linear.system import LinearSystem
+
+Spectrum = NDArray[np.complex128]
+# Records whose lengths differ by less share the transforms of a system.
+_ROUNDED = 64
+
+
+@dataclass(frozen=True)
+class Powers:
+    """Powers of A, and their transform."""
+
+    values: Array
+    """a^0, a^1, .. (T, n, n)."""
+    spectrum: Spectrum
+    """(frequencies, n, n)."""
+    size: int
+    """Length of the transform, enough for a convolution not to wrap around."""
+
+    @classmethod
+    def of(cls, a: Array, count: int) -> Powers:
+        """By doubling."""
+        values = np.empty((count, *a.shape))
+        values[0] = np.eye(len(a))
+        done, power = 1, a
+        while done < count:
+            more = min(done, count - done)
+            values[done : done + more] = values[:more] @ power
+            power = power @ power
+            done += more
+        size = transform_size(count)
+        return cls(values, np.fft.rfft(values, size, axis=0), size)
+
+    def delayed(self, spectrum: Spectrum, length: int) -> Array:
+        """(frequencies, ...) -> the first `length` samples, one later than the product says."""
+        later = np.fft.irfft(spectrum, self.size, axis=0)[: length - 1]
+        return np.concatenate([np.zeros((1, *later.shape[1:])), later])
+
+
+class DrivenRecords:
+    """Records with the transforms of their inputs."""
+
+    def __init__(self, records: ScaledData) -> None:
+        self.records = records
+        self.counts = [-(-len(r) // _ROUNDED) * _ROUNDED for r in records]
+        self.spectra = [
+            np.fft.rfft(r.u, transform_size(count), axis=0)
+            for r, count in zip(records, self.counts, strict=True)
+        ]
+        self.samples = sum(float((r.weight**2).sum()) for r in records) * records[0].y.shape[1]
+
+    def response(self, system: LinearSystem, x0: Array) -> Response:
+        """Of the system from initial states x0 (R, n)."""
+        return Response(self, system, x0)
+
+
+@dataclass(frozen=True)
+class Response:
+    """States, residuals and derivatives of a system on records."""
+
+    driven: DrivenRecords
+    """The records."""
+    system: LinearSystem
+    """The system."""
+    x0: Array
+    """Initial states (R, n)."""
+
+    @cached_property
+    def powers(self) -> dict[int, Powers]:
+        """By the number of samples."""
+        return {count: Powers.of(self.system.a, count) for count in set(self.driven.counts)}
+
+    @cached_property
+    def states(self) -> list[Array]:
+        """(T, n) of each record."""
+        return [self._states(i) for i in range(len(self.x0))]
+
+    def _states(self, i: int) -> Array:
+        length, powers = len(self.driven.records[i]), self._powers(i)
+        drive = self.driven.spectra[i] @ self.system.b.T
+        forced = powers.delayed(np.einsum("fij,fj->fi", powers.spectrum, drive), length)
+        return powers.values[:length] @ self.x0[i] + forced
+
+    def _powers(self, i: int) -> Powers:
+        return self.powers[self.driven.counts[i]]
+
+    @cached_property
+    def residual(self) -> Array:
+        """Weighted y minus output of all records, one after the other (samples * ny,)."""
+        with np.errstate(all="ignore"):
+            return np.concatenate(
+                [
+                    self._misfit(r, x).ravel()
+                    for r, x in zip(self.driven.records, self.states, strict=True)
+                ]
+            )
+
+    def _misfit(self, r: ScaledTrajectory, states: Array) -> Array:
+        s = self.system
+        return r.weight[:, None] * (r.y - states @ s.c.T - r.u @ s.d.T - s.offset)
+
+    @property
+    def error(self) -> float:
+        """Weighted mean squared simulation error over records and channels, infinite where it
+        diverges."""
+        error = float(self.residual @ self.residual) / max(self.driven.samples, 1.0)
+        return error if np.isfinite(error) else float("inf")
+
+    def jacobian(self) -> Array:
+        """Derivative of the weighted outputs (samples * ny, parameters): A, B, C, D, offset,
+        initial states of all records."""
+        return np.concatenate([self._derivatives(i, True) for i in range(len(self.x0))])
+
+    def jacobian_but_poles(self) -> Array:
+        """The same without A and C."""
+        return np.concatenate([self._derivatives(i, False) for i in range(len(self.x0))])
+
+    def _derivatives(self, i: int, poles: bool) -> Array:
+        record, powers, system = self.driven.records[i], self._powers(i), self.system
+        length, ny = len(record), len(system.c)
+        kernel = (system.c @ powers.spectrum)[..., None]
+
+        def through(spectrum: Spectrum) -> Array:
+            return powers.delayed(kernel * spectrum[:, None, None, :], length)
+
+        eye = np.broadcast_to(np.eye(ny)[None, :, :, None], (length, ny, ny, 1))
+        initial = np.zeros((length, ny, *self.x0.shape))
+        initial[:, :, i] = system.c @ powers.values[:length]
+        by_a, by_c = list[Array](), list[Array]()
+        if poles:
+            states = self.states[i]
+            by_a = [through(np.fft.rfft(states, powers.size, axis=0))]
+            by_c = [eye * states[:, None, None, :]]
+        by_b, by_d = through(self.driven.spectra[i]), eye * record.u[:, None, None, :]
+        parts: Sequence[Any] = [*by_a, by_b, *by_c, by_d, eye, initial]
+        full = np.concatenate([part.reshape(length, ny, -1) for part in parts], axis=2)
+        return (full * record.weight[:, None, None]).reshape(length * ny, -1)
+
+
+def transform_size(samples: int) -> int:
+    """Length of a fast Fourier transform whose convolution does not wrap around."""
+    from scipy.fft import next_fast_len  # not needed by a simulation
+
+    return next_fast_len(2 * samples, real=True)  # pyright: ignore[reportReturnType]
