@@ -7,7 +7,7 @@ simulation in NumPy, which needs no compiler and no import of JAX.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, TypeAlias
 
@@ -83,6 +83,33 @@ def complex_number(real: AnyArray, imaginary: AnyArray) -> AnyArray:
 
         return jax.lax.complex(real, imaginary)
     return real + 1j * imaginary
+
+
+def rows(values: Sequence[AnyArray], like: AnyArray) -> AnyArray:
+    """Values that broadcast to like[0], stacked: (len(values), *like.shape[1:]) in its dtype."""
+    shape = (len(values), *like.shape[1:])
+    if isinstance(like, np.ndarray):
+        # Much faster than np.stack where the rows are short.
+        filled = np.empty(shape, like.dtype)
+        for i, value in enumerate(values):
+            filled[i] = value
+        return filled
+    import jax.numpy as jnp
+
+    if not values:
+        return jnp.zeros(shape, like.dtype)
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(v, like.dtype), shape[1:]) for v in values])
+
+
+def repeated(step: Callable[[AnyArray], AnyArray], times: int, state: AnyArray) -> AnyArray:
+    """The state after so many steps."""
+    if times > 1 and not isinstance(state, np.ndarray):
+        import jax
+
+        return jax.lax.fori_loop(0, times, lambda _, state: step(state), state)
+    for _ in range(times):
+        state = step(state)
+    return state
 
 
 def scan(

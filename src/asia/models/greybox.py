@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.candidate import Context
@@ -20,9 +18,9 @@ from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._equations.config import Config, GreyBoxStructure, Range
 from asia.models._equations.fit import FittedEquations, fit
-from asia.models._equations.measured_windows import measured_simulator
+from asia.models._equations.initial_state import simulate_cases
 from asia.models._equations.ode import equations
-from asia.models._equations.simulate import effects, simulator
+from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.problem import Bounds
@@ -52,22 +50,16 @@ class GreyBox:
                 f"grey-box: past windows of {past_u.shape[1]} and {past_y.shape[1]} samples, "
                 f"trained with {expected[0]} and {expected[1]}"
             )
-        with jax.enable_x64(True):
-            if self.structure.measured:
-                run = measured_simulator(self.structure)
-                y = run(fitted.z, fitted.scales, past_u, past_y, u)
-            else:
-                run = simulator(self.structure)
-                y = run(fitted.z, fitted.scales, fitted.prior, past_u, past_y, u)
-            return np.asarray(y, dtype=np.float64)
+        cases = past_u, past_y, u
+        return simulate_cases(self.structure, fitted.scales, fitted.prior, fitted.z, cases)
 
     def parameters(self) -> dict[str, float]:
         """Physical parameters, and those of the additions that have a physical meaning: limits
         of states, spilled fractions, offsets of outputs and delays in samples."""
         fitted, config = self._trained(), self.structure.config
         system = self.structure.equations
-        with jax.enable_x64(True):
-            effect = jax.device_get(effects(self.structure, fitted.scales, jnp.asarray(fitted.z)))
+        rows = effects(self.structure, fitted.scales.for_rows(), fitted.z[:, None])
+        effect = Effects(*(a[..., 0] for a in rows))
         report = dict(zip(system.parameters, effect.parameters, strict=True))
         for i, name in enumerate(system.states):
             if name in config.saturation:

@@ -1,65 +1,60 @@
-"""The person's equations as functions of JAX arrays."""
+"""The person's equations as functions of NumPy or JAX arrays, state first: x (nx, ...)."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache, reduce
 from types import MappingProxyType
+from typing import Any, TypeAlias
 
-import jax
-import jax.numpy as jnp
+import numpy as np
 
+from asia.models._arrays import AnyArray, namespace, rows, sigmoid, softplus
 from asia.problem import Physics
 from asia.problem.physics.check import check_physics, definition_order
-from asia.problem.physics.expressions import Expression, Name, parse_expression
-
-Derivative = Callable[[jax.Array, jax.Array], jax.Array]
-
-
-def safe_sqrt(x: jax.Array) -> jax.Array:
-    """Square root with a finite derivative at 0; 0 below.
-
-    Under 1e-6 it goes on as the straight line through 0, so that an empty tank can fill again.
-    """
-    small = 1e-6
-    inside = jnp.maximum(x, small)
-    return jnp.where(x > small, jnp.sqrt(inside), jnp.maximum(x, 0.0) / small**0.5)
-
-
-def _safe_log(x: jax.Array) -> jax.Array:
-    return jnp.log(jnp.maximum(x, 1e-12))
-
-
-def _clip(x: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    return jnp.minimum(jnp.maximum(x, low), high)
-
-
-JAX_FUNCTIONS: Mapping[str, Callable[..., jax.Array]] = MappingProxyType(
-    {
-        "sqrt": safe_sqrt,
-        "exp": jnp.exp,
-        "log": _safe_log,
-        "sin": jnp.sin,
-        "cos": jnp.cos,
-        "tan": jnp.tan,
-        "arcsin": jnp.arcsin,
-        "arccos": jnp.arccos,
-        "arctan": jnp.arctan,
-        "arctan2": jnp.arctan2,
-        "sinh": jnp.sinh,
-        "cosh": jnp.cosh,
-        "tanh": jnp.tanh,
-        "sigmoid": jax.nn.sigmoid,
-        "softplus": jax.nn.softplus,
-        "abs": jnp.abs,
-        "sign": jnp.sign,
-        "min": lambda *x: reduce(jnp.minimum, x),
-        "max": lambda *x: reduce(jnp.maximum, x),
-        "clip": _clip,
-    }
+from asia.problem.physics.expressions import (
+    Binary,
+    Call,
+    Expression,
+    Name,
+    Negative,
+    Node,
+    Number,
+    parse_expression,
 )
-"""The function table of the expressions, for JAX."""
+
+Derivative: TypeAlias = Callable[[AnyArray, AnyArray], AnyArray]
+"""d/dt (nx, ...) of x (nx, ...) with u (nu, ...)."""
+Evaluator: TypeAlias = Callable[[AnyArray, AnyArray, AnyArray], AnyArray]
+"""Values (n, ...) from parameters (np, ...), x (nx, ...) and u (nu, ...)."""
+
+# Under this a square root goes on as the straight line through 0.
+_SMALL = 1e-6
+
+
+def functions(xp: Any) -> Mapping[str, Callable[..., AnyArray]]:
+    """The function table of the expressions; xp is numpy or jax.numpy."""
+
+    def sqrt(x: AnyArray) -> AnyArray:
+        """With a finite derivative at 0, so that an empty tank can fill again; 0 below."""
+        line = xp.maximum(x, 0.0) * _SMALL**-0.5
+        return xp.minimum(xp.sqrt(xp.maximum(x, _SMALL)), line)
+
+    same = ("exp", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "sinh", "cosh")
+    return MappingProxyType(
+        {
+            **{name: getattr(xp, name) for name in (*same, "tanh", "abs", "sign")},
+            "sqrt": sqrt,
+            "log": lambda x: xp.log(xp.maximum(x, 1e-12)),
+            "sigmoid": sigmoid,
+            "softplus": softplus,
+            "min": lambda *x: reduce(xp.minimum, x),
+            "max": lambda *x: reduce(xp.maximum, x),
+            "clip": lambda x, low, high: xp.minimum(xp.maximum(x, low), high),
+        }
+    )
 
 
 @dataclass(frozen=True)
@@ -75,20 +70,24 @@ class Equations:
     dynamics: tuple[Expression, ...]
     observation: tuple[Expression, ...]
 
-    def derivative(self, parameters: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
-        """d/dt of the states: parameters (np,), x (nx,), u (nu,) -> (nx,)."""
-        return self._evaluate(self.dynamics, parameters, x, u)
+    def derivative(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
+        """d/dt (nx, ...) of the states: parameters (np, ...), x (nx, ...), u (nu, ...)."""
+        return self.rates(namespace(parameters, x, u), x.dtype)(parameters, x, u)
 
-    def observe(self, parameters: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
-        """Outputs: parameters (np,), x (nx,), u (nu,) -> (ny,)."""
-        return self._evaluate(self.observation, parameters, x, u)
+    def rates(self, xp: Any, dtype: Any = np.float64) -> Evaluator:
+        """`derivative` for the arrays of xp, numpy or jax.numpy: for loops over samples."""
+        return _evaluator(self, self.dynamics, xp.__name__, np.dtype(dtype))
+
+    def observe(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
+        """Outputs (ny, ...): parameters (np, ...), x (nx, ...), u (nu, ...)."""
+        return self._values(self.observation, parameters, x, u)
 
     def named(
-        self, names: tuple[str, ...], parameters: jax.Array, x: jax.Array, u: jax.Array
-    ) -> jax.Array:
-        """Values (len(names),) of states, inputs, parameters or definitions."""
+        self, names: tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
+    ) -> AnyArray:
+        """Values (len(names), ...) of states, inputs, parameters or definitions."""
         expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in names)
-        return self._evaluate(expressions, parameters, x, u) if names else jnp.zeros(0, x.dtype)
+        return self._values(expressions, parameters, x, u)
 
     def closure(self, expression: Expression) -> frozenset[str]:
         """All names an expression depends on, definitions followed."""
@@ -101,17 +100,74 @@ class Equations:
                 left |= known[name].names - found
         return frozenset(found)
 
-    def _evaluate(
-        self, expressions: tuple[Expression, ...], parameters: jax.Array, x: jax.Array, u: jax.Array
-    ) -> jax.Array:
-        values: dict[str, jax.Array] = {name: jnp.asarray(v) for name, v in self.constants}
-        values |= {name: u[i] for i, name in enumerate(self.inputs)}
-        values |= {name: x[i] for i, name in enumerate(self.states)}
-        values |= {name: parameters[i] for i, name in enumerate(self.parameters)}
-        for name, expression in self.definitions:
-            values[name] = expression.evaluate(values, JAX_FUNCTIONS)
-        results = [expression.evaluate(values, JAX_FUNCTIONS) for expression in expressions]
-        return jnp.stack([jnp.asarray(result, dtype=x.dtype) for result in results])
+    def _values(
+        self, expressions: tuple[Expression, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
+    ) -> AnyArray:
+        xp = namespace(parameters, x, u)
+        return _evaluator(self, expressions, xp.__name__, np.dtype(x.dtype))(parameters, x, u)
+
+
+@lru_cache(maxsize=256)
+def _evaluator(
+    system: Equations, expressions: tuple[Expression, ...], library: str, dtype: np.dtype[Any]
+) -> Evaluator:
+    """One Python function of the expressions.
+
+    Its source holds nothing of the person's text: every name becomes a numbered variable, and the
+    tree knows numbers, + - * / ** and the functions of the table alone.
+    """
+    scope: dict[str, Any] = {"rows": rows}
+    scope |= {f"f_{k}": f for k, f in functions(importlib.import_module(library)).items()}
+    source = _Source({})
+    for i, (name, value) in enumerate(system.constants):
+        source.places[name], scope[f"c_{i}"] = f"c_{i}", dtype.type(value)
+    needed = frozenset[str]().union(*(system.closure(e) for e in expressions))
+    for group, names in (("p", system.parameters), ("u", system.inputs), ("x", system.states)):
+        for i, name in enumerate(names):
+            if name in needed:
+                source.places[name] = source.line(f"{group}[{i}]")
+    for name, expression in system.definitions:
+        if name in needed:
+            source.places[name] = source.of(expression.root)
+    results = "".join(f"{source.of(e.root)}, " for e in expressions)
+    lines = ["def evaluate(p, x, u):", *source.lines, f"return rows(({results}), x)"]
+    exec(compile("\n    ".join(lines), "<equations>", "exec"), scope)
+    return scope["evaluate"]
+
+
+class _Source:
+    """Lines of Python, one operation each, and the variables that hold the names' values."""
+
+    def __init__(self, places: dict[str, str]) -> None:
+        self.places = places
+        self._variables: dict[str, str] = {}
+
+    @property
+    def lines(self) -> list[str]:
+        """In order."""
+        return [f"{variable} = {value}" for value, variable in self._variables.items()]
+
+    def line(self, value: str) -> str:
+        """The variable that holds it; what occurs twice is computed once."""
+        return self._variables.setdefault(value, f"v_{len(self._variables)}")
+
+    def of(self, node: Node) -> str:
+        """What holds the value of a tree."""
+        match node:
+            case Number(value):
+                return f"({value!r})"
+            case Name(name):
+                return self.places[name]
+            case Negative(operand):
+                return self.line(f"-{self.of(operand)}")
+            case Binary("**", left, Number(power)) if power.is_integer() and abs(power) <= 64:
+                # A whole exponent keeps derivatives at zero finite in JAX.
+                return self.line(f"{self.of(left)} ** {int(power)}")
+            case Binary(symbol, left, right):
+                return self.line(f"{self.of(left)} {symbol} {self.of(right)}")
+            case Call(function, arguments):
+                values = ", ".join(self.of(a) for a in arguments)
+                return self.line(f"f_{function}({values})")
 
 
 def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -> Equations:
@@ -136,7 +192,7 @@ def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -
     )
 
 
-def runge_kutta(derivative: Derivative, x: jax.Array, u: jax.Array, step: float) -> jax.Array:
+def runge_kutta(derivative: Derivative, x: AnyArray, u: AnyArray, step: float) -> AnyArray:
     """One classical fourth-order Runge-Kutta step with u held."""
     k1 = derivative(x, u)
     k2 = derivative(x + 0.5 * step * k1, u)

@@ -23,7 +23,7 @@ def window_prior(
     n_past, inside = structure.n_past, segments.mask > 0
     width = 1 + structure.n_past_u * structure.nu + structure.n_past_y * structure.ny
     y_center = segments.y[inside].mean(axis=0)
-    spread = np.maximum(x[inside].std(axis=0), 1e-6 * np.asarray(scales.x_scale))
+    spread = np.maximum(x[inside].std(axis=0), 1e-6 * scales.x_scale)
     prior = WindowPrior(np.zeros((structure.nx, width)), spread, y_center, y_deviation)
     windows = [
         _windows(structure, u[live], y[live], states[live])

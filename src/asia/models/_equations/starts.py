@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array, Trajectory
 from asia.models._data.cuts import side_by_side, spread
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.simulate import Scales, simulate_states
-from asia.models._solvers.levenberg_marquardt import LMResult
+from asia.models._equations.simulate import Scales
+from asia.models._solvers.minimise import Minimum
 
 # Where an addition has no effect: a limit far above any state, a fraction of zero.
 _NO_LIMIT = 20.0
@@ -55,6 +53,20 @@ class Starts(NamedTuple):
     scales: Scales
     """Sizes of the signals, of each start."""
 
+    def chosen(self, rows: NDArray[np.intp]) -> Starts:
+        """Some of them."""
+        scales = self.scales.of_rows(rows)
+        return Starts(self.z[rows], self.shift[rows], self.x_guess[rows], scales)
+
+
+class SegmentSimulator(Protocol):
+    """Simulates all segments."""
+
+    def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:
+        """Outputs (P, S, T, ny) and states (P, S, T, nx) with coordinates z (P, size), from initial
+        states x0 (P, S, nx)."""
+        ...
+
 
 def cut_segments(
     structure: GreyBoxStructure, trajectories: Sequence[Trajectory], horizon: int | None
@@ -82,10 +94,12 @@ def _most_windows(structure: GreyBoxStructure, length: int) -> int:
     return int(np.clip(_MOST_WORK / each, *_MEASURED_WINDOWS))
 
 
-def initial_states(structure: GreyBoxStructure, starts: Starts, result: LMResult, i: int) -> Array:
+def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:
     """Initial states (S, nx) that fit `i` ended with."""
-    shift = np.asarray(result.theta[i, structure.layout.size :]).reshape(-1, structure.nx)
-    return starts.x_guess[i] + shift * starts.scales.x_scale[i]
+    if structure.measured:
+        return starts.x_guess[i]
+    shift = found.theta[i, structure.layout.size :].reshape(-1, structure.nx)
+    return starts.x_guess[i] + shift * starts.scales.x_scale[:, i]
 
 
 def _first_guess(structure: GreyBoxStructure, segments: RecordPieces) -> Array:
@@ -121,16 +135,6 @@ def _base_scales(structure: GreyBoxStructure, segments: RecordPieces) -> Scales:
     )
 
 
-@lru_cache(maxsize=64)
-def simulate_many(structure: GreyBoxStructure) -> Any:
-    """Compiled: (z (P, size), scales (P, ...), x0 (P, S, nx), u (S, T, nu)) -> outputs, states."""
-
-    def one(z: jax.Array, scales: Scales, x0: jax.Array, u: jax.Array) -> Any:
-        return jax.vmap(lambda x, v: simulate_states(structure, scales, z, x, v))(x0, u)
-
-    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
-
-
 def _neutral(structure: GreyBoxStructure) -> Array:
     z = np.zeros(structure.layout.size)
     z[structure.layout.limits] = _NO_LIMIT
@@ -138,44 +142,43 @@ def _neutral(structure: GreyBoxStructure) -> Array:
     return z
 
 
-def draws(structure: GreyBoxStructure, segments: RecordPieces, count: int) -> int:
+def _draws(structure: GreyBoxStructure, segments: RecordPieces, count: int) -> int:
     """Points drawn to choose `count` starts from: as many as memory allows, at most 16 times."""
     values = segments.mask.size * structure.config.substeps * structure.nx * count
     return count * int(np.clip(_MOST_SCREENED_VALUES // values, 1, _SCREENED_PER_START))
 
 
 def screen(
-    structure: GreyBoxStructure, segments: RecordPieces, count: int, rng: np.random.Generator
+    structure: GreyBoxStructure,
+    segments: RecordPieces,
+    simulate: SegmentSimulator,
+    count: int,
+    rng: np.random.Generator,
 ) -> Starts:
     """The `count` best of many points drawn in the parameter ranges, the middle among them."""
-    layout, base = structure.layout, _base_scales(structure, segments)
-    drawn = draws(structure, segments, count)
+    layout = structure.layout
+    drawn = _draws(structure, segments, count)
     z = np.tile(_neutral(structure), (drawn, 1))
     z[1:, layout.parameters] = rng.uniform(-1.0, 1.0, (drawn - 1, len(structure.ranges)))
     guess = np.tile(_first_guess(structure, segments), (drawn, 1, 1))
-    repeated = _repeat(base, drawn)
-    states = np.asarray(simulate_many(structure)(z, repeated, guess, segments.u)[1])
+    base = _base_scales(structure, segments).for_rows(drawn)
+    y, states = simulate(z, base, guess)
     center, scale = _spread(states, segments)
     hidden = [i for i in range(structure.nx) if i not in structure.measured_states]
-    guess[:, :, hidden] = center[:, None, hidden]
-    scales = repeated._replace(x_center=center, x_scale=scale)
-    order = _ranking(structure, segments, Starts(z, np.zeros_like(guess), guess, repeated))
-    return _take(Starts(z, np.zeros_like(guess), guess, scales), order[:count])
+    if hidden:
+        guess[:, :, hidden] = center[:, None, hidden]
+        y, _ = simulate(z, base, guess)
+    scales = base._replace(x_center=center.T, x_scale=scale.T)
+    order = _ranking(segments, base, y)
+    return Starts(z, np.zeros_like(guess), guess, scales).chosen(order[:count])
 
 
-def _ranking(
-    structure: GreyBoxStructure, segments: RecordPieces, starts: Starts
-) -> NDArray[np.intp]:
+def _ranking(segments: RecordPieces, scales: Scales, outputs: Array) -> NDArray[np.intp]:
     """Starts from the smallest simulation error to the greatest."""
-    outputs = simulate_many(structure)(starts.z, starts.scales, starts.x_guess, segments.u)[0]
-    error = (np.asarray(outputs) - segments.y) / starts.scales.y_scale[0]
     with np.errstate(over="ignore", invalid="ignore"):
+        error = (outputs - segments.y) / scales.y_scale[:, 0]
         cost = (error**2 * segments.mask[:, :, None]).sum(axis=(1, 2, 3))
     return np.argsort(cost, kind="stable")
-
-
-def _take(starts: Starts, rows: NDArray[np.intp]) -> Starts:
-    return jax.tree.map(lambda a: a[rows], starts)
 
 
 def _spread(states: Array, segments: RecordPieces) -> tuple[Array, Array]:
@@ -189,68 +192,69 @@ def _spread(states: Array, segments: RecordPieces) -> tuple[Array, Array]:
     return inside.mean(axis=1), np.where(scale > 0, scale, 1.0)
 
 
-def _repeat(scales: Scales, count: int) -> Scales:
-    return jax.tree.map(lambda a: np.tile(a, (count,) + (1,) * np.ndim(a)), scales)
-
-
 def augment(
     structure: GreyBoxStructure,
     segments: RecordPieces,
+    simulate: SegmentSimulator,
     starts: Starts,
-    result: LMResult,
+    found: Minimum,
     rng: np.random.Generator,
 ) -> Starts:
     """Starting points around the best fits of the equations alone, with the additions drawn."""
     layout, size = structure.layout, structure.layout.size
     count = len(starts.z)
-    drawn = draws(structure, segments, count)
+    drawn = _draws(structure, segments, count)
     # The better half of the first fits, in turn: others have often ended in a poor minimum.
-    order = np.argsort(result.cost, kind="stable")[: max(1, count // 2)]
+    order = np.argsort(found.cost, kind="stable")[: max(1, count // 2)]
     parents = np.resize(order, drawn)
-    z = np.asarray(result.theta)[parents, :size].copy()
-    x0 = np.stack([initial_states(structure, starts, result, int(i)) for i in parents])
+    z = found.theta[parents, :size].copy()
+    x0 = np.stack([initial_states(structure, starts, found, int(i)) for i in parents])
     z[len(order) :, layout.parameters] += rng.normal(
         scale=_SPREAD_OF_PARAMETERS, size=(drawn - len(order), len(structure.ranges))
     )
     plain = np.tile(_neutral(structure), (drawn, 1))
     plain[:, layout.parameters] = z[:, layout.parameters]
-    scales = _state_scales(structure, segments, plain, x0)
+    scales = _state_scales(structure, segments, simulate, plain, x0)
     z[:, layout.limits] = rng.uniform(np.log(0.5), 0.0, z[:, layout.limits].shape)
     z[:, layout.spill] = rng.uniform(-2.0, 1.0, z[:, layout.spill].shape)
     z[:, layout.delay] = rng.uniform(0.0, 0.8, z[:, layout.delay].shape)
     # One start with next to no effect, so that additions do not begin worse than the equations.
     z[0, layout.limits], z[0, layout.spill], z[0, layout.delay] = 0.0, -4.0, 0.0
-    drawn_starts = Starts(z, np.zeros_like(x0), x0, scales)
-    ranking = _ranking(structure, segments, drawn_starts)
-    return _take(drawn_starts, np.concatenate([[0], ranking[ranking != 0]])[:count])
+    ranking = _ranking(segments, scales, simulate(z, scales, x0)[0])
+    best = np.concatenate([[0], ranking[ranking != 0]])[:count]
+    return Starts(z, np.zeros_like(x0), x0, scales).chosen(best)
 
 
 def add_network(
-    structure: GreyBoxStructure, starts: Starts, result: LMResult, rng: np.random.Generator
+    structure: GreyBoxStructure, starts: Starts, found: Minimum, rng: np.random.Generator
 ) -> Starts:
     """The best fit again and again, each time with another first layer of the network."""
-    count, best = len(starts.z), int(np.argmin(result.cost))
+    count, best = len(starts.z), int(np.argmin(found.cost))
     inner = structure.nx + structure.nu + 1
-    z = np.tile(np.asarray(result.theta)[best, : structure.layout.size], (count, 1))
-    x0 = np.tile(initial_states(structure, starts, result, best), (count, 1, 1))
-    scales = _repeat(jax.tree.map(lambda a: a[best], starts.scales), count)
+    z = np.tile(found.theta[best, : structure.layout.size], (count, 1))
+    x0 = np.tile(initial_states(structure, starts, found, best), (count, 1, 1))
     hidden = rng.normal(size=(count, structure.config.residual, inner)) / np.sqrt(inner)
-    return Starts(z, np.zeros_like(x0), x0, scales._replace(hidden=hidden))
+    scales = starts.scales.of_rows(best).for_rows(count)
+    return Starts(z, np.zeros_like(x0), x0, scales._replace(hidden=hidden.transpose(1, 2, 0)))
 
 
 def _state_scales(
-    structure: GreyBoxStructure, segments: RecordPieces, z: Array, x0: Array
+    structure: GreyBoxStructure,
+    segments: RecordPieces,
+    simulate: SegmentSimulator,
+    z: Array,
+    x0: Array,
 ) -> Scales:
     """Scales, one row a start, from simulations with coordinates z from x0 (P, S, nx)."""
-    base = _repeat(_base_scales(structure, segments), len(z))
-    states = np.asarray(simulate_many(structure)(z, base, x0, segments.u)[1])
+    base = _base_scales(structure, segments).for_rows(len(z))
+    states = simulate(z, base, x0)[1]
     center, scale = _spread(states, segments)
     inside = segments.mask > 0
     moves = np.diff(states, axis=2)[:, inside[:, 1:]]
     rate = np.sqrt((moves**2).mean(axis=1)) / structure.sampling_time
     return base._replace(
-        x_center=center,
-        x_scale=scale,
-        x_max=states[:, inside].max(axis=1),
-        rate=np.maximum(rate, 1e-9 * scale / structure.sampling_time),
+        x_center=center.T,
+        x_scale=scale.T,
+        x_max=states[:, inside].max(axis=1).T,
+        rate=np.maximum(rate, 1e-9 * scale / structure.sampling_time).T,
     )
