@@ -48,7 +48,7 @@ CHEAP = "cheap"
 UNDISTURBED = "undisturbed"
 ASIA = str(Path(sys.executable).parent / "asia")
 ENVELOPE = ("seq", "prev", "self", "time")
-CLOCKS = ("seconds", "fit_seconds")
+CLOCKS = ("seconds", "fit_seconds", "spent")
 SAMPLES = {"train": 240, "test": 120}
 DIE_SECONDS = 5.0
 # Kills fall into this share of an undisturbed search, so that most searches meet several.

@@ -14,10 +14,16 @@ from asia.cli._options.command import PREFIX, CommandOptions
 from asia.cli._options.groups import given
 from asia.cli._options.llm import LlmOptions, ModelOptions
 from asia.cli._options.search import SearchOptions
-from asia.cli._options.shared import DEFAULT_RUNS, Json, ProblemName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Json, ProblemName, Profile, Runs
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from asia._stopwatch import Stopwatch
     from asia.cli._driver import Driver
+    from asia.ledger import SearchView
+    from asia.problem.load import Problem
+    from asia.search import Prepared
 
 NOTHING_FOUND = 3
 
@@ -44,6 +50,7 @@ def run(
     options: SearchOptions,
     sink: Sinks = None,
     runs: Runs = DEFAULT_RUNS,
+    profile: Profile = False,
     json: Json = False,
     models: ModelOptions,
     llm: LlmOptions,
@@ -53,35 +60,59 @@ def run(
 
     Exit code 3: the search is finished and no candidate has a score.
     """
-    from asia.cli._output.display import make_display
+    from asia._stopwatch import Activity, Stopwatch
     from asia.problem.load import load_problem
-    from asia.report import write_report
-    from asia.search import open_sinks, prepare
+    from asia.search import prepare
 
     options.check()
     driver = _driver(agent, space, models, llm, command)
-    loaded = options.applied(load_problem(problem))
-    ready = prepare(
-        loaded,
-        driver.name,
-        seed=options.seed,
-        runs=runs,
-        name=options.name,
-        isolation=options.level,
-        isolation_strict=options.isolation_strict,
-        agent_settings=driver.settings,
-    )
-    sinks = open_sinks(ready.directory, sink or ())
-    with closing(make_display(loaded, ready, json=json)) as display, sinks:
+    watch = Stopwatch()
+    with watch.activity(Activity.PREPARE):
+        loaded = options.applied(load_problem(problem))
+        ready = prepare(
+            loaded,
+            driver.name,
+            seed=options.seed,
+            runs=runs,
+            name=options.name,
+            isolation=options.level,
+            isolation_strict=options.isolation_strict,
+            agent_settings=driver.settings,
+        )
+    view = _search(driver, loaded, ready, sink or (), watch, profile=profile, json=json)
+    if view.best is None:
+        raise typer.Exit(NOTHING_FOUND)
+
+
+def _search(
+    driver: Driver,
+    problem: Problem,
+    ready: Prepared,
+    sink: Sequence[str],
+    watch: Stopwatch,
+    *,
+    profile: bool,
+    json: bool,
+) -> SearchView:
+    """Search and draw the report, and say so; watch: has what took time before."""
+    from asia._stopwatch import Activity
+    from asia.cli._output.display import make_display
+    from asia.report import write_report
+    from asia.search import open_sinks
+
+    sinks = open_sinks(ready.directory, sink)
+    with closing(make_display(problem, ready, json=json)) as display, sinks:
         for line in driver.words:
             say(line, file=sys.stderr)
         view = driver.search(
             ready, sinks.after_event(display.on_event), sinks.after_start(display.on_start)
         )
-        pictures = write_report(ready.directory)
+        with watch.activity(Activity.PICTURES):
+            pictures = write_report(ready.directory)
         display.finish(view, pictures)
-    if view.best is None:
-        raise typer.Exit(NOTHING_FOUND)
+        if profile:
+            display.profile(ready.directory, watch.only(Activity.PREPARE, Activity.PICTURES))
+    return view
 
 
 def _driver(

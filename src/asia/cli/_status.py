@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asia._text import say
-from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Json, Profile, RunName, Runs
 
 if TYPE_CHECKING:
     from asia.ledger import Brief
@@ -16,16 +16,23 @@ if TYPE_CHECKING:
 LAST = 50
 
 
-def status(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
+def status(
+    run: RunName = None, runs: Runs = DEFAULT_RUNS, profile: Profile = False, json: Json = False
+) -> None:
     """Print the progress of a run: state, experiments, best candidate so far."""
-    from asia.ledger import brief, find_run
+    from asia.cli._output.profile import profile_lines, profile_object
+    from asia.ledger import brief, find_run, open_run
 
     directory = find_run(runs, run)
     found = brief(directory, LAST)
+    events = [line.event for line in open_run(directory).lines] if profile else []
     if json:
-        say(jsonlib.dumps(_object(directory, found), allow_nan=False))
-    else:
-        _print(directory, found)
+        measured = {"profile": profile_object(events)} if profile else {}
+        say(jsonlib.dumps({**_object(directory, found), **measured}, allow_nan=False))
+        return
+    _print(directory, found)
+    for line in profile_lines(events) if profile else ():
+        say(line)
 
 
 def _object(directory: Path, found: Brief) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from asia._stopwatch import Activity, Stopwatch
 from asia.candidate import Context, check_source, executed_source
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
@@ -88,6 +89,7 @@ class Evaluator:
         self.left_behind: list[int] = []
         self._open: set[Worker] = set()
         self._interrupted = False
+        self.stopwatch = Stopwatch()
         self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
 
     def evaluate(self, source: str) -> Evaluation:
@@ -119,9 +121,10 @@ class Evaluator:
             for f, r in zip(self.folds, folds, strict=True)
         ]
         try:
-            found = [f for f in self._run(jobs) if f is not None]
-            if not found and SuspicionKind.CONSISTENCY not in self._without:
-                found = self._inconsistent(source, folds)
+            with self.stopwatch.activity(Activity.CHECKS, swallows=True):
+                found = [f for f in self._run(jobs) if f is not None]
+                if not found and SuspicionKind.CONSISTENCY not in self._without:
+                    found = self._inconsistent(source, folds)
             return min(found, key=lambda f: f.reason is Reason.RESTART, default=None)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
@@ -235,7 +238,8 @@ class Evaluator:
         more. Raises CandidateError when somebody ended the worker both times. Workers still open
         at the end are those of an interrupted run."""
         try:
-            return self._executor.run([partial(self._with_one_retry, job) for job in jobs])
+            tries = [partial(self._with_one_retry, job) for job in jobs]
+            return self.stopwatch.run(self._executor.run, tries)
         finally:
             self._interrupted = bool(self._open)
             for worker in list(self._open):
@@ -264,7 +268,8 @@ class Evaluator:
                 f"worker processes {pids} cannot be ended: restart the machine, and give the same "
                 "command again, which goes on from here"
             )
-        worker = open_worker(self.isolation, self._limits)
+        with self.stopwatch.activity(Activity.START):
+            worker = open_worker(self.isolation, self._limits)
         try:
             with worker:
                 self._open.add(worker)
@@ -272,9 +277,12 @@ class Evaluator:
                     if self._interrupted:
                         raise SandboxError("the search was interrupted")
                     yield worker
+                    worker.count_compiling()
                 finally:
                     self._open.discard(worker)
         finally:
+            for activity, (wall, processor) in worker.spent.items():
+                self.stopwatch.add(activity, wall, processor)
             if worker.left_behind is not None:
                 self.left_behind.append(worker.left_behind)
 
@@ -294,21 +302,22 @@ class Evaluator:
         return _FoldEnd(result, output, oracle.calls)
 
     def _run_fold(self, source: str, fold: Fold, oracle: Oracle) -> tuple[FoldResult, str]:
-        metric = self._rule.metric
-        inside = whole(fold.train, self._rule)
+        metric, inside = self._rule.metric, whole(fold.train, self._rule)
         with self._worker() as worker:
             reply = self._fit(worker, source, fold, oracle)
             model = worker.dump()
             y_hat = simulate_held_out(worker, fold.validation, self.horizon)
             train_y_hat = simulate_training(worker, inside, self.horizon)
-        self._ask_strangers(source, fold, model, y_hat)
-        held_out, in_parts = [b.y for b in fold.validation], self._rule.ladder is not None
-        score = score_fold(held_out, y_hat, fold.scale, metric, in_parts=in_parts)
-        train_y = [b.y for b in inside]
-        train = score_fold(train_y, train_y_hat, fold.scale, metric)
-        evidence = diagnose(
-            [b.case.u for b in inside], train_y, train_y_hat, fold.scale, train.value
-        )
+        with self.stopwatch.activity(Activity.CHECKS, swallows=True):
+            self._ask_strangers(source, fold, model, y_hat)
+        with self.stopwatch.activity(Activity.SCORE):
+            held_out, in_parts = [b.y for b in fold.validation], self._rule.ladder is not None
+            score = score_fold(held_out, y_hat, fold.scale, metric, in_parts=in_parts)
+            train_y = [b.y for b in inside]
+            train = score_fold(train_y, train_y_hat, fold.scale, metric)
+            evidence = diagnose(
+                [b.case.u for b in inside], train_y, train_y_hat, fold.scale, train.value
+            )
         result = FoldResult(score, model, y_hat, reply.curve, evidence, reply.seconds, oracle.calls)
         return result, reply.output
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
+from asia._stopwatch import TimeSpent
 from asia.protocol import EarlyStopping
 from asia.scoring import Diagnostics, Failure, MeeTable, Outcome, TestScore
 
@@ -155,6 +156,8 @@ class Evaluated:
     """The level that kept the candidate in; None in older ledgers."""
     left_behind: tuple[int, ...] = ()
     """Process ids of workers that the kernel did not let end."""
+    spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
+    """Where the seconds went since the last event that says so; () in older ledgers."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -296,6 +299,8 @@ class Refitted:
     """Why it failed."""
     again: Again | None = None
     """The second fit of one fold; None in older ledgers."""
+    spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
+    """As in `Evaluated`."""
     event: Literal["refitted"] = "refitted"
 
 
@@ -319,6 +324,8 @@ class GuardLooked:
     """Of the last new bests."""
     pick: int | None
     """The best of them on the guard records."""
+    spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
+    """As in `Evaluated`."""
     event: Literal["guard"] = "guard"
 
 
@@ -379,22 +386,8 @@ class Unsealed:
 
 
 Event = (
-    Started
-    | RungScored
-    | Proposed
-    | Evaluated
-    | Extended
-    | Stopped
-    | Resumed
-    | Steered
-    | Exchanged
-    | Streamed
-    | SessionStarted
-    | SessionEnded
-    | Refitted
-    | GuardLooked
-    | Unsealing
-    | Unsealed
-)
+    Started | RungScored | Proposed | Evaluated | Extended | Stopped | Resumed | Steered | Exchanged
+    | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked | Unsealing | Unsealed
+)  # fmt: skip
 
 adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from asia._stopwatch import Activity, Stopwatch
 from asia.agents import (
     Agent,
     AgentStoppedError,
@@ -29,6 +30,7 @@ from asia.ledger import (
     Exchanged,
     Experiment,
     FoldEvidence,
+    GuardLooked,
     Phase,
     Proposed,
     Refitted,
@@ -76,6 +78,11 @@ class Loop:
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
     @property
+    def watch(self) -> Stopwatch:
+        """Where the seconds go."""
+        return self.evaluator.stopwatch
+
+    @property
     def steering(self) -> Steering:
         """What a person says meanwhile."""
         return Steering(self.directory)
@@ -110,11 +117,15 @@ class Loop:
         if self.view.refitted is None:
             self._refit()
         if self.view.guard_due:
-            self.record(look_at_guard(self.problem, self.evaluator, self.store, self.view))
+            with self.watch.activity(Activity.GUARD, swallows=True):
+                look = look_at_guard(self.problem, self.evaluator, self.store, self.view)
+            self.record(look)
 
     def record(self, event: Event) -> None:
         """Append to the ledger, rewrite the generated files, tell the listener. From any thread."""
-        with self._lock:
+        with self._lock, self.watch.activity(Activity.LEDGER):
+            if isinstance(event, Evaluated | Refitted | GuardLooked):
+                event = replace(event, spent=self.watch.take())
             self.chain.append(event)
             view = self.view
             if isinstance(event, Evaluated):
@@ -130,7 +141,8 @@ class Loop:
         if self.steering.take_stop():
             return Stopped("user")
         if self.steering.paused:
-            time.sleep(_PAUSE_POLL)
+            with self.watch.activity(Activity.IDLE):
+                time.sleep(_PAUSE_POLL)
             return None
         try:
             reason = self._step()
@@ -143,8 +155,9 @@ class Loop:
     def _score_rungs(self) -> None:
         names = {rung.name for rung in self.view.rungs}
         problem = self.problem
-        for rung in score_rungs(self.evaluator, problem.protocol.metric, problem.truth, names):
-            self.record(RungScored(rung.name, rung.outcome))
+        with self.watch.activity(Activity.RUNGS, swallows=True):
+            for rung in score_rungs(self.evaluator, problem.protocol.metric, problem.truth, names):
+                self.record(RungScored(rung.name, rung.outcome))
 
     def _step(self) -> StopReason | None:
         """One experiment; a reason when the search is over."""
@@ -154,7 +167,8 @@ class Loop:
             reason = stop_reason(view, self.problem.budget)
             if reason is not None:
                 return reason
-            proposed = self._propose(view)
+            with self.watch.activity(Activity.AGENT):
+                proposed = self._propose(view)
             if proposed is None:
                 return "exhausted"
             self.record(proposed)
@@ -193,11 +207,13 @@ class Loop:
                 return _outcome_of_twin(experiment, twin)
         start, before = time.monotonic(), len(self.evaluator.left_behind)
         evaluation = judge(self.evaluator, self.store.text(experiment.proposed.source), view)
+        with self.watch.activity(Activity.LEDGER):
+            folds = tuple(self._keep(fold) for fold in evaluation.folds)
         return Evaluated(
             experiment=experiment.number,
             status=decide(evaluation.outcome, view),
             outcome=evaluation.outcome,
-            folds=tuple(self._keep(fold) for fold in evaluation.folds),
+            folds=folds,
             output=self.store.put(evaluation.output.encode()) if evaluation.output else None,
             seconds=time.monotonic() - start,
             deadline=_touched_deadline(evaluation),
@@ -222,7 +238,8 @@ class Loop:
             return
         source = self.store.text(best.proposed.source)
         try:
-            refit = self.evaluator.refit(source)
+            with self.watch.activity(Activity.REFIT, swallows=True):
+                refit = self.evaluator.refit(source)
         except CandidateError as error:
             self.record(Refitted(best.number, None, str(error)))
             return

@@ -208,3 +208,30 @@ def test_strict_isolation_is_told(tmp_path: Path, asia: Asia) -> None:
     assert ", strict" in asia("status", run).out.splitlines()[0]
     assert json.loads(asia("status", run, "--json").out)["isolation_strict"] is True
     assert ", strict" in asia("show", run, "1").out
+
+
+def test_where_the_seconds_went(searched: Searched, asia: Asia, tmp_path: Path) -> None:
+    done = asia("status", searched.directory, "--profile")
+    assert done.code == 0, done.err
+    table = done.out[done.out.index("profile ") :].splitlines()
+    rows = {line.split()[0]: line.split()[1:] for line in table[1:]}
+    assert float(rows["workers"][0]) > 0
+    assert float(rows["rungs"][0]) > 0
+    assert rows["pictures"] == ["not", "recorded"]
+    told = json.loads(asia("status", searched.directory, "--profile", "--json").out)["profile"]
+    assert float(rows["total"][0]) == round(sum(one["wall"] for one in told.values()), 2)
+
+    begun = asia("run", searched.problem, "--agent", "random", "--experiments", 1,
+                 "--runs", tmp_path, "--profile")  # fmt: skip
+    assert begun.code == 0, begun.err
+    table = begun.out[begun.out.index("profile ") :].splitlines()
+    rows = {line.split()[0]: line.split()[1:] for line in table[1:]}
+    assert float(rows["pictures"][0]) > 0
+    assert float(rows["prepare"][0]) > 0
+
+
+def test_an_old_ledger_has_no_seconds_to_show(asia: Asia) -> None:
+    old = Path(__file__).parents[2] / "golden/0.1.0/runs/finished"
+    done = asia("status", old, "--profile")
+    assert done.code == 0, done.err
+    assert done.out.splitlines()[-1].startswith("profile  not recorded")

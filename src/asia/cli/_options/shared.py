@@ -14,6 +14,9 @@ RunName = Annotated[
     str | None, typer.Argument(metavar="[RUN]", help="Path or name; the newest when left out.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, all else on stderr.")]
+Profile = Annotated[
+    bool, typer.Option("--profile", help="Also print where the seconds of the search went.")
+]
 Keys = Annotated[
     Path | None,
     typer.Option(

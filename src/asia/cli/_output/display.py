@@ -13,8 +13,10 @@ from rich.status import Status as Spinner
 from rich.text import Text
 
 from asia import __version__
+from asia._stopwatch import TimeSpent
 from asia._text import printable_line, say
 from asia.cli._options.shared import DEFAULT_RUNS
+from asia.cli._output.profile import profile_lines, profile_object
 from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import (
     NOT_LEAK_FREE,
@@ -40,6 +42,7 @@ from asia.ledger import (
     control,
     control_words,
     error_value,
+    open_run,
 )
 from asia.problem.load import Problem
 from asia.protocol import find_metric
@@ -90,6 +93,10 @@ class JsonDisplay:
                 "pictures": [str(p) for p in pictures],
             }
         )
+
+    def profile(self, directory: Path, beside: Sequence[TimeSpent]) -> None:
+        """Print `profile`; beside: seconds of what no ledger records."""
+        _print_json({"event": "profile", **profile_object(_events(directory), beside)})
 
     def close(self) -> None:
         """Nothing to do."""
@@ -200,6 +207,11 @@ class TextDisplay:
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
 
+    def profile(self, directory: Path, beside: Sequence[TimeSpent]) -> None:
+        """Say where the seconds went; beside: of what no ledger records."""
+        for line in profile_lines(_events(directory), beside):
+            self._print(line)
+
     def close(self) -> None:
         """Stop the footer."""
         if self.footer is not None:
@@ -240,6 +252,10 @@ class TextDisplay:
         self.console.print(printable_line(text), style=style)
         if not self.console.is_terminal:
             sys.stdout.flush()
+
+
+def _events(directory: Path) -> list[Event]:
+    return [line.event for line in open_run(directory).lines]
 
 
 def _print_json(value: dict[str, Any]) -> None:

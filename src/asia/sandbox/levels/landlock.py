@@ -60,6 +60,7 @@ class Landlock(Level):
             force=process.kill,
             tidy=_nothing,
             beyond_reach=False,
+            find=lambda: process.pid,
         )
 
 

@@ -26,6 +26,7 @@ from asia.sandbox.walls.bubblewrap import worker_walls
 from asia.sandbox.walls.own_layers import ANOTHER_SYSTEM
 from asia.sandbox.walls.surroundings import child_command, in_container, interpreter
 from asia.sandbox.walls.trial import START_SECONDS, last_line, run_trial
+from asia.sandbox.worker.clock import first_child
 from asia.sandbox.worker.orphans import OrphanWatch
 from asia.sandbox.worker.process import (
     PipePairs,
@@ -121,7 +122,7 @@ def _open(
         os.close(info_write)
     ends = parent_ends(process, pipes)
     try:
-        init = _process_one(info)
+        first, init = _process_one(info)
     except BaseException as error:
         said = _last_words(ends.output)
         process.kill()
@@ -149,11 +150,12 @@ def _open(
         force=lambda: kill_quietly(process.pid),
         tidy=tidy,
         beyond_reach=True,
+        find=lambda: first_child(first),
     )
 
 
-def _process_one(info: int) -> int:
-    """pidfd of the namespace's first process: its end is the end of all inside."""
+def _process_one(info: int) -> tuple[int, int]:
+    """Process id and pidfd of the namespace's first process: its end is the end of all inside."""
     text = b""
     while b"}" not in text:
         poller = select.poll()
@@ -165,7 +167,8 @@ def _process_one(info: int) -> int:
             raise SandboxError("it ended at once")
         text += part
     try:
-        return os.pidfd_open(int(json.loads(text)["child-pid"]))
+        first = int(json.loads(text)["child-pid"])
+        return first, os.pidfd_open(first)
     except OSError as error:
         raise SandboxError(str(error)) from error
 

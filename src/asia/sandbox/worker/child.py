@@ -28,11 +28,12 @@ if TYPE_CHECKING:
     from asia.candidate import Context, Model
     from asia.data import Array, Trajectory
     from asia.sandbox.walls import lockdown
-    from asia.sandbox.worker import wire
+    from asia.sandbox.worker import compilation, wire
 else:
     # By their folders: the package around them imports what only the parent needs.
     _HERE = os.path.dirname(os.path.abspath(__file__))
     sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "walls")]
+    import compilation
     import lockdown
     import wire
 
@@ -154,18 +155,22 @@ class _Session:
         self._executed: str | None = None
         self._fitting = False
         self._asking = threading.Lock()
+        self._compiling = compilation.Meter()
 
     def serve(self) -> NoReturn:
+        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling))
         self._reply(wire.ReplyKind.STARTED)
         handlers: dict[str, Callable[..., bytes]] = {
             "fit": self._fit,
             "load": self._load,
             "simulate": self._simulate,
             "dump": self._dump,
+            "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
         }
         while True:
             self._token, name, arguments = pickle.loads(self._request())
             status = wire.ReplyKind.OK
+            self._compiling.request = name
             try:
                 body = handlers[name](*arguments)
             except BaseException as error:  # noqa: BLE001 - the border to candidate code

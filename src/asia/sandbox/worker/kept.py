@@ -11,6 +11,7 @@ from collections.abc import Collection, Sequence
 
 from asia.sandbox._types import Layer, Limits
 from asia.sandbox.walls.surroundings import child_command, environment, interpreter, package_folder
+from asia.sandbox.worker.clock import first_child
 from asia.sandbox.worker.keeper import descendants
 from asia.sandbox.worker.process import (
     PipePairs,
@@ -44,6 +45,7 @@ def start_kept(
         force=lambda: _force(process),
         tidy=lambda: shutil.rmtree(home, ignore_errors=True),
         beyond_reach=False,
+        find=lambda: first_child(process.pid),
     )
 
 

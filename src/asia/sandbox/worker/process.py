@@ -54,6 +54,8 @@ class WorkerProcess:
     """Frees what the level holds beside the worker."""
     beyond_reach: bool
     """Whether `process` is a guard of the worker that no candidate can signal."""
+    find: Callable[[], int | None]
+    """The process id of the worker itself, None where it is not known."""
 
     def running(self) -> bool:
         """Whether the worker is still there."""

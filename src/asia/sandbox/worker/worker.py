@@ -12,6 +12,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from asia._stopwatch import Activity, Seconds
 from asia._text import printable
 from asia.candidate import Context
 from asia.data import Array, Trajectory
@@ -24,8 +25,10 @@ from asia.sandbox.worker.channel import (
     LateError,
     UnsolicitedError,
 )
+from asia.sandbox.worker.clock import WorkerClock
 from asia.sandbox.worker.process import WorkerProcess
 from asia.sandbox.worker.wire import (
+    COMPILED_BYTES,
     CURVE_ROW_BYTES,
     CURVE_ROWS,
     SHAPE_DIMENSIONS,
@@ -34,6 +37,7 @@ from asia.sandbox.worker.wire import (
 )
 
 _START_SECONDS = 60.0
+_COUNT_SECONDS = 1.0
 _LAST_WORDS = 1500
 _REASONS = {
     ReplyKind.SYNTAX: Reason.SYNTAX,
@@ -64,6 +68,7 @@ class Worker:
         self._process = process
         self._limits = limits
         self._channel = Channel(process.pipes, process.running)
+        self._clock = WorkerClock(process.find)
         self.left_behind: int | None = None
         self._closed = False
         self._started = False
@@ -94,8 +99,14 @@ class Worker:
         deadline = time.monotonic() + self._limits.fit_seconds
         context = replace(context, deadline=min(context.deadline, deadline))
         records = [(t.u, t.y, t.sampling_time, t.name) for t in trajectories]
-        self._send("fit", (source, records, _plain(context), score is not None), deadline, late)
-        self._head(deadline, late, (ReplyKind.STARTED,))
+        with self._clock.activity(Activity.IMPORT):
+            self._send("fit", (source, records, _plain(context), score is not None), deadline, late)
+            self._head(deadline, late, (ReplyKind.STARTED,))
+        with self._clock.activity(Activity.FIT):
+            return self._fitted(context, score, deadline)
+
+    def _fitted(self, context: Context, score: ScoreModel | None, deadline: float) -> FitReply:
+        late = Reason.FIT_TIMEOUT
         begin = time.monotonic()
         wanted = (ReplyKind.OK,) if score is None else (ReplyKind.OK, ReplyKind.SCORE)
         head = self._head(deadline, late, wanted)
@@ -118,9 +129,10 @@ class Worker:
             self._start()
             self._loaded_source = source
         deadline = self._by(self._limits.fit_seconds)
-        self._send("load", (source, model), deadline, late)
-        if self._head(deadline, late).length:
-            raise self._failure(Reason.UNSOLICITED)
+        with self._clock.activity(Activity.IMPORT):
+            self._send("load", (source, model), deadline, late)
+            if self._head(deadline, late).length:
+                raise self._failure(Reason.UNSOLICITED)
         self._ny, self._model_loaded = context.ny, True
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -130,11 +142,12 @@ class Worker:
         self._cases_seen = True
         shape = (u.shape[0], u.shape[1], self._ny)
         deadline = self._by(self._limits.simulate_seconds)
-        self._send("simulate", (past_u, past_y, u, self._ny), deadline, late)
-        head = self._head(deadline, late, expected=shape)
-        if head.length != math.prod(shape) * 8:
-            raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
-        y = _floats(self._body(head, deadline, late)).reshape(shape)
+        with self._clock.activity(Activity.SIMULATE):
+            self._send("simulate", (past_u, past_y, u, self._ny), deadline, late)
+            head = self._head(deadline, late, expected=shape)
+            if head.length != math.prod(shape) * 8:
+                raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
+            y = _floats(self._body(head, deadline, late)).reshape(shape)
         if not np.isfinite(y).all():
             raise CandidateError(Reason.NOT_FINITE)
         return y
@@ -144,8 +157,30 @@ class Worker:
         self._need_model()
         late = Reason.FIT_TIMEOUT
         deadline = time.monotonic() + self._limits.fit_seconds
-        self._send("dump", (), deadline, late)
-        return self._model_bytes(self._head(deadline, late), deadline, late)
+        with self._clock.activity(Activity.FIT):
+            self._send("dump", (), deadline, late)
+            return self._model_bytes(self._head(deadline, late), deadline, late)
+
+    @property
+    def spent(self) -> Seconds:
+        """Where the seconds of this worker went so far. What is said of JAX is its own word."""
+        return self._clock.spent
+
+    def count_compiling(self) -> None:
+        """Ask how long JAX traced and compiled, once there are no more requests. A worker that
+        does not answer at once, or with anything but its numbers, has told nothing."""
+        if self._closed:
+            return
+        by = time.monotonic() + _COUNT_SECONDS
+        try:
+            body = pickle.dumps((self._channel.new_token(), "compiled", ()), protocol=5)
+            self._channel.send(body, by)
+            if self._channel.receive_head(by) == Head(ReplyKind.OK, COMPILED_BYTES):
+                self._clock.count_compiling(self._channel.receive(COMPILED_BYTES, by))
+        except (LateError, GoneError, UnsolicitedError):
+            pass
+        finally:
+            self.close()
 
     def answer_by(self, latest: float) -> None:
         """No later load or simulate waits past this `time.monotonic()` value."""
@@ -162,9 +197,10 @@ class Worker:
         not let die is `left_behind`."""
         if not self._closed:
             self._closed = True
-            self._channel.close()
-            if not self._process.end():
-                self.left_behind = self._process.process.pid
+            with self._clock.activity(Activity.START):
+                self._channel.close()
+                if not self._process.end():
+                    self.left_behind = self._process.process.pid
 
     def _start(self) -> None:
         """Wait for the fresh process to be ready: its start is nobody's fit time."""
@@ -172,7 +208,8 @@ class Worker:
             raise SandboxError("a worker takes one fit, or models of one source; open a fresh one")
         self._started = True
         try:
-            head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
+            with self._clock.activity(Activity.START):
+                head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
             ready = head == Head(ReplyKind.STARTED, 0)
         except (LateError, GoneError, UnsolicitedError):
             ready = False
@@ -188,7 +225,8 @@ class Worker:
         """Score a model that the candidate is training. Both processes end with a failure."""
         late = Reason.FIT_TIMEOUT
         try:
-            answer = ("score", (score(model, deadline),))
+            with self._clock.elsewhere(Activity.FIT):
+                answer = ("score", (score(model, deadline),))
         except ScoreRefusedError as refused:
             answer = ("refuse", (str(refused),))
         except CandidateError:

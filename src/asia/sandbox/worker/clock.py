@@ -1,0 +1,86 @@
+"""Where the seconds of one worker go, measured by the parent."""
+
+from __future__ import annotations
+
+import math
+import struct
+import sys
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from asia._stopwatch import Activity, Seconds, add_seconds
+from asia.sandbox.worker.wire import COMPILED, COMPILED_BYTES
+
+# What a request that compiles is counted as beside the compilation.
+_COUNTED_AS = {"fit": Activity.FIT, "load": Activity.IMPORT, "simulate": Activity.SIMULATE}
+_OF_A_PROCESS = 2
+
+
+class WorkerClock:
+    """Adds up wall and processor seconds of a worker by activity."""
+
+    def __init__(self, find: Callable[[], int | None]) -> None:
+        """find: the worker's process id, None where it is not known."""
+        self.spent: Seconds = {}
+        self._find = find
+        self._pid: int | None = None
+        self._processor = 0.0
+
+    @contextmanager
+    def activity(self, activity: Activity) -> Generator[None]:
+        """Count what passes in here."""
+        begin, before = time.monotonic(), self._processor
+        try:
+            yield
+        finally:
+            self._processor = max(self._processor, self._now())
+            add_seconds(self.spent, activity, time.monotonic() - begin, self._processor - before)
+
+    @contextmanager
+    def elsewhere(self, activity: Activity) -> Generator[None]:
+        """Leave out of `activity`, which is under way, the wall seconds that pass in here."""
+        begin = time.monotonic()
+        try:
+            yield
+        finally:
+            add_seconds(self.spent, activity, begin - time.monotonic(), 0.0)
+
+    def count_compiling(self, said: bytes) -> None:
+        """Take what JAX needed to trace and to compile out of the requests it did so in. said: the
+        worker's own word, which is bounded by what was measured here."""
+        if len(said) != COMPILED_BYTES:
+            return
+        numbers = struct.unpack(f"<{2 * len(COMPILED)}d", said)
+        for place, request in enumerate(COMPILED):
+            activity = _COUNTED_AS[request]
+            for part, seconds in zip(
+                (Activity.TRACE, Activity.COMPILE), numbers[2 * place :], strict=False
+            ):
+                wall, processor = self.spent.get(activity, (0.0, 0.0))
+                if not (math.isfinite(seconds) and seconds > 0 and wall > 0):
+                    continue
+                share = min(1.0, seconds / wall)
+                moved = share * wall, share * processor
+                add_seconds(self.spent, part, *moved)
+                self.spent[activity] = (wall - moved[0], processor - moved[1])
+
+    def _now(self) -> float:
+        """Processor seconds that the worker has used; 0 where the system does not say."""
+        if sys.platform != "linux":
+            return 0.0
+        with suppress(OSError):
+            self._pid = self._pid or self._find()
+            if self._pid is not None:
+                return time.clock_gettime(~self._pid << 3 | _OF_A_PROCESS)
+        return 0.0
+
+
+def first_child(pid: int) -> int | None:
+    """The oldest child of a process that has one thread; None without one."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()
+    except OSError:
+        return None
+    return int(children[0]) if children else None
