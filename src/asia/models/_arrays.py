@@ -7,9 +7,9 @@ simulation in NumPy, which needs no compiler and no import of JAX.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -131,3 +131,12 @@ def _nothing(step: Callable[[Any, AnyArray], Any], state: Any, inputs: AnyArray)
     """Results of no samples, of the shape that a sample would give."""
     result = step(state, np.zeros(inputs.shape[1:], inputs.dtype))[1]
     return np.zeros((0, *result.shape), result.dtype)
+
+
+def tree_size(tree: Any) -> int:
+    """Numbers in a tree of mappings, sequences and arrays."""
+    if isinstance(tree, Mapping):
+        tree = list(cast("Mapping[str, Any]", tree).values())
+    if isinstance(tree, Sequence):
+        return sum(tree_size(branch) for branch in cast("Sequence[Any]", tree))
+    return int(np.size(tree))

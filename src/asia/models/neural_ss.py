@@ -20,7 +20,7 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._arrays import AnyArray, namespace
+from asia.models._arrays import AnyArray, namespace, tree_size
 from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder, affine
 from asia.models._data.records import (
@@ -35,6 +35,7 @@ from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import LinearFit, Refinement, encoder_of
 from asia.models._linear.windows import WindowPredictor
+from asia.models._networks.simulation import outputs_of
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
@@ -100,7 +101,8 @@ class FittedStateSpace:
 
 @dataclass(frozen=True)
 class StateCell:
-    """The model as Adam trains it: see `asia.models._networks.structure.Cell`."""
+    """The model as Adam trains it and as it is simulated: see
+    `asia.models._networks.structure.Cell`."""
 
     structure: StateSpaceStructure
 
@@ -139,11 +141,11 @@ class NeuralStateSpace:
         past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
         features = window(past, f.scaling.outputs(past_y))
         inputs = linear.delayed(past, future, f.delay)
-        with np.errstate(all="ignore"):
-            outputs = [
-                f.structure.simulate(params, encoder(features), inputs)[1]
-                for params, encoder in f.members
-            ]
+        cell = StateCell(f.structure)
+        outputs = [
+            outputs_of(cell, {**params, "encoder": vars(encoder)}, features, inputs)
+            for params, encoder in f.members
+        ]
         return f.scaling.physical(np.median(outputs, axis=0))
 
 
@@ -221,7 +223,7 @@ def _train_windowed(
         members = [_by_adam(structure, params, records, context, method)]
     else:
         starts = [structure.start_windowed(predictor, rng) for _ in range(method.starts)]
-        size = _size(starts[0])
+        size = tree_size(starts[0])
         most = _WORK / (size**2 * (context.horizon or 1) * context.ny)
         w = cut_windows(records, context, int(np.clip(most, *_WINDOWS)))
         samples = StateSamples(encoder(w.features), w.u, w.y, np.ones(w.y.shape[:2]), known=True)
@@ -308,7 +310,3 @@ def _cast(tree: Mapping[str, Any], dtype: type[np.floating[Any]]) -> dict[str, A
         name: _cast(v, dtype) if isinstance(v, Mapping) else np.asarray(v, dtype)
         for name, v in tree.items()
     }
-
-
-def _size(tree: Mapping[str, Any]) -> int:
-    return sum(_size(v) if isinstance(v, Mapping) else np.size(v) for v in tree.values())

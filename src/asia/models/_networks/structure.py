@@ -74,6 +74,14 @@ class SequenceMap(Protocol):
 NetworkStructure: TypeAlias = Cell | FeatureMap | SequenceMap
 
 
+class Simulate(Protocol):
+    """`rollout` or `trace`."""
+
+    def __call__(self, cell: Any, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
+        """window (B, d), u (B, T, nu) -> (B, T, channels)."""
+        ...
+
+
 @runtime_checkable
 class OutputFeedback(Protocol):
     """A cell whose state holds its own last output, which training may replace by the measured."""
