@@ -23,12 +23,9 @@ every process.
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
-from asia.models._arrays import tree_size
+from asia.models._arrays import AnyArray, tree_size
 from asia.models._networks.structure import (
     Cell,
     FeatureMap,
@@ -40,8 +37,6 @@ from asia.models._networks.structure import (
     trace,
 )
 
-Floats: TypeAlias = NDArray[np.floating]
-
 _STEPS = 200_000
 _WEIGHTED_SAMPLES = 5e10
 # Windows of a cell, and samples of a structure that computes all of them at once, in NumPy at a
@@ -49,12 +44,13 @@ _WEIGHTED_SAMPLES = 5e10
 _ROWS, _SAMPLES = 256, 4096
 
 
-def outputs_of(cell: NetworkStructure, params: Params, window: Floats, u: Floats) -> Floats:
-    """window (B, d), u (B, T, nu) -> outputs (B, T, ny), all z-scored."""
+def outputs_of(cell: NetworkStructure, params: Params, window: AnyArray, u: AnyArray) -> AnyArray:
+    """NumPy arrays of one precision, window (B, d) and u (B, T, nu) -> outputs (B, T, ny), all
+    z-scored."""
     return _simulated(rollout, cell, params, window, u)
 
 
-def features_of(cell: Cell | FeatureMap, params: Params, window: Floats, u: Floats) -> Floats:
+def features_of(cell: Cell | FeatureMap, params: Params, window: AnyArray, u: AnyArray) -> AnyArray:
     """Features (B, T, hidden) that the outputs are read from."""
     return _simulated(trace, cell, params, window, u)
 
@@ -67,8 +63,8 @@ def is_compiled(params: Params, windows: int, samples: int) -> bool:
 
 
 def _simulated(
-    simulate: Simulate, cell: NetworkStructure, params: Params, window: Floats, u: Floats
-) -> Floats:
+    simulate: Simulate, cell: NetworkStructure, params: Params, window: AnyArray, u: AnyArray
+) -> AnyArray:
     count, samples = u.shape[:2]
     if is_compiled(params, count, samples):
         from asia.models._networks.compiled import compiled
