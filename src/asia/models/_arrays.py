@@ -56,7 +56,8 @@ def softmax(x: AnyArray) -> AnyArray:
 
         # Its derivative leaves out the maximum, which cancels.
         return jax.nn.softmax(x, axis=-1)
-    raised = np.exp(x - x.max(axis=-1, keepdims=True))
+    raised = x - x.max(axis=-1, keepdims=True)
+    np.exp(raised, out=raised)
     raised /= raised.sum(axis=-1, keepdims=True)
     return raised
 

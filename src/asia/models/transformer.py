@@ -28,6 +28,10 @@ from asia.models._networks.structure import Params
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
 
+# Added to the score of a token that must not be attended to.
+_UNSEEN = -1e9
+
+
 @dataclass(frozen=True)
 class Config:
     """Number and size of the layers, and how far back they look."""
@@ -93,10 +97,11 @@ def banded_attention(p: Any, x: AnyArray, heads: int, span: int) -> AnyArray:
     query, keys, values = parts[0], _with_block_before(parts[1]), _with_block_before(parts[2])
     scores = (query / sqrt(width // heads)) @ keys.swapaxes(-1, -2)
     distance = np.arange(span)[:, None] + span - np.arange(2 * span)
-    seen = np.broadcast_to((distance >= 0) & (distance < span), (shape[1], span, 2 * span)).copy()
-    seen[0, :, :span] = False
-    bias = p["bias"][:, np.clip(distance, 0, span - 1)]
-    weights = softmax(xp.where(seen[:, None], scores + bias, -1e9))
+    near = (distance >= 0) & (distance < span)
+    bias = xp.where(near, p["bias"][:, np.clip(distance, 0, span - 1)], _UNSEEN)
+    nothing_before = np.zeros((length // span, 1, 1, 2 * span), x.dtype)
+    nothing_before[0, ..., :span] = _UNSEEN
+    weights = softmax(scores + bias + nothing_before)
     return (weights @ values).swapaxes(2, 3).reshape(batch, length, width)
 
 

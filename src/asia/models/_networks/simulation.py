@@ -1,31 +1,31 @@
 """Simulation of a network with given parameters: in NumPy, or in JAX where that is worth it.
 
-A request compiles anew for each length and each number of windows. Measured in fresh processes of
-one thread, in seconds of processor time, import and compilation of JAX included (0.35 to 0.4 for
-the import):
+JAX compiles anew for each length and each number of windows. Measured in fresh processes of one
+thread, in seconds of processor time; those of JAX include its import (0.35) and compilation:
 
 | network | windows x samples | NumPy | JAX |
 |---|---|---|---|
 | GRU, 32 units | 1 x 1 000 | 0.01 | 0.8 |
-| LSTM, 64 units | 4 000 x 50 | 0.5 | 1.1 |
-| convolutions, 16 channels | 4 000 x 50 | 0.3 | 1.6 |
-| Transformer, 32 channels | 4 000 x 50 | 2.1 | 6 |
-| LSTM, 2 x 256 units | 1 x 3 000 | 0.5 | 1.3 |
-| GRU, 32 units | 1 x 100 000 | 1.2 | 0.8 |
+| LSTM, 2 x 256 units | 1 x 3 000 | 0.5 | 1.2 |
+| LSTM, 64 units | 4 000 x 50 | 0.2 | 1.1 |
+| LSTM, 256 units | 4 000 x 50 | 1.6 | 2.4 |
+| convolutions, 16 channels | 4 000 x 50 | 0.4 | 1.5 |
+| Transformer, 32 channels | 256 x 50 | 0.2 | 1.2 |
+| Transformer, 32 channels | 4 000 x 50 | 3.1 | 2.9 |
+| GRU, 32 units | 1 x 100 000 | 1.3 | 0.8 |
 | cascaded LTC, 2 x 16 states | 1 x 100 000 | 2.8 | 1.0 |
-| LSTM, 256 units | 4 000 x 50 | 4.5 | 2.6 |
 
-What JAX saves, about 15 us a step in time and 40 ps a weight and sample, exceeds what it costs from
-100 000 steps, or samples x weights of 3e10, on. The switch lies at about twice that, because checks
-ask for many lengths. It depends on shapes alone, so that the same request has the same answer in
-every process.
+Width and windows are no reason for JAX, steps in time are: each costs NumPy 10 to 30 us. One
+simulation is worth its compilation from about 70 000 steps on; the switch lies higher, because
+checks ask a model for many lengths. It depends on shapes alone, so that a request has the same
+answer in every process.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from asia.models._arrays import AnyArray, tree_size
+from asia.models._arrays import AnyArray
 from asia.models._networks.structure import (
     Cell,
     FeatureMap,
@@ -37,11 +37,10 @@ from asia.models._networks.structure import (
     trace,
 )
 
-_STEPS = 200_000
-_WEIGHTED_SAMPLES = 5e10
+_MOST_STEPS = 200_000
 # Windows of a cell, and samples of a structure that computes all of them at once, in NumPy at a
 # time: few enough for their arrays to stay in the processor's cache.
-_ROWS, _SAMPLES = 256, 4096
+_ROWS, _SAMPLES = 256, 2048
 
 
 def outputs_of(cell: NetworkStructure, params: Params, window: AnyArray, u: AnyArray) -> AnyArray:
@@ -55,18 +54,16 @@ def features_of(cell: Cell | FeatureMap, params: Params, window: AnyArray, u: An
     return _simulated(trace, cell, params, window, u)
 
 
-def is_compiled(params: Params, windows: int, samples: int) -> bool:
+def is_compiled(windows: int, samples: int) -> bool:
     """Whether a simulation of so many windows of so many samples is left to JAX."""
-    steps = -(-windows // _ROWS) * samples
-    weighted = windows * samples * tree_size(params)
-    return steps / _STEPS + weighted / _WEIGHTED_SAMPLES > 1
+    return -(-windows // _ROWS) * samples > _MOST_STEPS
 
 
 def _simulated(
     simulate: Simulate, cell: NetworkStructure, params: Params, window: AnyArray, u: AnyArray
 ) -> AnyArray:
     count, samples = u.shape[:2]
-    if is_compiled(params, count, samples):
+    if is_compiled(count, samples):
         from asia.models._networks.compiled import compiled
 
         return compiled(simulate, cell, params, window, u)

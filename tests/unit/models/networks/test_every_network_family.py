@@ -23,6 +23,7 @@ from asia.models import (
     subnet,
     transformer,
 )
+from asia.models._networks.simulation import features_of, is_compiled
 from asia.models._networks.structure import Restartable
 from asia.models.methods import Adam
 
@@ -93,6 +94,30 @@ def test_no_size_may_be_zero(family: ModuleType, small: dict[str, Any]) -> None:
         if isinstance(value, int):
             with pytest.raises(UserError, match="at least"):
                 family.Config(**{name: 0})
+
+
+@every_family
+def test_windows_are_simulated_apart_however_many_there_are(
+    family: ModuleType, small: dict[str, Any]
+) -> None:
+    model = family.build(family.Config(**small), windows_context())
+    rng = np.random.default_rng(2)
+    window, u = (
+        rng.standard_normal(shape).astype(np.float32) for shape in ((300, 3), (300, 15, 2))
+    )
+    together = features_of(model.cell, model.params, window, u)
+    assert together.shape[:2] == (300, 15)
+    for row in (0, 140, 299):
+        alone = features_of(model.cell, model.params, window[row, None], u[row, None])
+        np.testing.assert_allclose(together[row], alone[0], rtol=1e-5, atol=1e-6)
+    assert features_of(model.cell, model.params, window[:0], u[:0]).shape == together[:0].shape
+
+
+def test_records_of_very_many_samples_are_left_to_jax() -> None:
+    assert not is_compiled(1, 100_000)
+    assert not is_compiled(100_000, 100)
+    assert is_compiled(1, 1_000_000)
+    assert is_compiled(10_000, 10_000)
 
 
 def _flat(tree: Any) -> bytes:

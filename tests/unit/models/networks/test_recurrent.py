@@ -10,7 +10,10 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import recurrent
+from asia.models._data.records import window_size
+from asia.models._networks.compiled import compiled
 from asia.models._networks.network import NetworkModel
+from asia.models._networks.structure import rollout
 from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import Case, case, filtered, two_by_two
 
@@ -99,3 +102,21 @@ def test_output_layer_without_a_direct_term_is_solved_too() -> None:
     still = Adam(steps=1, learning_rate=1e-9, weight_decay=0.0)
     model = fitted(recurrent.Config(hidden=8, direct=False), data, still)
     assert np.abs(model.params["out_w"]).max() > 0.01
+
+
+@pytest.mark.parametrize("cell", ["rnn", "lstm"])
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_every_kind_of_cell_simulates_in_numpy_as_in_jax(
+    cell: Literal["rnn", "lstm"], activation: Literal["tanh", "relu"]
+) -> None:
+    kind = {"activation": activation, "tied": activation == "relu", "start": "uniform"}
+    config = recurrent.Config(cell, 4, layers=2, direct=activation == "tanh", **kind)
+    data = case(two_by_two)
+    model = recurrent.build(config, data.context)
+    rng = np.random.default_rng(0)
+    window = rng.standard_normal((3, window_size(data.context))).astype(np.float32)
+    arrays = window, rng.standard_normal((3, 50, 2)).astype(np.float32)
+    in_jax = compiled(rollout, model.cell, model.params, *arrays)
+    np.testing.assert_allclose(
+        rollout(model.cell, model.params, *arrays), in_jax, rtol=1e-4, atol=1e-6
+    )
