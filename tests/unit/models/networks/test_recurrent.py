@@ -111,7 +111,7 @@ def test_every_kind_of_cell_simulates_in_numpy_as_in_jax(
 ) -> None:
     kind = {"activation": activation, "tied": activation == "relu", "start": "uniform"}
     config = recurrent.Config(cell, 4, layers=2, direct=activation == "tanh", **kind)
-    data = case(two_by_two)
+    data = case(two_by_two, channels=2)
     model = recurrent.build(config, data.context)
     rng = np.random.default_rng(0)
     window = rng.standard_normal((3, window_size(data.context))).astype(np.float32)
