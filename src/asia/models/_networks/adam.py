@@ -9,27 +9,33 @@ from typing import Any, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 
+from asia.models._arrays import AnyArray
 from asia.models._data.chunks import Places, Simulations, laid, places, random_chunks, tracks, whole
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import check_structure, forward, objective
+from asia.models._networks.program import AdamNumbers, AdamProgram, all_finite, either, started
 from asia.models._networks.structure import Cell, NetworkStructure, Params
+from asia.models._solvers.packing import Packing, packed
 from asia.models.methods import Adam
 
 
 class AdamState(NamedTuple):
-    """trained: the parameters that change, average: their moving average, or None; carried: state
-    of the cell at the end of the last chunks, or None; loss, taken: sum over the steps since the
-    last look, and how many these were."""
+    """Where training stands."""
 
-    trained: Any
+    trained: AnyArray
+    """Parameters that change, in one vector."""
     optimiser: Any
-    average: Any
+    """Its memory."""
+    average: AnyArray | None
+    """Moving average of the parameters, or None."""
     carried: Any
-    loss: jax.Array
-    taken: jax.Array
+    """State of the cell at the end of the last chunks, or None."""
+    loss: AnyArray
+    """Sum over the steps since the last look."""
+    taken: AnyArray
+    """How many these were."""
 
 
 def run(
@@ -47,29 +53,26 @@ def run(
     check_structure(cell, params, method)
     length = method.truncation or horizon
     data = _seen(batch, method, length)
+    program, numbers = AdamProgram.of(method, length), AdamNumbers.of(method)
     trained, fixed = split(params)
+    packing, theta = Packing.of(trained), packed(trained, np.float32)
     carried = None
     if isinstance(data, Simulations) and method.carry and isinstance(cell, Cell):
-        carried = jax.tree.map(jnp.zeros_like, cell.initial(params, data.window))
-    state = AdamState(
-        trained,
-        optimiser(method).init(trained),
-        trained if method.average > 0 else None,
-        carried,
-        jnp.zeros((), jnp.float32),
-        jnp.zeros((), jnp.float32),
-    )
+        carried = jax.tree.map(np.zeros_like, cell.initial(params, data.window))
+    average, blank = theta if method.average > 0 else None, np.float32(0.0)
+    memory = started(program.optimiser(numbers), theta)
+    state = AdamState(theta, memory, average, carried, blank, blank)
 
     def current() -> Params:
-        return joined(state.trained if state.average is None else state.average, fixed)
+        reached = state.trained if state.average is None else state.average
+        return joined(packing.unpack(np.asarray(reached)), fixed)
 
     done = 0
     for mark in marks(method, steps):
-        span = jnp.int32(done), jnp.int32(mark)
-        rate = jnp.float32(monitor.rate)
-        state = _advance(cell, method, length, data, fixed, state, span, rate, seed)
-        loss, done = float(state.loss / jnp.maximum(state.taken, 1.0)), mark
-        monitor(mark, current, loss if float(state.taken) > 0 else float("inf"))
+        span, rate = (np.int32(done), np.int32(mark)), np.float32(monitor.rate)
+        state = _advance(cell, program, packing, numbers, data, fixed, state, span, rate, seed)
+        taken, done = float(state.taken), mark
+        monitor(mark, current, float(state.loss) / taken if taken > 0 else float("inf"))
         if monitor.stopped:
             break
     return current()
@@ -77,35 +80,17 @@ def run(
 
 def split(params: Params) -> tuple[dict[str, Any], Any]:
     """What is trained, and what is not."""
-    trained = {k: jax.tree.map(jnp.asarray, v) for k, v in params.items() if k != "fixed"}
-    return trained, params.get("fixed")
+    return {k: v for k, v in params.items() if k != "fixed"}, params.get("fixed")
 
 
 def joined(trained: Mapping[str, Any], fixed: Any) -> Params:
     """The inverse of `split`, as NumPy arrays."""
-    return cast(Params, jax.tree.map(np.asarray, merged(trained, fixed)))
+    return cast(Params, jax.tree.map(np.array, merged(trained, fixed)))
 
 
 def merged(trained: Mapping[str, Any], fixed: Any) -> dict[str, Any]:
     """Trained and fixed parameters as a structure reads them."""
     return dict(trained) if fixed is None else {**trained, "fixed": fixed}
-
-
-def optimiser(method: Adam, memory: float = 0.999) -> optax.GradientTransformation:
-    """The direction of a step, to be multiplied by the learning rate; `memory`: decay of the mean
-    of squared gradients."""
-    clip = optax.clip_by_global_norm(method.clip)
-    if method.coupled:
-        penalty = optax.add_decayed_weights(method.weight_decay)
-        return optax.chain(clip, penalty, optax.adam(1.0, b2=memory))
-    return optax.chain(clip, optax.adamw(1.0, b2=memory, weight_decay=method.weight_decay))
-
-
-def scheduled(method: Adam, rate: jax.Array, step: jax.Array) -> jax.Array:
-    """Learning rate of a step; `rate` is what the monitor says."""
-    if method.schedule != "cosine":
-        return rate
-    return rate * 0.5 * (1.0 + jnp.cos(jnp.pi * step / method.steps))
 
 
 def _seen(batch: PaddedBatch, method: Adam, length: int | None) -> Simulations | Places:
@@ -119,8 +104,9 @@ def _seen(batch: PaddedBatch, method: Adam, length: int | None) -> Simulations |
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
     cell: NetworkStructure,
-    method: Adam,
-    length: int | None,
+    program: AdamProgram,
+    packing: Packing,
+    numbers: AdamNumbers,
     data: Simulations | Places,
     fixed: Any,
     state: AdamState,
@@ -128,51 +114,40 @@ def _advance(
     rate: jax.Array,
     seed: jax.Array,
 ) -> AdamState:
-    rule, root = optimiser(method), jax.random.key(seed)
+    rule, root, length = program.optimiser(numbers), jax.random.key(seed), program.length or 1
 
-    def loss_of(trained: Any, carried: Any, step: jax.Array) -> tuple[jax.Array, Any]:
-        params = merged(trained, fixed)
+    def loss_of(trained: jax.Array, carried: Any, step: jax.Array) -> tuple[jax.Array, Any]:
+        params = merged(packing.unpack(trained), fixed)
         drawn, shaken = jax.random.split(jax.random.fold_in(root, step))
-        teacher = method.teacher + (method.teacher_end - method.teacher) * step / method.steps
+        go = partial(forward, cell, program, numbers, params, step=step, key=shaken)
         if carried is not None and isinstance(cell, Cell) and isinstance(data, Simulations):
-            part, fresh = _next_chunk(data, length or 1, step)
-            start = _chosen(fresh, cell.initial(params, part.window), carried)
-            y, last = forward(cell, method, params, part, teacher, shaken, start)
-            error = objective(method.loss, y - part.y, part.weight, 0, method.horizons)
+            part, fresh = _next_chunk(data, length, step)
+            y, last = go(part, state=either(fresh, cell.initial(params, part.window), carried))
+            error = objective(program.loss, y - part.y, part.weight, 0, program.horizons)
             return error, jax.lax.stop_gradient(last)
         part = data
         if isinstance(part, Places):
-            part = random_chunks(part, length or 1, method.batch, drawn)
-        y, _ = forward(cell, method, params, part, teacher, shaken)
-        residual = y - part.y
+            part = random_chunks(part, length, program.batch, drawn)
+        residual = go(part)[0] - part.y
         return objective(
-            method.loss, residual, part.weight, method.washout, method.horizons
+            program.loss, residual, part.weight, numbers.washout, program.horizons
         ), carried
 
     def update(step: jax.Array, state: AdamState) -> AdamState:
         gradient_of = jax.value_and_grad(loss_of, has_aux=True)
         (loss, carried), gradient = gradient_of(state.trained, state.carried, step)
         change, memory = rule.update(gradient, state.optimiser, state.trained)
-        pace = scheduled(method, rate, step)
-        trained = optax.apply_updates(state.trained, jax.tree.map(lambda c: pace * c, change))
+        pace = program.scheduled(numbers, rate, step)
+        trained = state.trained + pace * cast(jax.Array, change)
         average = state.average
         if average is not None:
-            slow = jnp.minimum(method.average, (1.0 + step) / (10.0 + step))
-            average = jax.tree.map(lambda a, t: slow * a + (1.0 - slow) * t, average, trained)
+            slow = jnp.minimum(numbers.average, (1.0 + step) / (10.0 + step))
+            average = slow * average + (1.0 - slow) * trained
         moved = AdamState(trained, memory, average, carried, state.loss + loss, state.taken + 1.0)
-        return _chosen(finite(gradient), moved, state)
+        return either(all_finite(gradient), moved, state)
 
     blank = jnp.zeros((), jnp.float32)
     return jax.lax.fori_loop(*span, update, state._replace(loss=blank, taken=blank))
-
-
-def finite(tree: Any) -> jax.Array:
-    """Whether every number in a tree of arrays is."""
-    return jnp.isfinite(jnp.sum(jnp.stack([jnp.sum(g**2) for g in jax.tree.leaves(tree)])))
-
-
-def _chosen(first: jax.Array, one: Any, other: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)
 
 
 def _next_chunk(data: Simulations, length: int, step: jax.Array) -> tuple[Simulations, jax.Array]:

@@ -6,12 +6,11 @@ In double precision: the line search compares losses that differ in the last dig
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from scipy.optimize import minimize
 
 from asia.models._data.chunks import Simulations, laid, whole
@@ -19,8 +18,17 @@ from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import objective
+from asia.models._networks.program import Number
 from asia.models._networks.structure import NetworkStructure, Params, rollout
-from asia.models.methods import LBFGS
+from asia.models._solvers.packing import Packing, packed
+from asia.models.methods import LBFGS, Loss
+
+
+class LBFGSNumbers(NamedTuple):
+    """Numbers of `methods.LBFGS` that a loss reads: arguments of its program."""
+
+    ridge: Number
+    washout: Number
 
 
 def run(
@@ -35,31 +43,27 @@ def run(
     """The parameters after `steps` iterations, or after those that `monitor` allows, or where no
     step lowers the loss; a point where the loss is not finite is never taken."""
     length = method.truncation or horizon
+    trained, fixed = split(params)
+    packing = Packing.of(trained)
+    data = _double(whole(batch) if length is None else laid(batch, length))
+    numbers = LBFGSNumbers(method.ridge, method.washout)
+    value_of = partial(_value, cell, method.loss, packing, numbers, data, _double(fixed))
+    search = _BestPoint(value_of, packed(trained, np.float64))
+
+    def current() -> Params:
+        return joined(packing.unpack(search.best.astype(np.float32)), fixed)
+
+    due, taken = set(marks(method, steps)), 0
+
+    def after(_: np.ndarray[Any, Any]) -> None:
+        nonlocal taken
+        taken += 1
+        if taken in due:
+            monitor(taken, current, search.loss)
+        if monitor.stopped:
+            raise StopIteration
+
     with jax.enable_x64(True):
-        trained, fixed = split(params)
-        flat, unravel = ravel_pytree(jax.tree.map(_double, trained))
-        data = jax.tree.map(_double, whole(batch) if length is None else laid(batch, length))
-        fixed = jax.tree.map(_double, fixed)
-        value_of = partial(_value, cell, method, data, fixed, unravel)
-        search = _BestPoint(value_of, np.asarray(flat, np.float64))
-
-        def current() -> Params:
-            tree = jax.tree.map(
-                lambda v: np.asarray(v, np.float32), unravel(jnp.asarray(search.best))
-            )
-            return joined(tree, params.get("fixed"))
-
-        due = set(marks(method, steps))
-        taken = 0
-
-        def after(_: np.ndarray[Any, Any]) -> None:
-            nonlocal taken
-            taken += 1
-            if taken in due:
-                monitor(taken, current, search.loss)
-            if monitor.stopped:
-                raise StopIteration
-
         minimize(
             search, search.best, jac=True, method="L-BFGS-B", callback=after,
             options={
@@ -67,9 +71,9 @@ def run(
                 "ftol": 1e-12, "gtol": 1e-9,
             },
         )  # fmt: skip
-        if taken not in due and not monitor.stopped:
-            monitor(max(taken, 1), current, search.loss)
-        return current()
+    if taken not in due and not monitor.stopped:
+        monitor(max(taken, 1), current, search.loss)
+    return current()
 
 
 class _BestPoint:
@@ -81,7 +85,7 @@ class _BestPoint:
         self.loss = float("inf")
 
     def __call__(self, x: np.ndarray[Any, Any]) -> tuple[float, np.ndarray[Any, Any]]:
-        loss, slope = self._value_of(jnp.asarray(x))
+        loss, slope = self._value_of(x)
         value, gradient = float(loss), np.asarray(slope, np.float64)
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
             # Finite and large: the line search then shortens its step.
@@ -91,28 +95,33 @@ class _BestPoint:
         return value, gradient
 
 
-def _double(value: Any) -> Any:
-    array = jnp.asarray(value)
-    return array.astype(jnp.float64) if jnp.issubdtype(array.dtype, jnp.floating) else array
+def _double(tree: Any) -> Any:
+    """The floats of a tree in double precision."""
+
+    def one(value: Any) -> Any:
+        array = np.asarray(value)
+        return array.astype(np.float64) if np.issubdtype(array.dtype, np.floating) else array
+
+    return jax.tree.map(one, tree)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 4))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _value(
     cell: NetworkStructure,
-    method: LBFGS,
+    loss: Loss,
+    packing: Packing,
+    numbers: LBFGSNumbers,
     data: Simulations,
     fixed: Any,
-    unravel: Any,
     flat: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     def loss_of(flat: jax.Array) -> jax.Array:
-        trained = unravel(flat)
+        trained = packing.unpack(flat)
         params = merged(trained, fixed)
         residual = rollout(cell, params, data.window, data.u) - data.y
         penalty = sum(
             (jnp.sum(v**2) for v in jax.tree.leaves(trained) if v.ndim >= 2), jnp.zeros(())
         )
-        loss = objective(method.loss, residual, data.weight, method.washout)
-        return loss + method.ridge * penalty
+        return objective(loss, residual, data.weight, numbers.washout) + numbers.ridge * penalty
 
     return jax.value_and_grad(loss_of)(flat)

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from numpy.typing import NDArray
 
 from asia.errors import UserError
+from asia.models._arrays import AnyArray
 from asia.models._data.chunks import Simulations, laid
 from asia.models._data.records import PaddedBatch
-from asia.models._networks.adam import finite, joined, merged, optimiser, scheduled, split
+from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import objective, scan
+from asia.models._networks.program import (
+    AdamNumbers,
+    AdamProgram,
+    Number,
+    all_finite,
+    either,
+    started,
+)
 from asia.models._networks.structure import Cell, NetworkStructure, Params, SequenceMap
+from asia.models._solvers.packing import Packing, packed
 from asia.models.methods import MultipleShooting
 
 _MEMORY = 0.98
@@ -26,16 +37,26 @@ class ShootingSegments(NamedTuple):
     """Pieces of the records in time order, and which of them (B,) open a record."""
 
     data: Simulations
-    first: jax.Array
+    first: AnyArray
+
+
+class ShootingNumbers(NamedTuple):
+    """Numbers of `methods.MultipleShooting`: arguments of its program."""
+
+    optimiser: AdamNumbers
+    clip: Number
+    penalty: Number
+    penalty_start: Number
 
 
 class _ShootingState(NamedTuple):
-    """Parameters, and initial states of all segments; those that open a record are not used."""
+    """Parameters in one vector, and initial states of all segments; those that open a record are
+    not used."""
 
-    trained: Any
+    trained: AnyArray
     starts: Any
     memory: tuple[Any, Any]
-    loss: jax.Array
+    loss: AnyArray
 
 
 def run(
@@ -57,19 +78,24 @@ def run(
         laid(batch, method.length, overlap=False), _openings(batch, method.length)
     )
     trained, fixed = split(params)
-    starts = jax.jit(cell.initial)(merged(trained, fixed), segments.data.window)
-    rules = _rules(method)
-    memory = (rules[0].init(trained), rules[1].init(starts))
-    state = _ShootingState(trained, starts, memory, jnp.zeros((), jnp.float32))
+    packing, theta = Packing.of(trained), packed(trained, np.float32)
+    starts = jax.tree.map(np.asarray, cell.initial(params, segments.data.window))
+    adam = method.optimiser
+    program = AdamProgram.of(adam, method.length)
+    numbers = ShootingNumbers(
+        AdamNumbers.of(adam), method.clip, method.penalty, method.penalty_start
+    )
+    rules = _rules(program, numbers)
+    memory = started(rules[0], theta), started(rules[1], starts)
+    state = _ShootingState(theta, starts, memory, np.float32(0.0))
 
     def current() -> Params:
-        return joined(state.trained, fixed)
+        return joined(packing.unpack(np.asarray(state.trained)), fixed)
 
     done = 0
     for mark in marks(method, steps):
-        span = jnp.int32(done), jnp.int32(mark)
-        rate = jnp.float32(monitor.rate)
-        state = _advance(cell, method, segments, fixed, state, span, rate)
+        span, rate = (np.int32(done), np.int32(mark)), np.float32(monitor.rate)
+        state = _advance(cell, program, packing, numbers, segments, fixed, state, span, rate)
         done = mark
         monitor(mark, current, float(state.loss))
         if monitor.stopped:
@@ -77,66 +103,67 @@ def run(
     return current()
 
 
-def _openings(batch: PaddedBatch, length: int) -> jax.Array:
+def _openings(batch: PaddedBatch, length: int) -> NDArray[np.bool_]:
     counts = -(-np.asarray(batch.lengths) // min(length, batch.u.shape[1]))
     first = np.zeros(counts.sum(), bool)
     first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
-    return jnp.asarray(first)
+    return first
 
 
 def _rules(
-    method: MultipleShooting,
+    program: AdamProgram, numbers: ShootingNumbers
 ) -> tuple[optax.GradientTransformation, optax.GradientTransformation]:
     # The loss changes on the way: squares of gradients are averaged over fewer steps than usual.
-    return optimiser(method.optimiser, _MEMORY), optax.adam(1.0, b2=_MEMORY)
+    return program.optimiser(numbers.optimiser, _MEMORY), optax.adam(1.0, b2=_MEMORY)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
     cell: Cell,
-    method: MultipleShooting,
+    program: AdamProgram,
+    packing: Packing,
+    numbers: ShootingNumbers,
     segments: ShootingSegments,
     fixed: Any,
     state: _ShootingState,
     span: tuple[jax.Array, jax.Array],
     rate: jax.Array,
 ) -> _ShootingState:
-    data, (rule, start_rule) = segments.data, _rules(method)
+    data, (rule, start_rule) = segments.data, _rules(program, numbers)
 
-    def loss_of(trained: Any, starts: Any, step: jax.Array) -> tuple[jax.Array, jax.Array]:
-        params = merged(trained, fixed)
+    def loss_of(trained: jax.Array, starts: Any, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        params = merged(packing.unpack(trained), fixed)
         seen = cell.initial(params, data.window)
         opening = jax.tree.map(lambda a, b: _where(segments.first, a, b), seen, starts)
         features, last = scan(cell, params, opening, data.u)
         residual = cell.output(params, features, data.u) - data.y
-        error = objective(method.loss, residual, data.weight)
-        growth = (method.penalty / method.penalty_start) ** (step / method.steps)
+        error = objective(program.loss, residual, data.weight)
+        growth = (numbers.penalty / numbers.penalty_start) ** (step / numbers.optimiser.steps)
         tied = _gap(jax.tree.map(lambda v: v[1:], opening), last, segments.first)
         learned = _gap(
             jax.tree.map(lambda v: jax.lax.stop_gradient(v[1:]), opening),
             jax.tree.map(lambda v: jnp.concatenate([v[1:], v[:1]]), seen),
             segments.first,
         )
-        return error + method.penalty_start * growth * tied + learned, error
+        return error + numbers.penalty_start * growth * tied + learned, error
 
     def update(step: jax.Array, state: _ShootingState) -> _ShootingState:
         gradient_of = jax.value_and_grad(loss_of, argnums=(0, 1), has_aux=True)
         (_, error), (slope, start_slope) = gradient_of(state.trained, state.starts, step)
-        pace = scheduled(method.optimiser, rate, step)
+        pace = program.scheduled(numbers.optimiser, rate, step)
         change, memory = rule.update(slope, state.memory[0], state.trained)
         start_change, start_memory = start_rule.update(
-            _clipped(start_slope, method.clip), state.memory[1]
+            _clipped(start_slope, numbers.clip), state.memory[1]
         )
-        trained = optax.apply_updates(state.trained, jax.tree.map(lambda c: pace * c, change))
+        trained = state.trained + pace * cast(jax.Array, change)
         starts = optax.apply_updates(state.starts, jax.tree.map(lambda c: pace * c, start_change))
         moved = _ShootingState(trained, starts, (memory, start_memory), error)
-        good = finite((slope, start_slope))
-        return jax.tree.map(lambda a, b: jnp.where(good, a, b), moved, state)
+        return either(all_finite(slope, start_slope), moved, state)
 
     return jax.lax.fori_loop(*span, update, state)
 
 
-def _clipped(slopes: Any, clip: float) -> Any:
+def _clipped(slopes: Any, clip: Number) -> Any:
     """Gradients of the starts, each that of its own segment's loss and clipped by itself: one
     segment that explodes must not hold up the others, nor itself for long."""
     leaves = jax.tree.leaves(slopes)
