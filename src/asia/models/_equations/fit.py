@@ -53,31 +53,30 @@ def fit(
 
     rng = np.random.default_rng(seed)
     layout, count = structure.layout, method.starts
-    many = CompiledSimulator(structure, segments.u, TRIALS * count)
-    one = CompiledSimulator(structure, segments.u, count)
+    simulate = CompiledSimulator(structure, segments.u, TRIALS * count)
     curve: list[Array] = []
 
     def best_fits(starts: Starts, active: Array) -> Minimum:
-        error = SimulationError(structure, segments, starts, active, (many, one))
+        error = SimulationError(structure, segments, starts, active, simulate)
         found = minimise(error.cost, error.linearise, error.theta0, method)
         curve.append(found.history[np.argmin(found.cost)])
         return found
 
     active = np.zeros(layout.size)
     active[layout.parameters] = 1.0
-    starts = screen(structure, segments, many, count, rng)
+    starts = screen(structure, segments, simulate, count, rng)
     found = best_fits(starts, active)
     if structure.config.augmented:
         active = np.ones(layout.size)
         active[layout.hidden] = active[layout.readout] = 0.0
-        starts = augment(structure, segments, many, starts, found, rng)
+        starts = augment(structure, segments, simulate, starts, found, rng)
         found = best_fits(starts, active)
     if structure.config.residual:
         starts = add_network(structure, starts, found, rng)
         found = best_fits(starts, np.ones(layout.size))
     if not np.isfinite(found.cost).any():
         raise FloatingPointError("grey-box: no starting point gives a finite simulation")
-    return _finish(structure, segments, many, starts, found, np.concatenate(curve))
+    return _finish(structure, segments, simulate, starts, found, np.concatenate(curve))
 
 
 def _finish(

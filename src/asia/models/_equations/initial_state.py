@@ -6,7 +6,7 @@ import numpy as np
 
 from asia.data import Array
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.simulate import Scales, WindowPrior, simulate_states
+from asia.models._equations.simulate import Scales, WindowPrior, simulate
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.minimise import NormalEquations, minimise
 
@@ -39,7 +39,7 @@ def simulate_cases(
             x0 = past_y[:, -1, [structure.measured_states[i] for i in range(structure.nx)]].T
         else:
             x0 = _estimated(structure, scales, prior, z[:, None], past_u, past_y, inputs)
-        y, _ = simulate_states(structure, scales, z[:, None], x0[:, None], inputs)
+        y, _ = simulate(structure, scales, z[:, None], x0[:, None], inputs)
     return y[n_fit:, :, 0].transpose(2, 0, 1)
 
 
@@ -65,7 +65,7 @@ def _estimated(
     def errors(shift: Array) -> Array:
         """(E, K, B) at shifts (B, K, nx) of the expected state, in deviations."""
         x0 = expected[:, None] + deviation * shift.transpose(2, 1, 0)
-        y, _ = simulate_states(structure, scales, z, x0, inputs)
+        y, _ = simulate(structure, scales, z, x0, inputs)
         found = (y[n_fit - len(recent) :] - recent) / prior.y_deviation[:, None, None]
         return found.reshape(-1, *found.shape[2:])
 

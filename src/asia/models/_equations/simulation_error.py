@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
 
 _INITIAL_RIDGE = 1e-6
+# Of the differences, in coordinates whose search ranges are about 1 wide: below, rounding grows.
+_STEP = 1e-6
 # Physical quantities are held only as far as the data say nothing of them.
 _WEAK = 1e-3
 
@@ -32,14 +34,13 @@ class SimulationError:
         segments: RecordPieces,
         starts: Starts,
         active: Array,
-        runs: tuple[CompiledSimulator, CompiledSimulator],
+        simulate: CompiledSimulator,
     ) -> None:
-        """active (size,): 1 where a coordinate is fitted. runs: for the costs of several points a
-        start, and for the derivatives at one."""
+        """active (size,): 1 where a coordinate is fitted."""
         self._structure, self._segments, self._starts = structure, segments, starts
-        self._active, (self._many, self._one) = active, runs
+        self._active, self._simulate = active, simulate
         mask = segments.mask / np.sqrt(segments.mask.sum() * structure.ny)
-        self._weight = mask[..., None] / starts.scales.y_scale[:, 0]
+        self._weight = mask[..., None]
 
     @property
     def theta0(self) -> Array:
@@ -53,90 +54,96 @@ class SimulationError:
 
     def cost(self, theta: Array) -> Array:
         """(R, K) at points (R, K, n)."""
-        count = theta.shape[1]
-        repeated = np.repeat(np.arange(len(self)), count)
-        z, shift = self._parts(theta.reshape(-1, theta.shape[2]))
-        x0 = self._initial(repeated, shift)
+        z, shift = self._parts(theta)
         with np.errstate(all="ignore"):
-            y, _ = self._many(z, self._starts.scales.of_rows(repeated), x0)
-            e, _ = self._errors(slice(None), y)
-            total = np.einsum("rstn,rstn->r", e, e)
-            total = total + (self._prior(z)[0] ** 2).sum(axis=1)
+            total = (self._prior(z)[0] ** 2).sum(axis=2)
             if not self._structure.measured:
-                total = total + _INITIAL_RIDGE / shift.shape[1] * (shift**2).sum(axis=(1, 2))
-        return total.reshape(-1, count)
+                total += _INITIAL_RIDGE / shift.shape[2] * (shift**2).sum(axis=(2, 3))
+            for part in self._simulate.pieces():
+                e = self._errors(z, shift, part)
+                total += np.einsum("rkstn,rkstn->rk", e, e)
+        return total
 
     def linearise(self, theta: Array) -> NormalEquations:
-        """At theta (R, n). A segment's errors depend on its own initial state only."""
+        """At theta (R, n), by central differences. A segment's errors depend on its own initial
+        state only, so those of all segments are moved together."""
         size, nx, count = self._structure.layout.size, self._structure.nx, theta.shape[1]
-        z, shift = self._parts(theta)
+        fitted = np.flatnonzero(self._active)
         cost = np.zeros(len(self))
-        gram = np.zeros((len(self), count, count))
-        gradient = np.zeros((len(self), count))
-        x0 = self._initial(np.arange(len(self)), shift)
+        gram, gradient = np.zeros((len(self), count, count)), np.zeros((len(self), count))
+        z, shift = self._parts(self._around(theta, fitted))
         with np.errstate(all="ignore"):
-            for part, y, dy in self._one.derivatives(z, self._starts.scales, x0):
-                e, slope = self._errors(part, y)
-                jacobian = (slope[..., None] * dy).reshape(*y.shape[:2], -1, dy.shape[-1])
-                jacobian[..., :size] *= self._active
-                if not self._structure.measured:
-                    jacobian[..., size:] *= self._starts.scales.x_scale.T[:, None, None]
+            for part in self._simulate.pieces():
+                found = self._errors(z, shift, part)
+                found = found.reshape(*found.shape[:3], -1)
+                e, (up, down) = found[:, 0], np.split(found[:, 1:], 2, axis=1)
+                jacobian = ((up - down) / (2.0 * _STEP)).transpose(0, 2, 3, 1)
                 turned = jacobian.swapaxes(2, 3)
-                cost += np.einsum("rstn,rstn->r", e, e)
-                own, pull = turned @ jacobian, (turned @ e.reshape(*y.shape[:2], -1, 1))[..., 0]
-                gram[:, :size, :size] += own[..., :size, :size].sum(axis=1)
-                gradient[:, :size] += pull[..., :size].sum(axis=1)
+                own, pull = turned @ jacobian, (turned @ e[..., None])[..., 0]
+                cost += np.einsum("rsm,rsm->r", e, e)
+                shared = slice(len(fitted))
+                gram[:, fitted[:, None], fitted] += own[..., shared, shared].sum(axis=1)
+                gradient[:, fitted] += pull[..., shared].sum(axis=1)
                 if self._structure.measured:
                     continue
                 for k, s in enumerate(range(part.start, part.stop)):
-                    here = slice(size + s * nx, size + (s + 1) * nx)
-                    gram[:, here, here] = own[:, k, size:, size:]
-                    gram[:, :size, here] = own[:, k, :size, size:]
-                    gram[:, here, :size] = own[:, k, size:, :size]
-                    gradient[:, here] = pull[:, k, size:]
-            self._add_ridges(z, theta[:, size:], cost, gram, gradient)
+                    here = np.arange(size + s * nx, size + (s + 1) * nx)
+                    both = np.concatenate([fitted, here])
+                    gram[:, here[:, None], both] = own[:, k, len(fitted) :]
+                    gram[:, fitted[:, None], here] = own[:, k, shared, len(fitted) :]
+                    gradient[:, here] = pull[:, k, len(fitted) :]
+            self._add_ridges(theta, cost, gram, gradient)
         return NormalEquations(cost, gram, gradient)
 
-    def _add_ridges(
-        self, z: Array, shift: Array, cost: Array, gram: Array, gradient: Array
-    ) -> None:
-        """shift (R, S nx)."""
-        size, diagonal = z.shape[1], np.arange(gram.shape[1])
-        prior, slope = self._prior(z)
+    def _around(self, theta: Array, fitted: Indices) -> Array:
+        """theta (R, n), then every unknown moved up, then down: (R, K, n)."""
+        size, nx = self._structure.layout.size, self._structure.nx
+        moves = np.eye(size + nx)[fitted]
+        if not self._structure.measured:
+            moves = np.concatenate([moves, np.eye(nx, size + nx, size)])
+        # Moves of the initial state are those of every segment's.
+        every = (theta.shape[1] - size) // nx
+        moves = np.concatenate([moves[:, :size], np.tile(moves[:, size:], (1, every))], axis=1)
+        none = np.zeros((1, theta.shape[1]))
+        return theta[:, None] + _STEP * np.concatenate([none, moves, -moves])
+
+    def _add_ridges(self, theta: Array, cost: Array, gram: Array, gradient: Array) -> None:
+        size, diagonal = self._structure.layout.size, np.arange(theta.shape[1])
+        prior, slope = self._prior(theta[:, :size])
         cost += (prior**2).sum(axis=1)
         gram[:, diagonal[:size], diagonal[:size]] += slope**2
         gradient[:, :size] += slope * prior
+        shift = theta[:, size:]
         if shift.shape[1]:
-            ridge = _INITIAL_RIDGE / (shift.shape[1] // self._structure.nx)
+            ridge = _INITIAL_RIDGE / len(self._segments.u)
             cost += ridge * (shift**2).sum(axis=1)
             gram[:, diagonal[size:], diagonal[size:]] += ridge
             gradient[:, size:] += ridge * shift
 
     def _parts(self, theta: Array) -> tuple[Array, Array]:
-        """Coordinates (K, size) and shifts (K, S, nx)."""
+        """Coordinates (R, K, size) and shifts (R, K, S, nx)."""
         size, nx = self._structure.layout.size, self._structure.nx
         if self._structure.measured:
-            return theta, np.zeros((len(theta), len(self._segments.u), nx))
-        return theta[:, :size], theta[:, size:].reshape(len(theta), -1, nx)
+            return theta, np.zeros((*theta.shape[:2], len(self._segments.u), nx))
+        return theta[..., :size], theta[..., size:].reshape(*theta.shape[:2], -1, nx)
 
-    def _initial(self, chosen: Indices, shift: Array) -> Array:
-        return self._starts.x_guess[chosen] + shift * self._starts.scales.x_scale.T[chosen][:, None]
-
-    def _errors(self, part: slice, y: Array) -> tuple[Array, Array]:
-        """Errors of outputs (K, S, T, ny) of some segments, and their derivatives by these."""
-        weight = self._weight[part]
-        scale = self._starts.scales.y_scale[:, 0]
-        error = (y - self._segments.y[part]) / scale
+    def _errors(self, z: Array, shift: Array, part: slice) -> Array:
+        """Errors (R, K, S, T, ny) of some segments."""
+        repeated, scales = np.repeat(np.arange(len(self)), z.shape[1]), self._starts.scales
+        x0 = self._starts.x_guess[:, None] + shift * scales.x_scale.T[:, None, None]
+        points, x0 = z.reshape(len(repeated), -1), x0.reshape(len(repeated), *x0.shape[2:])
+        y, _ = self._simulate.piece(points, scales.of_rows(repeated), x0, part)
+        error = (y - self._segments.y[part]) / scales.y_scale[:, 0]
         threshold = self._structure.config.robust
-        if threshold is None:
-            return error * (weight * scale), weight
-        tail = np.sqrt(np.maximum(2.0 * threshold * np.abs(error) - threshold**2, 1e-12))
-        near = np.abs(error) <= threshold
-        slope = np.where(near, 1.0, threshold / tail)
-        return np.where(near, error, np.sign(error) * tail) * (weight * scale), slope * weight
+        if threshold is not None:
+            size = np.abs(error)
+            tail = np.sqrt(np.maximum(2.0 * threshold * size - threshold**2, 1e-12))
+            error = np.where(size <= threshold, error, np.sign(error) * tail)
+        error *= self._weight[part]
+        return error.reshape(len(self), -1, *error.shape[1:])
 
     def _prior(self, z: Array) -> tuple[Array, Array]:
-        """Square roots (K, size) of the penalties on coordinates z, and their derivatives."""
+        """Square roots (..., size) of the penalties on coordinates z, and their derivatives."""
         layout, config = self._structure.layout, self._structure.config
         weights = np.full(layout.size, np.sqrt(config.ridge))
         for part in (layout.parameters, layout.limits, layout.spill):
@@ -144,5 +151,5 @@ class SimulationError:
         weights[layout.hidden] = weights[layout.readout] = np.sqrt(config.residual_ridge)
         weights = weights * self._active
         effect, slope = z.copy(), np.ones_like(z)
-        effect[:, layout.spill] = slope[:, layout.spill] = np.exp(z[:, layout.spill])
+        effect[..., layout.spill] = slope[..., layout.spill] = np.exp(z[..., layout.spill])
         return weights * effect, weights * slope
