@@ -21,7 +21,6 @@ from asia.models._data.windows import HorizonWindows
 from asia.models._equations.measured_cell import MeasuredCell
 from asia.models._networks.structure import Params, rollout
 from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.levenberg_marquardt import value_and_jacobian
 from asia.models._solvers.progress import Progress
 
 Judge = Callable[[Params], float]
@@ -160,6 +159,10 @@ class _Program:
                 return jnp.ones_like(e)
             return 1.0 / jnp.sqrt(1.0 + (e / threshold) ** 2)
 
+        def twice(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
+            e = residual(theta)
+            return e, e
+
         def loss(e: jax.Array) -> jax.Array:
             if threshold is None:
                 return jnp.mean(e**2)
@@ -171,7 +174,7 @@ class _Program:
         def normal(
             theta: jax.Array, theta0: jax.Array, ridge: jax.Array
         ) -> tuple[jax.Array, jax.Array]:
-            e, jacobian = value_and_jacobian(residual, theta)
+            jacobian, e = jax.jacfwd(twice, has_aux=True)(theta)
             weighted = jacobian * weights(e)[:, None]
             gram = weighted.T @ jacobian / e.size + jnp.diag(ridge)
             return gram, weighted.T @ e / e.size + ridge * (theta - theta0)

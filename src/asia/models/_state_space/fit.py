@@ -8,11 +8,9 @@ with the length of the records.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,26 +18,21 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
-from asia.models._arrays import AnyArray
 from asia.models._data.cuts import padded, side_by_side
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, past_length, windows
-from asia.models._solvers.levenberg_marquardt import (
-    LevenbergMarquardt,
-    LMLimits,
-    LMState,
-    Normal,
-    advance,
-    finite_cost,
-    initial_state,
-    normal_from_sums,
-)
+from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._solvers.minimise import NormalEquations, minimise
+from asia.models._solvers.packing import Packing, packed
 from asia.models._solvers.progress import Progress
 from asia.models._state_space.structure import StateSpaceStructure
 
 # Numbers in the derivatives of one chunk of samples.
 _CHUNK_VALUES = 4_000_000
-_ITERATIONS_BETWEEN_LOGS, _ITERATIONS_HELD = 5, 64
+_ITERATIONS_BETWEEN_LOGS = 5
+
+Watch: TypeAlias = Callable[[int, float], None]
+"""Told the iterations that are done, and the cost after them."""
 
 
 class StateSamples(NamedTuple):
@@ -112,22 +105,27 @@ def fit_states(
             name: jax.tree.map(lambda v, r=ridge[name]: np.full(np.shape(v), r), value)
             for name, value in tree.items()
         }
-        theta, shapes = _flat(tree), _shapes(tree)
-        data = _chunked(samples, structure, _flat(pull), theta)
-        limits = LMLimits(method.iterations, method.tolerance)
-        with jax.enable_x64(True):
-            state = initial_state(theta, replace(method, iterations=_rounded(method.iterations)))
-            for stop in _stops(method.iterations):
-                state = _advance(structure, shapes, limits, state, data, stop)
-                lowest = min(lowest, float(state.cost))
-                log(float(i * method.iterations + int(state.iteration)), float(np.sqrt(lowest)))
-                if state.done:
-                    break
-        best = shapes.tree(np.asarray(state.theta))
-        history = np.sqrt(np.asarray(state.history))[: int(state.iteration) + 1]
+        theta, packing = packed(tree, np.float64), Packing.of(tree)
+        data = _chunked(samples, structure, packed(pull, np.float64), theta)
+        watch = _logged(log, i * method.iterations, lowest)
+        equations = _CompiledEquations(structure, packing, data, watch)
+        found = minimise(equations.costs, equations.normal, theta[None], method)
+        best, cost, done = packing.unpack(found.theta[0]), float(found.cost[0]), equations.done
+        watch(done, cost)
+        lowest = min(lowest, cost)
         x0 = best.pop("x0", samples.x0)
-        results.append(StateFit(x0, best, float(state.cost), history))
+        results.append(StateFit(x0, best, cost, np.sqrt(found.history[0, : done + 1])))
     return sorted(results, key=lambda r: r.cost)
+
+
+def _logged(log: Progress, count: int, lowest: float) -> Watch:
+    """The root of the least cost so far, by iterations counted from `count`."""
+
+    def watch(done: int, cost: float) -> None:
+        if np.isfinite(cost):
+            log(float(count + done), float(np.sqrt(min(lowest, cost))))
+
+    return watch
 
 
 def state_encoder(
@@ -147,10 +145,6 @@ def state_encoder(
     return fit_encoder([windows(records[i], context) for i in long], states, hidden, context.seed)
 
 
-def _stops(iterations: int) -> list[int]:
-    return [*range(_ITERATIONS_BETWEEN_LOGS, iterations, _ITERATIONS_BETWEEN_LOGS), iterations]
-
-
 def _chunked(
     samples: StateSamples, structure: StateSpaceStructure, pull: Array, origin: Array
 ) -> SampleChunks:
@@ -168,93 +162,103 @@ def _chunked(
     return SampleChunks(u, y, weight, samples.x0, pull, origin)
 
 
-def _rounded(iterations: int) -> int:
-    """Iterations that a history has room for: one program serves fits of several lengths."""
-    return -(-iterations // _ITERATIONS_HELD) * _ITERATIONS_HELD
+class _CompiledEquations:
+    """Costs and normal equations of one fit, for `minimise`."""
+
+    def __init__(
+        self,
+        structure: StateSpaceStructure,
+        packing: Packing,
+        data: SampleChunks,
+        watch: Watch,
+    ) -> None:
+        self._program, self._data, self._watch = (structure, packing), data, watch
+        self.done = 0
+
+    def costs(self, theta: Array) -> Array:
+        """theta (1, K, P) -> (1, K)."""
+        with jax.enable_x64(True):
+            return np.asarray(_costs(*self._program, self._data, theta[0]))[None]
+
+    def normal(self, theta: Array) -> NormalEquations:
+        """At theta (1, P)."""
+        with jax.enable_x64(True):
+            found = [np.asarray(v) for v in _normal(*self._program, self._data, theta[0])]
+        if self.done and self.done % _ITERATIONS_BETWEEN_LOGS == 0:
+            self._watch(self.done, float(found[0]))
+        self.done += 1
+        return NormalEquations(*(value[None] for value in found))
 
 
-def _flat(tree: Any) -> Array:
-    return np.concatenate([np.ravel(v) for v in jax.tree.leaves(tree)], dtype=np.float64)
+class _Simulation:
+    """What the programs have in common."""
 
+    def __init__(
+        self, structure: StateSpaceStructure, packing: Packing, data: SampleChunks
+    ) -> None:
+        self.structure, self.packing, self.data = structure, packing, data
 
-class _Shapes(NamedTuple):
-    """Hashable recipe of a tree of arrays."""
+    def initial(self, theta: jax.Array) -> jax.Array:
+        """Initial states (R, n)."""
+        tree = self.packing.unpack(theta)
+        return tree["x0"] if "x0" in tree else jnp.asarray(self.data.x0)
 
-    treedef: Any
-    shapes: tuple[tuple[int, ...], ...]
-
-    def tree(self, theta: AnyArray) -> Any:
-        ends = np.cumsum([int(np.prod(s)) for s in self.shapes]).tolist()
-        parts = [theta[a:b] for a, b in pairwise([0, *ends])]
-        leaves = [p.reshape(s) for p, s in zip(parts, self.shapes, strict=True)]
-        return jax.tree.unflatten(self.treedef, leaves)
-
-
-def _shapes(tree: Any) -> _Shapes:
-    leaves, treedef = jax.tree.flatten(tree)
-    return _Shapes(treedef, tuple(np.shape(v) for v in leaves))
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _advance(
-    structure: StateSpaceStructure,
-    shapes: _Shapes,
-    limits: LMLimits,
-    state: LMState,
-    data: SampleChunks,
-    until: Any,
-) -> LMState:
-    def initial(theta: jax.Array) -> jax.Array:
-        tree = shapes.tree(theta)
-        return tree["x0"] if "x0" in tree else jnp.asarray(data.x0)
-
-    def step(theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
+    def step(self, theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
         """(n,), (nu,) -> next state and output in one vector (n + ny,)."""
-        p = shapes.tree(theta)
+        p, structure = self.packing.unpack(theta), self.structure
         state, w = structure.split(jnp, p, x, structure.input(jnp, p, u))
         return jnp.concatenate([state, structure.output(jnp, p, w)])
 
-    def penalty(theta: jax.Array) -> jax.Array:
-        return jnp.sum(data.pull * (theta - data.origin) ** 2)
+    def chunk(self, theta: jax.Array, x: jax.Array, part: Any) -> Any:
+        """One chunk from x (R, n): the last state, all states (c, R, n), weighted errors
+        (c, R, ny)."""
+        u, y, weight = part
+        n, many = self.structure.order, jax.vmap(self.step, (None, 0, 0))
+
+        def move(x: jax.Array, u: jax.Array) -> Any:
+            both = many(theta, x, u)
+            return both[:, :n], (x, both[:, n:])
+
+        x, (states, outputs) = jax.lax.scan(move, x, u)
+        return x, states, weight[..., None] * (outputs - y)
+
+    @property
+    def parts(self) -> Any:
+        """The chunks, for `scan`."""
+        return self.data.u, self.data.y, self.data.weight
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _costs(
+    structure: StateSpaceStructure, packing: Packing, data: SampleChunks, thetas: jax.Array
+) -> jax.Array:
+    """Mean squared errors with ridge (K,) at thetas (K, P)."""
+    run = _Simulation(structure, packing, data)
 
     def cost(theta: jax.Array) -> jax.Array:
         def chunk(carry: Any, part: Any) -> Any:
             x, total = carry
-            x, _, error = _run(step, structure.order, theta, x, part)
+            x, _, error = run.chunk(theta, x, part)
             return (x, total + jnp.sum(error**2)), None
 
-        parts = (data.u, data.y, data.weight)
-        (_, total), _ = jax.lax.scan(chunk, (initial(theta), jnp.zeros(())), parts)
-        return finite_cost(total + penalty(theta))
+        (_, total), _ = jax.lax.scan(chunk, (run.initial(theta), jnp.zeros(())), run.parts)
+        return total + jnp.sum(data.pull * (theta - data.origin) ** 2)
 
-    def normal(theta: jax.Array) -> Normal:
-        total, gram, gradient = _sums(step, structure.order, theta, initial, data)
-        pull = data.pull * (theta - data.origin)
-        return normal_from_sums(total + penalty(theta), gram + jnp.diag(data.pull), gradient + pull)
-
-    return advance(cost, normal, state, limits, until)
+    return jax.vmap(cost)(thetas)
 
 
-def _run(step: Any, n: int, theta: jax.Array, x: jax.Array, part: Any) -> Any:
-    """One chunk from x (R, n): the last state, all states (c, R, n), weighted errors (c, R, ny)."""
-    u, y, weight = part
-    many = jax.vmap(step, (None, 0, 0))
-
-    def move(x: jax.Array, u: jax.Array) -> Any:
-        both = many(theta, x, u)
-        return both[:, :n], (x, both[:, n:])
-
-    x, (states, outputs) = jax.lax.scan(move, x, u)
-    return x, states, weight[..., None] * (outputs - y)
-
-
-def _sums(step: Any, n: int, theta: jax.Array, initial: Any, data: SampleChunks) -> Any:
-    """Sum of squared errors, J' J and J' e."""
-    derivatives = jax.vmap(jax.vmap(jax.jacrev(step, argnums=(0, 1)), (None, 0, 0)), (None, 0, 0))
+@partial(jax.jit, static_argnums=(0, 1))
+def _normal(
+    structure: StateSpaceStructure, packing: Packing, data: SampleChunks, theta: jax.Array
+) -> Any:
+    """Sum of squared errors, J' J and J' e, with those of the ridge."""
+    run, n, p = _Simulation(structure, packing, data), structure.order, theta.size
+    by_step = jax.jacrev(run.step, argnums=(0, 1))
+    derivatives = jax.vmap(jax.vmap(by_step, (None, 0, 0)), (None, 0, 0))
 
     def chunk(carry: Any, part: Any) -> Any:
         x, s, total, gram, gradient = carry
-        x, states, error = _run(step, n, theta, x, part)
+        x, states, error = run.chunk(theta, x, part)
         by_theta, by_x = derivatives(theta, states, part[0])
 
         def move(s: jax.Array, at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -262,12 +266,13 @@ def _sums(step: Any, n: int, theta: jax.Array, initial: Any, data: SampleChunks)
             return both[:, :n], both[:, n:]
 
         s, sensitivity = jax.lax.scan(move, s, (by_x, by_theta))
-        rows = (part[2][..., None, None] * sensitivity).reshape(-1, theta.size)
+        rows = (part[2][..., None, None] * sensitivity).reshape(-1, p)
         e = error.ravel()
         return (x, s, total + e @ e, gram + rows.T @ rows, gradient + rows.T @ e), None
 
-    x0, s0 = initial(theta), jax.jacfwd(initial)(theta)
-    p = theta.size
-    zero = (x0, s0, jnp.zeros(()), jnp.zeros((p, p)), jnp.zeros(p))
-    (_, _, total, gram, gradient), _ = jax.lax.scan(chunk, zero, (data.u, data.y, data.weight))
-    return total, gram, gradient
+    x0, s0 = run.initial(theta), jax.jacfwd(run.initial)(theta)
+    away = theta - data.origin
+    # The ridge is a residual of its own.
+    ridge = jnp.sum(data.pull * away**2), jnp.diag(data.pull), data.pull * away
+    (_, _, *sums), _ = jax.lax.scan(chunk, (x0, s0, *ridge), run.parts)
+    return sums

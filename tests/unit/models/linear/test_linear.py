@@ -24,7 +24,7 @@ from asia.models._linear.fit import (
 from asia.models._linear.response import DrivenRecords
 from asia.models._linear.subspace import spread_poles
 from asia.models._linear.system import LinearSystem
-from asia.models._solvers.levenberg_marquardt import LevenbergMarquardt
+from asia.models._solvers.least_squares import LevenbergMarquardt
 from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two
 
 
