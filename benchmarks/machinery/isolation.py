@@ -56,7 +56,7 @@ def main() -> int:
 
 def bare() -> Worker:
     """The worker's program as a plain child."""
-    return Worker(LEVELS[Isolation.LANDLOCK].open(LIMITS, ()), LIMITS)
+    return Worker(LEVELS[Isolation.LANDLOCK].open(LIMITS, (), ()), LIMITS)
 
 
 def start(way: Callable[[], Worker]) -> float:

@@ -7,7 +7,8 @@ simulations, scoring, end of the worker) - seconds inside the candidate's `fit`,
 included, - seconds inside its `simulate`; both measured by the candidate itself, so that all that
 passes between the processes counts as overhead. Importing the candidate's libraries counts as
 overhead too, and is also shown alone. A would-be winner is loaded once more from its bytes: that
-check is shown alone. Folds run one after the other. Exits with 1 when a median is over its limit.
+check is shown alone. Folds run one after the other, with workers that each are started for their
+fold and with workers started ahead, as in a search. Exits with 1 when a median is over its limit.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from statistics import median
 from types import ModuleType
@@ -155,6 +156,10 @@ class Watched:
         self.clock.imported, self.clock.fit = reply.curve[0, 1], reply.curve[1, 1]
         return reply
 
+    def count_compiling(self) -> None:
+        """As `Worker.count_compiling`."""
+        self.worker.count_compiling()
+
     def load(self, source: str, model: bytes, context: Context) -> None:
         """As `Worker.load`."""
         self.worker.load(source, model, context)
@@ -176,8 +181,8 @@ class WatchedEvaluator(Evaluator):
     clock: Clock
 
     @contextmanager
-    def _worker(self) -> Generator[Worker]:
-        with super()._worker() as worker:
+    def _worker(self, libraries: frozenset[str] = frozenset()) -> Generator[Worker]:
+        with super()._worker(libraries) as worker:
             yield cast(Worker, Watched(worker, self.clock))
 
 
@@ -220,13 +225,24 @@ def main() -> int:
         print(f"not available: {note}")
     print(f"{SAMPLES} samples, 2 folds, median over {repeats} repeats of each fold; seconds")
     print(f"{os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} (fair up to 1)")
-    heads = ("isolation", "candidate", "overhead", "limit", "", "of it imports", "reload check")
+    heads = (
+        "isolation",
+        "candidate",
+        "workers",
+        "overhead",
+        "limit",
+        "",
+        "of it imports",
+        "reload check",
+    )
     heads += ("fold", "bare", "fold/bare", "least overhead")
     lines: list[tuple[str, ...]] = [heads]
     broken = False
     for level in levels:
-        for name, source in SOURCES.items():
-            times = [t for _ in range(repeats) for t in _measure(level, source)]
+        for name, source, ahead in (
+            (name, source, ahead) for name, source in SOURCES.items() for ahead in (False, True)
+        ):
+            times = _measure(level, source, repeats, ahead=ahead)
             middle = {k: median(getattr(t, k) for t in times) for k in Times.__annotations__}
             kept = middle["overhead"] <= LIMITS[name]
             broken = broken or not kept
@@ -235,36 +251,45 @@ def main() -> int:
             words.insert(2, "ok" if kept else "OVER")
             ratio = f"{middle['wall'] / middle['bare']:.1f}"
             least = f"{min(t.overhead for t in times):.3f}"
-            lines.append((level.value, name, *words, ratio, least))
+            started = "ahead" if ahead else "when asked"
+            lines.append((level.value, name, started, *words, ratio, least))
     widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
     for line in lines:
         print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))
     return 1 if broken else 0
 
 
-def _measure(level: Isolation, source: str) -> list[Times]:
-    """Both folds of a small problem, once."""
+def _measure(level: Isolation, source: str, repeats: int, *, ahead: bool) -> list[Times]:
+    """Both folds of a small problem, so many times."""
     rule = ProtocolRule()
     records = (_record(),)
     folds = make_folds(records, rule)
     context = Context((Signal("u"),), (Signal("y"),), 0.1, rule.past_inputs, rule.past_outputs)
+    bare = [_bare(source, fold, context, rule) for fold in folds]
+    turns = InTurn()
+    evaluator = WatchedEvaluator(folds, records, context, rule, Budget(), level, turns)
     times: list[Times] = []
-    for fold in folds:
-        turns = InTurn()
-        evaluator = WatchedEvaluator([fold], records, context, rule, Budget(), level, turns)
-        evaluator.clock = Clock()
-        evaluation = evaluator.evaluate(source)
-        if not isinstance(evaluation.outcome, Score):
-            sys.exit(f"the candidate failed: {evaluation.outcome}")
-        own, imported = evaluator.clock.own, evaluator.clock.imported
-        evaluator.clock = Clock()
-        # The clock in the first output makes the replies differ: the verdict is of no interest.
-        evaluator.objection(source, evaluation.folds)
-        wall, again = turns.walls
-        reload = again - evaluator.clock.simulate
-        bare = _bare(source, fold, context, rule)
-        times.append(Times(wall, wall - own, imported, reload, bare))
+    with evaluator.workers_ahead() if ahead else nullcontext():
+        for _ in range(repeats):
+            for fold, alone in zip(folds, bare, strict=True):
+                times.append(_once(evaluator, turns, source, fold, alone))
     return times
+
+
+def _once(
+    evaluator: WatchedEvaluator, turns: InTurn, source: str, fold: Fold, bare: float
+) -> Times:
+    """One fold."""
+    evaluator.folds, evaluator.clock, turns.walls = (fold,), Clock(), []
+    evaluation = evaluator.evaluate(source)
+    if not isinstance(evaluation.outcome, Score):
+        sys.exit(f"the candidate failed: {evaluation.outcome}")
+    own, imported = evaluator.clock.own, evaluator.clock.imported
+    evaluator.clock = Clock()
+    # The clock in the first output makes the replies differ: the verdict is of no interest.
+    evaluator.objection(source, evaluation.folds)
+    wall, again = turns.walls
+    return Times(wall, wall - own, imported, again - evaluator.clock.simulate, bare)
 
 
 def _bare(source: str, fold: Fold, context: Context, rule: ProtocolRule) -> float:

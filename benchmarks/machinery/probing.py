@@ -25,7 +25,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
-from asia.evaluation._evaluator import score_outputs
+from asia.evaluation._results import score_outputs
 from asia.models import linear
 from asia.models.methods import LevenbergMarquardt
 from asia.problem.load import Problem, load_problem

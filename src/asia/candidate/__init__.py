@@ -1,6 +1,7 @@
 """The candidate contract: what a `candidate.py` is given and what it gives back."""
 
 from asia.candidate._contract import VALIDATION_SCORES, Context, Fit, Model
+from asia.candidate._imports import imported_libraries
 from asia.candidate._libraries import installed_libraries
 from asia.candidate._source import check_source, executed_source, source_digest
 
@@ -11,6 +12,7 @@ __all__ = [
     "Model",
     "check_source",
     "executed_source",
+    "imported_libraries",
     "installed_libraries",
     "source_digest",
 ]

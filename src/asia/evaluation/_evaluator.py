@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from asia._stopwatch import Activity, Stopwatch
-from asia.candidate import Context, check_source, executed_source
+from asia.candidate import Context, check_source, executed_source, imported_libraries
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.evaluation._metamorphic import ROUNDING, dependences, strangers, suspicions
@@ -29,10 +30,17 @@ from asia.evaluation._results import (
 from asia.executor import Executor
 from asia.problem import Budget
 from asia.protocol import Block, Fold, ProtocolRule, whole
-from asia.sandbox import FitReply, Isolation, Limits, Worker, WorkerKilledError, open_worker
+from asia.sandbox import (
+    FitReply,
+    Isolation,
+    Limits,
+    Worker,
+    WorkerKilledError,
+    WorkersAhead,
+    open_worker,
+)
 from asia.scoring import (
     Failure,
-    Outcome,
     combine,
     diagnose,
     score_fold,
@@ -41,6 +49,7 @@ from asia.scoring import (
 T = TypeVar("T")
 
 _MOST_LEFT_BEHIND = 3
+_MOST_AHEAD = 4
 _STRANGERS_ASKED = 4
 # V over the training error, below which it takes more evidence; honest candidates lie above 0.9.
 FAR_BELOW = 0.6
@@ -89,8 +98,19 @@ class Evaluator:
         self.left_behind: list[int] = []
         self._open: set[Worker] = set()
         self._interrupted = False
+        self._ahead: WorkersAhead | None = None
         self.stopwatch = Stopwatch()
         self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
+
+    @contextmanager
+    def workers_ahead(self) -> Generator[None]:
+        """Start workers before they are needed, as long as this is open."""
+        most = min(len(self.folds), os.cpu_count() or 1, _MOST_AHEAD)
+        with WorkersAhead(self.isolation, self._limits, most) as self._ahead:
+            try:
+                yield
+            finally:
+                self._ahead = None
 
     def evaluate(self, source: str) -> Evaluation:
         """Fit and simulate `source` on every fold. A failed fold fails the candidate."""
@@ -174,7 +194,7 @@ class Evaluator:
     ) -> Sequence[Suspicion]:
         """What `ask` finds in a worker that has seen no case. Raises CandidateError, with reason
         NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
-        with self._worker() as worker:
+        with self._worker(imported_libraries(source, fitting=False)) as worker:
             try:
                 worker.load(executed_source(source), model, self._fold_context("load"))
             except CandidateError as error:
@@ -208,7 +228,7 @@ class Evaluator:
 
         def on_all() -> None:
             try:
-                with self._worker() as worker:
+                with self._worker(imported_libraries(source, fitting=True)) as worker:
                     worker.fit(source, self._records, self._fold_context("all"))
                     models.append(worker.dump())
             except CandidateError as error:
@@ -261,7 +281,7 @@ class Evaluator:
             ) from None
 
     @contextmanager
-    def _worker(self) -> Generator[Worker]:
+    def _worker(self, libraries: frozenset[str] = frozenset()) -> Generator[Worker]:
         if len(self.left_behind) >= _MOST_LEFT_BEHIND:
             pids = ", ".join(str(pid) for pid in self.left_behind)
             raise UserError(
@@ -269,7 +289,8 @@ class Evaluator:
                 "command again, which goes on from here"
             )
         with self.stopwatch.activity(Activity.START):
-            worker = open_worker(self.isolation, self._limits)
+            ready = self._ahead.take(libraries) if self._ahead else None
+            worker = ready or open_worker(self.isolation, self._limits)
         try:
             with worker:
                 self._open.add(worker)
@@ -294,7 +315,8 @@ class Evaluator:
         )
 
     def _fold_or_failure(self, source: str, fold: Fold) -> _FoldEnd:
-        oracle = Oracle(self._worker, source, self._context, fold, self._rule)
+        opening = partial(self._worker, imported_libraries(source, fitting=False))
+        oracle = Oracle(opening, source, self._context, fold, self._rule)
         try:
             result, output = self._run_fold(source, fold, oracle)
         except CandidateError as error:
@@ -303,7 +325,7 @@ class Evaluator:
 
     def _run_fold(self, source: str, fold: Fold, oracle: Oracle) -> tuple[FoldResult, str]:
         metric, inside = self._rule.metric, whole(fold.train, self._rule)
-        with self._worker() as worker:
+        with self._worker(imported_libraries(source, fitting=True)) as worker:
             reply = self._fit(worker, source, fold, oracle)
             model = worker.dump()
             y_hat = simulate_held_out(worker, fold.validation, self.horizon)
@@ -364,7 +386,7 @@ class Evaluator:
     def _simulate_model(
         self, source: str, model: bytes, blocks: Sequence[Block]
     ) -> tuple[Array, ...]:
-        with self._worker() as worker:
+        with self._worker(imported_libraries(source, fitting=False)) as worker:
             worker.load(executed_source(source), model, self._fold_context("load"))
             return simulate_held_out(worker, blocks, self.horizon)
 
@@ -376,18 +398,3 @@ def _suspected(found: Sequence[Suspicion], fold: int | None) -> Failure | None:
     reason = Reason.SUSPECT if known else Reason.RESTART
     words = "; ".join(f"{one.kind}: {one.words}" for one in known or found)
     return Failure(reason, words, fold) if found else None
-
-
-def score_outputs(
-    folds: Sequence[Fold],
-    outputs: Sequence[Sequence[Array]],
-    metric: str,
-    *,
-    in_parts: bool = False,
-) -> Outcome:
-    """Score given simulations, one (H, ny) array a held-out block of each fold."""
-    scores = [
-        score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric, in_parts=in_parts)
-        for fold, y_hat in zip(folds, outputs, strict=True)
-    ]
-    return combine(scores)

@@ -10,7 +10,8 @@ import numpy as np
 
 from asia.data import Array
 from asia.errors import CandidateError
-from asia.scoring import Diagnostics, Failure, FoldScore, Outcome
+from asia.protocol import Fold
+from asia.scoring import Diagnostics, Failure, FoldScore, Outcome, combine, score_fold
 
 
 @dataclass(frozen=True)
@@ -70,3 +71,18 @@ def derive_seed(root: int, *parts: object) -> int:
     """31-bit seed from the search seed and what it is for, by sha256."""
     text = ":".join(str(p) for p in (root, *parts))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
+
+
+def score_outputs(
+    folds: Sequence[Fold],
+    outputs: Sequence[Sequence[Array]],
+    metric: str,
+    *,
+    in_parts: bool = False,
+) -> Outcome:
+    """Score given simulations, one (H, ny) array a held-out block of each fold."""
+    scores = [
+        score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric, in_parts=in_parts)
+        for fold, y_hat in zip(folds, outputs, strict=True)
+    ]
+    return combine(scores)

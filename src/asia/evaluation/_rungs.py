@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.data import Array
-from asia.evaluation._evaluator import Evaluator, score_outputs
+from asia.evaluation._evaluator import Evaluator
+from asia.evaluation._results import score_outputs
 from asia.evaluation._velocity import constant_velocity, find_rates
 from asia.protocol import Block, Fold
 from asia.scoring import Outcome

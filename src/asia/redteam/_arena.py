@@ -29,7 +29,7 @@ class _EvaluatorWithoutLayers(Evaluator):
     """The layers that they lack."""
 
     @contextmanager
-    def _worker(self) -> Generator[Worker]:
+    def _worker(self, libraries: frozenset[str] = frozenset()) -> Generator[Worker]:
         with open_worker(self.isolation, self._limits, without=self.without) as worker:
             yield worker
 

@@ -1,5 +1,6 @@
 """Run untrusted candidates in worker processes. What comes back is bytes and is never parsed."""
 
+from asia.sandbox._ahead import WorkersAhead
 from asia.sandbox._doctor import Lack, LevelState, Machine, machine, survey
 from asia.sandbox._jail import INSIDE, SOCKET_FOLDER, Jail, jail_environment
 from asia.sandbox._level import Level
@@ -36,6 +37,7 @@ __all__ = [
     "ScoreRefusedError",
     "Worker",
     "WorkerKilledError",
+    "WorkersAhead",
     "fitting_levels",
     "jail_environment",
     "layers_in_force",

@@ -44,5 +44,8 @@ class Level(ABC):
         """What to do where it does not work."""
 
     @abstractmethod
-    def open(self, limits: Limits, layers: Collection[Layer]) -> WorkerProcess:
-        """Start a worker behind these layers. Raises SandboxError."""
+    def open(
+        self, limits: Limits, layers: Collection[Layer], libraries: Collection[str]
+    ) -> WorkerProcess:
+        """Start a worker behind these layers that loads these libraries ahead. Raises
+        SandboxError."""

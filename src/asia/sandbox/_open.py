@@ -58,11 +58,17 @@ def layers_in_force(level: Isolation, without: Collection[Layer] = ()) -> tuple[
 
 
 def open_worker(
-    level: Isolation, limits: Limits, *, without: Collection[Layer] = frozenset()
+    level: Isolation,
+    limits: Limits,
+    *,
+    libraries: Collection[str] = (),
+    without: Collection[Layer] = frozenset(),
 ) -> Worker:
-    """Start one fresh worker at `level`. Raises SandboxError if it cannot be started.
+    """Start one fresh worker at `level`. Raises SandboxError if it cannot be started. libraries:
+    modules that it loads, behind its walls, before it is asked anything.
 
     `without` leaves out layers, to show in an outer sandbox what each of them stops. No search
     uses it.
     """
-    return Worker(LEVELS[level].open(limits, layers_in_force(level, without)), limits)
+    process = LEVELS[level].open(limits, layers_in_force(level, without), libraries)
+    return Worker(process, limits)

@@ -8,6 +8,7 @@ import math
 import platform
 import secrets
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -145,11 +146,12 @@ def search(
         view = chain.view
         check_lock(directory, view.started)
         check_same_search(view, prepared.started)
+        evaluator = make_evaluator(problem, view, executor)
         loop = Loop(
             problem=problem,
             baseline=problem.baseline or LINEAR,
             agent=agent,
-            evaluator=make_evaluator(problem, view, executor),
+            evaluator=evaluator,
             chain=chain,
             store=Store(directory / "artifacts"),
             directory=directory,
@@ -165,7 +167,10 @@ def search(
         stopped = loop.view.stopped
         if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
             loop.record(Resumed())
-        return loop.run()
+        # One that starts while another runs could be told something by how long it takes.
+        strict = view.started.isolation_strict
+        with nullcontext() if strict else evaluator.workers_ahead():
+            return loop.run()
 
 
 def make_evaluator(

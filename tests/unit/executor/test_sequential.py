@@ -21,8 +21,8 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     there: set[Worker] = set()
     found: list[int] = []
 
-    def counted(level: Isolation, limits: Limits) -> Worker:
-        worker = open_worker(level, limits)
+    def counted(level: Isolation, limits: Limits, **options: object) -> Worker:
+        worker = open_worker(level, limits, **options)  # type: ignore[arg-type]
         there.add(worker)
         close: Callable[[], None] = worker.close
 
@@ -35,6 +35,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         return worker
 
     monkeypatch.setattr(evaluator_module, "open_worker", counted)
+    monkeypatch.setattr("asia.sandbox._ahead.open_worker", counted)
     return found
 
 

@@ -45,13 +45,15 @@ class Landlock(Level):
         steps = [layer_remedy(layer) for layer in self.missing()]
         return "; ".join(steps) or "run a Python and a package that this user may read"
 
-    def open(self, limits: Limits, layers: Collection[Layer]) -> WorkerProcess:
+    def open(
+        self, limits: Limits, layers: Collection[Layer], libraries: Collection[str]
+    ) -> WorkerProcess:
         absent = self.missing()
         if absent:
             reasons = "; ".join(absent.values())
             raise SandboxError(f"isolation level '{self.isolation}' cannot run here: {reasons}")
         pipes = PipePairs(os.pipe(), os.pipe())
-        command = child_command(*pipes.child_ends, limits, layers)
+        command = child_command(*pipes.child_ends, limits, layers, libraries)
         process = start(command, pipes, env=environment(_NOWHERE), cwd=_NOWHERE)
         return WorkerProcess(
             process=process,

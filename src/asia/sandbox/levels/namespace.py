@@ -93,24 +93,30 @@ class Namespace(Level):
             )
         return "use bubblewrap 0.8 or newer, and a system where `bwrap --unshare-user true` works"
 
-    def open(self, limits: Limits, layers: Collection[Layer]) -> WorkerProcess:
+    def open(
+        self, limits: Limits, layers: Collection[Layer], libraries: Collection[str]
+    ) -> WorkerProcess:
         bwrap = shutil.which("bwrap")
         if bwrap is None:
             raise SandboxError("bubblewrap is not installed")
         watch = OrphanWatch()
         try:
-            return _open(bwrap, watch, limits, layers)
+            return _open(bwrap, watch, limits, layers, libraries)
         except BaseException:
             watch.end_orphans()
             raise
 
 
 def _open(
-    bwrap: str, watch: OrphanWatch, limits: Limits, layers: Collection[Layer]
+    bwrap: str,
+    watch: OrphanWatch,
+    limits: Limits,
+    layers: Collection[Layer],
+    libraries: Collection[str],
 ) -> WorkerProcess:
     pipes = PipePairs(os.pipe(), os.pipe())
     info, info_write = os.pipe()
-    worker = child_command(*pipes.child_ends, limits, layers)
+    worker = child_command(*pipes.child_ends, limits, layers, libraries)
     command = [watch.mark, *worker_walls(), "--info-fd", str(info_write), "--", *worker]
     try:
         # env={}: bwrap stays process 1 inside, where its environment can be read.

@@ -26,5 +26,7 @@ class Process(Level):
     def remedy(self) -> str:
         return "nothing to do: it works everywhere"
 
-    def open(self, limits: Limits, layers: Collection[Layer]) -> WorkerProcess:
-        return start_kept(limits, layers)
+    def open(
+        self, limits: Limits, layers: Collection[Layer], libraries: Collection[str]
+    ) -> WorkerProcess:
+        return start_kept(limits, layers, libraries)

@@ -52,12 +52,14 @@ class SandboxExec(Level):
     def remedy(self) -> str:
         return "use the sandbox-exec that macOS ships in /usr/bin"
 
-    def open(self, limits: Limits, layers: Collection[Layer]) -> WorkerProcess:
+    def open(
+        self, limits: Limits, layers: Collection[Layer], libraries: Collection[str]
+    ) -> WorkerProcess:
         program = shutil.which(_PROGRAM)
         if program is None:
             raise SandboxError("the program sandbox-exec was not found")
         inside = [program, "-p", profile()] if Layer.PROFILE in layers else []
-        return start_kept(limits, layers, inside)
+        return start_kept(limits, layers, libraries, inside)
 
 
 def profile() -> str:

@@ -62,9 +62,14 @@ def package_folder() -> Path:
 
 
 def child_command(
-    requests: int, replies: int, limits: Limits, layers: Collection[Layer]
+    requests: int,
+    replies: int,
+    limits: Limits,
+    layers: Collection[Layer],
+    libraries: Collection[str] = (),
 ) -> list[str]:
-    """Command line of a worker; `layers` are those it puts on itself.
+    """Command line of a worker; `layers` are those it puts on itself, `libraries` those it loads
+    before it is asked anything.
 
     -P and -s rather than -I: the environment is ours, and -I would drop PYTHONHASHSEED with it.
     """
@@ -72,7 +77,7 @@ def child_command(
     folders, packages = _user_site(), [f"asia={package_folder()}"]
     packages += [f"{one.name}={place}" for one in plugin_packages() for place in one.places]
     words = [str(requests), str(replies), str(limits.memory_mb), ",".join(layers)]
-    for part in (folders, packages):
+    for part in (sorted(libraries), folders, packages):
         words += [str(len(part)), *part]
     return [interpreter(), "-P", "-s", "-B", "-u", str(script), *words, *readable()]
 

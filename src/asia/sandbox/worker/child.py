@@ -2,8 +2,9 @@
 
 Run as a script in a fresh process; nothing in the parent imports it.
 Arguments: request fd, reply fd, memory limit in MB, the layers it puts on itself (commas between);
-how many folders to add to the import path, then these; how many packages to import from a place of
-their own, then these, each as name=place; the places it may read.
+how many libraries to load ahead, then these; how many folders to add to the import path, then
+these; how many packages to import from a place of their own, then these, each as name=place; the
+places it may read.
 """
 
 from __future__ import annotations
@@ -156,9 +157,9 @@ class _Session:
         self._fitting = False
         self._asking = threading.Lock()
         self._compiling = compilation.Meter()
+        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling))
 
     def serve(self) -> NoReturn:
-        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling))
         self._reply(wire.ReplyKind.STARTED)
         handlers: dict[str, Callable[..., bytes]] = {
             "fit": self._fit,
@@ -336,7 +337,8 @@ def _context(
 def main(arguments: list[str]) -> NoReturn:
     requests, replies, memory_mb = (int(word) for word in arguments[:3])
     layers = arguments[3].split(",")
-    folders, rest = _counted(arguments[4:])
+    libraries, rest = _counted(arguments[4:])
+    folders, rest = _counted(rest)
     packages, readable = _counted(rest)
     if lockdown.RLIMITS in layers:
         _restrict(memory_mb)
@@ -346,9 +348,11 @@ def main(arguments: list[str]) -> NoReturn:
     sys.meta_path.insert(0, _PackageFinder(packages))
     for fd in (requests, replies):
         os.set_inheritable(fd, False)
-    importlib.import_module("asia.candidate")  # now, off the clock of the first request
-
-    _Session(requests, replies).serve()
+    session = _Session(requests, replies)
+    # Now, off the clock of the first request.
+    for name in ("asia.candidate", *libraries):
+        importlib.import_module(name)
+    session.serve()
 
 
 def _counted(words: list[str]) -> tuple[list[str], list[str]]:

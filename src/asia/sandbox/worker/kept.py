@@ -23,16 +23,19 @@ from asia.sandbox.worker.process import (
 
 
 def start_kept(
-    limits: Limits, layers: Collection[Layer], inside: Sequence[str] = ()
+    limits: Limits,
+    layers: Collection[Layer],
+    libraries: Collection[str],
+    inside: Sequence[str] = (),
 ) -> WorkerProcess:
-    """Start a worker below a keeper. inside: words put before its command line. Raises
-    SandboxError."""
+    """Start a worker below a keeper. libraries: to load ahead; inside: words put before its command
+    line. Raises SandboxError."""
     home = tempfile.mkdtemp(prefix="asia-worker-")
     pipes = PipePairs(os.pipe(), os.pipe())
     requests, replies = pipes.child_ends
     keeper = str(package_folder() / "sandbox" / "worker" / "keeper.py")
     command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
-    command += [*inside, *child_command(requests, replies, limits, layers)]
+    command += [*inside, *child_command(requests, replies, limits, layers, libraries)]
     try:
         process = start(command, pipes, env=environment(home), cwd=home)
     except BaseException:

@@ -71,6 +71,7 @@ class Worker:
         self._clock = WorkerClock(process.find)
         self.left_behind: int | None = None
         self._closed = False
+        self._ready = False
         self._started = False
         self._latest = math.inf
         self._loaded_source: str | None = None
@@ -202,11 +203,10 @@ class Worker:
                 if not self._process.end():
                     self.left_behind = self._process.process.pid
 
-    def _start(self) -> None:
-        """Wait for the fresh process to be ready: its start is nobody's fit time."""
-        if self._started or self._closed:
-            raise SandboxError("a worker takes one fit, or models of one source; open a fresh one")
-        self._started = True
+    def wait(self) -> None:
+        """Until the process is ready: its start is nobody's fit time. Raises SandboxError."""
+        if self._ready:
+            return
         try:
             with self._clock.activity(Activity.START):
                 head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
@@ -217,6 +217,13 @@ class Worker:
             said = self._channel.take_output()[-500:].strip()
             self.close()
             raise SandboxError(f"a worker did not start: {said or 'no message'}")
+        self._ready = True
+
+    def _start(self) -> None:
+        if self._started or self._closed:
+            raise SandboxError("a worker takes one fit, or models of one source; open a fresh one")
+        self._started = True
+        self.wait()
 
     def _by(self, seconds: float) -> float:
         return min(time.monotonic() + seconds, self._latest)

@@ -1,0 +1,89 @@
+"""What a candidate will import, read from its source and from that of the model library."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+
+import asia
+from asia._syntax import syntax_tree
+
+LIBRARIES = frozenset(
+    {
+        "equinox", "jax", "jax.numpy", "optax", "scipy.fft", "scipy.linalg", "scipy.optimize",
+        "scipy.signal",
+    }
+)  # fmt: skip
+"""Those that take time to load. No others are named, whatever a source says."""
+_MODELS = "asia.models"
+
+
+@dataclass(frozen=True)
+class _Imports:
+    """Names of modules, and of what is imported from them, which may be modules too."""
+
+    first: frozenset[str]
+    """By statements that run when the module is imported."""
+    later: frozenset[str]
+    """By statements inside functions."""
+
+
+@lru_cache(64)
+def imported_libraries(source: str, *, fitting: bool) -> frozenset[str]:
+    """Those of `LIBRARIES` that executing a source loads; `fitting`: and calling what it imports
+    from `asia.models`, whose modules load at their top what they cannot do without."""
+    own = _imports(source)
+    found, queue, seen = set(own.first), [*own.first], set[str]()
+    while queue:
+        name = queue.pop()
+        if name in seen or not f"{name}.".startswith(f"{_MODELS}."):
+            continue
+        seen.add(name)
+        inside = _imports_of_module(name)
+        found |= inside.first
+        queue += [*inside.first, *(inside.later if fitting else ())]
+    return frozenset(found & LIBRARIES)
+
+
+@cache
+def _imports_of_module(name: str) -> _Imports:
+    """Of a module of this package; none where there is no such module."""
+    place = Path(asia.__file__).parent.joinpath(*name.split(".")[1:])
+    for path in (place.with_suffix(".py"), place / "__init__.py"):
+        if path.is_file():
+            return _imports(path.read_text("utf-8"))
+    return _Imports(frozenset(), frozenset())
+
+
+def _imports(source: str) -> _Imports:
+    try:
+        tree = syntax_tree(source, "candidate.py")
+        first = frozenset(_names(tree.body, inside=False))
+        return _Imports(first, frozenset(_names(tree.body, inside=True)) - first)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return _Imports(frozenset(), frozenset())
+
+
+def _names(body: list[ast.stmt], *, inside: bool) -> Iterator[str]:
+    """Of the statements, those in functions only if `inside`. Statements for type checkers are
+    left out."""
+    for node in body:
+        match node:
+            case ast.Import():
+                yield from (alias.name for alias in node.names)
+            case ast.ImportFrom() if node.module and not node.level:
+                yield node.module
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            case ast.FunctionDef() | ast.AsyncFunctionDef() if inside:
+                yield from _names(node.body, inside=inside)
+            case ast.If() if "TYPE_CHECKING" not in ast.dump(node.test):
+                yield from _names([*node.body, *node.orelse], inside=inside)
+            case ast.ClassDef() | ast.With() | ast.For() | ast.While():
+                yield from _names(node.body, inside=inside)
+            case ast.Try():
+                yield from _names([*node.body, *node.orelse, *node.finalbody], inside=inside)
+            case _:
+                pass
