@@ -269,7 +269,7 @@ def _measure(level: Isolation, source: str, repeats: int, *, ahead: bool) -> lis
     turns = InTurn()
     evaluator = WatchedEvaluator(folds, records, context, rule, Budget(), level, turns)
     times: list[Times] = []
-    with evaluator.workers_ahead() if ahead else nullcontext():
+    with evaluator.ready_workers() if ahead else nullcontext():
         for _ in range(repeats):
             for fold, alone in zip(folds, bare, strict=True):
                 times.append(_once(evaluator, turns, source, fold, alone))

@@ -34,9 +34,9 @@ from asia.sandbox import (
     FitReply,
     Isolation,
     Limits,
+    ReadyWorkers,
     Worker,
     WorkerKilledError,
-    WorkersAhead,
     open_worker,
 )
 from asia.scoring import (
@@ -98,19 +98,19 @@ class Evaluator:
         self.left_behind: list[int] = []
         self._open: set[Worker] = set()
         self._interrupted = False
-        self._ahead: WorkersAhead | None = None
+        self._ready: ReadyWorkers | None = None
         self.stopwatch = Stopwatch()
         self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
 
     @contextmanager
-    def workers_ahead(self) -> Generator[None]:
-        """Start workers before they are needed, as long as this is open."""
+    def ready_workers(self) -> Generator[None]:
+        """Start workers before they are needed, until this is closed."""
         most = min(len(self.folds), os.cpu_count() or 1, _MOST_AHEAD)
-        with WorkersAhead(self.isolation, self._limits, most) as self._ahead:
+        with ReadyWorkers(self.isolation, self._limits, most) as self._ready:
             try:
                 yield
             finally:
-                self._ahead = None
+                self._ready = None
 
     def evaluate(self, source: str) -> Evaluation:
         """Fit and simulate `source` on every fold. A failed fold fails the candidate."""
@@ -289,7 +289,7 @@ class Evaluator:
                 "command again, which goes on from here"
             )
         with self.stopwatch.activity(Activity.START):
-            ready = self._ahead.take(libraries) if self._ahead else None
+            ready = self._ready.take(libraries) if self._ready else None
             worker = ready or open_worker(self.isolation, self._limits)
         try:
             with worker:

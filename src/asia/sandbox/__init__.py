@@ -1,10 +1,10 @@
 """Run untrusted candidates in worker processes. What comes back is bytes and is never parsed."""
 
-from asia.sandbox._ahead import WorkersAhead
 from asia.sandbox._doctor import Lack, LevelState, Machine, machine, survey
 from asia.sandbox._jail import INSIDE, SOCKET_FOLDER, Jail, jail_environment
 from asia.sandbox._level import Level
 from asia.sandbox._open import fitting_levels, layers_in_force, open_worker, probe, why_not
+from asia.sandbox._ready import ReadyWorkers
 from asia.sandbox._types import (
     FitReply,
     Isolation,
@@ -33,11 +33,11 @@ __all__ = [
     "Limits",
     "Machine",
     "Probe",
+    "ReadyWorkers",
     "ScoreModel",
     "ScoreRefusedError",
     "Worker",
     "WorkerKilledError",
-    "WorkersAhead",
     "fitting_levels",
     "jail_environment",
     "layers_in_force",

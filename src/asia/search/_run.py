@@ -169,7 +169,7 @@ def search(
             loop.record(Resumed())
         # One that starts while another runs could be told something by how long it takes.
         strict = view.started.isolation_strict
-        with nullcontext() if strict else evaluator.workers_ahead():
+        with nullcontext() if strict else evaluator.ready_workers():
             return loop.run()
 
 

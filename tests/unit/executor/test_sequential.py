@@ -35,7 +35,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         return worker
 
     monkeypatch.setattr(evaluator_module, "open_worker", counted)
-    monkeypatch.setattr("asia.sandbox._ahead.open_worker", counted)
+    monkeypatch.setattr("asia.sandbox._ready.open_worker", counted)
     return found
 
 

@@ -16,7 +16,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from asia.errors import SandboxError
@@ -100,24 +100,25 @@ class Namespace(Level):
         if bwrap is None:
             raise SandboxError("bubblewrap is not installed")
         watch = OrphanWatch()
+
+        def command(ends: tuple[int, int]) -> list[str]:
+            return child_command(*ends, limits, layers, libraries)
+
         try:
-            return _open(bwrap, watch, limits, layers, libraries)
+            return _open(bwrap, watch, command)
         except BaseException:
             watch.end_orphans()
             raise
 
 
 def _open(
-    bwrap: str,
-    watch: OrphanWatch,
-    limits: Limits,
-    layers: Collection[Layer],
-    libraries: Collection[str],
+    bwrap: str, watch: OrphanWatch, worker: Callable[[tuple[int, int]], list[str]]
 ) -> WorkerProcess:
+    """worker: the command line inside, for the child's ends of the pipes."""
     pipes = PipePairs(os.pipe(), os.pipe())
     info, info_write = os.pipe()
-    worker = child_command(*pipes.child_ends, limits, layers, libraries)
-    command = [watch.mark, *worker_walls(), "--info-fd", str(info_write), "--", *worker]
+    inside = ["--info-fd", str(info_write), "--", *worker(pipes.child_ends)]
+    command = [watch.mark, *worker_walls(), *inside]
     try:
         # env={}: bwrap stays process 1 inside, where its environment can be read.
         process = start(command, pipes, env={}, cwd="/", also_pass=(info_write,), program=bwrap)

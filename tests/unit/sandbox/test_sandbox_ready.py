@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from asia.errors import CandidateError, Reason, SandboxError
-from asia.sandbox import Isolation, Limits, Worker, WorkersAhead
-from asia.sandbox import _ahead as ahead_module
+from asia.sandbox import Isolation, Limits, ReadyWorkers, Worker
+from asia.sandbox import _ready as ready_module
 
 from .conftest import Case
 
@@ -48,8 +48,8 @@ attempt("parent", lambda: os.kill(os.getppid() or 1, 0))
 """
 KILLED = """
 import sys, time
-from asia.sandbox import Isolation, Limits, WorkersAhead
-ahead = WorkersAhead(Isolation(sys.argv[1]), Limits(60.0, 30.0, 4096), 2)
+from asia.sandbox import Isolation, Limits, ReadyWorkers
+ahead = ReadyWorkers(Isolation(sys.argv[1]), Limits(60.0, 30.0, 4096), 2)
 ahead.take(frozenset({"scipy.fft"}))
 worker = ahead.take(frozenset({"scipy.fft"}))
 while any(not one.worker.done() for one in ahead._waiting):
@@ -63,20 +63,20 @@ time.sleep(600)
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[Worker]:
     """All workers that were started ahead."""
     found: list[Worker] = []
-    open_worker = ahead_module.open_worker
+    open_worker = ready_module.open_worker
 
     def noted(level: Isolation, limits: Limits, *, libraries: frozenset[str]) -> Worker:
         worker = open_worker(level, limits, libraries=libraries)
         found.append(worker)
         return worker
 
-    monkeypatch.setattr(ahead_module, "open_worker", noted)
+    monkeypatch.setattr(ready_module, "open_worker", noted)
     return found
 
 
 @pytest.fixture
-def ahead(level: Isolation, opened: list[Worker]) -> Iterator[WorkersAhead]:
-    with WorkersAhead(level, LIMITS, 2) as found:
+def ahead(level: Isolation, opened: list[Worker]) -> Iterator[ReadyWorkers]:
+    with ReadyWorkers(level, LIMITS, 2) as found:
         yield found
     assert not any(one._process.running() for one in opened)
 
@@ -86,7 +86,7 @@ def fitted(worker: Worker, case: Case, source: str = GAIN) -> list[str]:
 
 
 def test_none_waits_at_first_and_each_is_used_once(
-    ahead: WorkersAhead, opened: list[Worker], case: Case
+    ahead: ReadyWorkers, opened: list[Worker], case: Case
 ) -> None:
     assert ahead.take(FFT) is None
     taken = [ahead.take(FFT) for _ in range(4)]
@@ -104,7 +104,7 @@ def test_none_waits_at_first_and_each_is_used_once(
 
 
 def test_a_worker_has_never_loaded_more_than_its_candidate_does(
-    ahead: WorkersAhead, case: Case
+    ahead: ReadyWorkers, case: Case
 ) -> None:
     assert ahead.take(FFT) is None
     assert ahead.take(SIGNALS) is None
@@ -116,7 +116,7 @@ def test_a_worker_has_never_loaded_more_than_its_candidate_does(
     assert "jax" not in modules
 
 
-def test_few_wait(ahead: WorkersAhead, opened: list[Worker]) -> None:
+def test_few_wait(ahead: ReadyWorkers, opened: list[Worker]) -> None:
     for libraries in (NOTHING, FFT, SIGNALS, FFT | SIGNALS, NOTHING, FFT):
         one = ahead.take(libraries)
         if one is not None:
@@ -129,7 +129,7 @@ def test_few_wait(ahead: WorkersAhead, opened: list[Worker]) -> None:
 
 
 def test_the_walls_are_those_of_every_worker(
-    ahead: WorkersAhead, level: Isolation, case: Case
+    ahead: ReadyWorkers, level: Isolation, case: Case
 ) -> None:
     if level is Isolation.PROCESS:
         pytest.skip("this level has no such walls")
@@ -143,7 +143,7 @@ def test_the_walls_are_those_of_every_worker(
 
 
 def test_one_that_dies_while_it_waits_is_not_used(
-    ahead: WorkersAhead, opened: list[Worker]
+    ahead: ReadyWorkers, opened: list[Worker]
 ) -> None:
     ahead.take(FFT)
     assert ahead._starter.submit(bool).result() is False  # all before it have been started
@@ -156,7 +156,7 @@ def test_one_that_dies_while_it_waits_is_not_used(
 def test_libraries_that_do_not_fit_into_memory_are_not_tried_again(
     level: Isolation, opened: list[Worker]
 ) -> None:
-    with WorkersAhead(level, Limits(60.0, 30.0, 400), 2) as ahead:
+    with ReadyWorkers(level, Limits(60.0, 30.0, 400), 2) as ahead:
         needs = frozenset({"no_such_library"})
         assert [ahead.take(needs) for _ in range(4)] == [None] * 4
         started = len(opened)
@@ -165,7 +165,7 @@ def test_libraries_that_do_not_fit_into_memory_are_not_tried_again(
 
 
 def test_an_end_outside_is_told_from_one_of_its_own(
-    ahead: WorkersAhead, level: Isolation, case: Case
+    ahead: ReadyWorkers, level: Isolation, case: Case
 ) -> None:
     ahead.take(FFT)
     one = ahead.take(FFT)

@@ -27,12 +27,12 @@ class _Waiting:
     """The worker, once it has been started."""
 
 
-class WorkersAhead:
+class ReadyWorkers:
     """Starts workers before they are needed. Of the last two sets of libraries that were asked for
     a few workers wait at any time. Use it as a context manager: those that wait end with it.
 
-    What a worker has loaded is never more than its candidate loads itself, so no outcome depends
-    on whether one was ready.
+    A worker has loaded nothing that its candidate, or the library functions it may call, would not
+    load. So whether one was ready changes no number; a fit at its limit of memory alone may notice.
     """
 
     def __init__(self, level: Isolation, limits: Limits, most: int) -> None:
@@ -47,9 +47,9 @@ class WorkersAhead:
         self._failed: set[frozenset[str]] = set()
         self._closed = False
         # One thread for all, which ends last: a worker ends with the thread that started it.
-        self._starter = ThreadPoolExecutor(1, "workers-ahead")
+        self._starter = ThreadPoolExecutor(1, "ready-workers")
 
-    def __enter__(self) -> WorkersAhead:
+    def __enter__(self) -> ReadyWorkers:
         return self
 
     def __exit__(self, *raised: object) -> None:
