@@ -105,6 +105,7 @@ class StateCell:
     `asia.models._networks.structure.Cell`."""
 
     structure: StateSpaceStructure
+    """Equations of the model."""
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
         """Encoder, or the past window itself."""
@@ -116,13 +117,12 @@ class StateCell:
 
     def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Next state and output before r."""
-        xp = namespace(u)
-        return self.structure.split(xp, params, state, self.structure.input(xp, params, u))
+        return self.structure.split(params, state, self.structure.input(params, u))
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """r."""
         del u
-        return self.structure.output(namespace(features), params, features)
+        return self.structure.output(params, features)
 
 
 @dataclass(frozen=True)

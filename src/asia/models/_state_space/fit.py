@@ -206,8 +206,8 @@ class _Simulation:
     def step(self, theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
         """(n,), (nu,) -> next state and output in one vector (n + ny,)."""
         p, structure = self.packing.unpack(theta), self.structure
-        state, w = structure.split(jnp, p, x, structure.input(jnp, p, u))
-        return jnp.concatenate([state, structure.output(jnp, p, w)])
+        state, w = structure.split(p, x, structure.input(p, u))
+        return jnp.concatenate([state, structure.output(p, w)])
 
     def chunk(self, theta: jax.Array, x: jax.Array, part: Any) -> Any:
         """One chunk from x (R, n): the last state, all states (c, R, n), weighted errors

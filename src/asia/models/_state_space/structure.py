@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations_with_replacement
-from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from asia.data import Array
+from asia.models._arrays import bounded, namespace
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowLags, WindowPredictor
 
@@ -30,58 +32,61 @@ _RANGE = 4.0
 
 @dataclass(frozen=True)
 class StateSpaceStructure:
-    """Sizes and kind of the functions; hashable. channels: None lets f and g read all of [x, v],
-    a number only so many linear combinations of it. lags: None, or the state is the past window
-    itself: its next value follows from the output, and f is left out."""
+    """Sizes and kind of the functions; hashable."""
 
     order: int
+    """States."""
     nu: int
+    """Inputs."""
     ny: int
+    """Outputs."""
     nonlinearity: Nonlinearity
+    """Where the static functions are."""
     basis: Basis
+    """What the functions are made of."""
     hidden: int
+    """Units of a layer of tanh functions."""
     degree: int
+    """Greatest degree of polynomials."""
     channels: int | None
+    """How many linear combinations of [x, v] f and g read; None lets them read all of [x, v]."""
     lags: WindowLags | None = None
+    """Where the state is the past window itself: its next value follows from the output, and f is
+    left out."""
 
-    def input(self, xp: ModuleType, p: Coefficients, u: Any) -> Any:
+    def input(self, p: Coefficients, u: Any) -> Any:
         """v from u (..., nu)."""
-        return u + self._net(xp, p["s"], u) if "s" in p else u
+        return u + self._net(p["s"], u) if "s" in p else u
 
-    def split(self, xp: ModuleType, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
+    def split(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
         """States x (..., n), inputs v (..., nu) -> next states and outputs before r."""
         output = x @ p["c"] + v @ p["d"] + p["offset"]
         if self.lags is not None:
-            output = output + self._change(xp, p, x, v)
-            keep, from_u, from_y = self.lags.shift()
+            output = output + self._change(p, x, v)
+            keep, from_u, from_y = _shift(self.lags)
             return x @ keep + v @ from_u + output @ from_y, output
         state = x @ p["a"] + v @ p["b"]
         if "f" not in p:
             return state, output
-        change = self._change(xp, p, x, v)
+        change = self._change(p, x, v)
         return state + change[..., : self.order], output + change[..., self.order :]
 
-    def _change(self, xp: ModuleType, p: Coefficients, x: Any, v: Any) -> Any:
-        both = xp.concatenate([x, v], axis=-1)
+    def _change(self, p: Coefficients, x: Any, v: Any) -> Any:
+        both = namespace(x, v).concatenate([x, v], axis=-1)
         if self.channels is None:
-            return self._net(xp, p["f"], both)
-        return self._net(xp, p["f"], both @ p["read"]) @ p["act"]
+            return self._net(p["f"], both)
+        return self._net(p["f"], both @ p["read"]) @ p["act"]
 
-    def output(self, xp: ModuleType, p: Coefficients, w: Any) -> Any:
+    def output(self, p: Coefficients, w: Any) -> Any:
         """y from w (..., ny)."""
-        return w + self._net(xp, p["r"], w) if "r" in p else w
+        return w + self._net(p["r"], w) if "r" in p else w
 
-    def _net(self, xp: ModuleType, p: Coefficients, z: Any) -> Any:
+    def _net(self, p: Coefficients, z: Any) -> Any:
         if self.basis == "tanh":
-            return xp.tanh(z @ p["w1"] + p["b1"]) @ p["w2"]
-        z = xp.clip(z, -_RANGE, _RANGE)
-        return xp.concatenate([z[..., i].prod(axis=-1) for i in self._monomials(z)], -1) @ p["w2"]
-
-    def _monomials(self, z: Any) -> list[NDArray[np.intp]]:
-        return [
-            np.array(list(combinations_with_replacement(range(z.shape[-1]), d)))
-            for d in range(2, self.degree + 1)
-        ]
+            return namespace(z).tanh(z @ p["w1"] + p["b1"]) @ p["w2"]
+        z = bounded(z, -_RANGE, _RANGE)
+        terms = [z[..., i].prod(axis=-1) for i in _monomials(z.shape[-1], self.degree)]
+        return namespace(z).concatenate(terms, -1) @ p["w2"]
 
     def start_windowed(
         self, predictor: WindowPredictor, rng: np.random.Generator
@@ -123,7 +128,7 @@ class StateSpaceStructure:
 
     def _function(self, rng: np.random.Generator, inputs: int, outputs: int) -> dict[str, Any]:
         if self.basis == "polynomial":
-            size = sum(len(i) for i in self._monomials(np.zeros(inputs)))
+            size = sum(len(i) for i in _monomials(inputs, self.degree))
             return {"w2": np.zeros((size, outputs))}
         return {
             "w1": rng.standard_normal((inputs, self.hidden)) / np.sqrt(inputs),
@@ -133,11 +138,26 @@ class StateSpaceStructure:
 
     def simulate(self, p: Coefficients, x0: NDArray[Any], u: NDArray[Any]) -> tuple[Any, Any]:
         """x0 (B, n), u (B, T, nu) -> states (B, T, n) and outputs (B, T, ny), in NumPy."""
-        v = self.input(np, p, u)
+        v = self.input(p, u)
         states = np.empty((*u.shape[:2], self.order))
         outputs = np.empty((*u.shape[:2], self.ny))
         x: Any = x0
         for k in range(u.shape[1]):
             states[:, k] = x
-            x, outputs[:, k] = self.split(np, p, x, v[:, k])
-        return states, self.output(np, p, outputs)
+            x, outputs[:, k] = self.split(p, x, v[:, k])
+        return states, self.output(p, outputs)
+
+
+# Asked for at every sample of a simulation.
+@cache
+def _monomials(signals: int, degree: int) -> tuple[NDArray[np.intp], ...]:
+    """For each degree from 2 on, the signals (monomials, degree) that are multiplied."""
+    return tuple(
+        np.array(list(combinations_with_replacement(range(signals), d)))
+        for d in range(2, degree + 1)
+    )
+
+
+@cache
+def _shift(lags: WindowLags) -> tuple[Array, Array, Array]:
+    return lags.shift()

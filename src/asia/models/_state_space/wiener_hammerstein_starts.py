@@ -33,11 +33,14 @@ _SLOW, _ELSEWHERE = 0.98, 0.7
 
 
 class WienerHammersteinStart(NamedTuple):
-    """A starting point, with the mean squared error of the judged ones."""
+    """A starting point."""
 
     structure: WienerHammersteinStructure
+    """Its sizes."""
     params: dict[str, Any]
+    """As the structure reads them."""
     error: float
+    """Its mean squared error, infinite where it was not judged."""
 
 
 class _Filter(NamedTuple):

@@ -106,7 +106,7 @@ def test_polynomials_are_the_monomials_up_to_the_degree() -> None:
     structure = StateSpaceStructure(1, 1, 1, "input", "polynomial", 1, 3, None)
     start: dict[str, Any] = {"s": {"w2": np.array([[2.0], [3.0]])}}
     u = np.array([[0.5], [-1.0]])
-    np.testing.assert_allclose(structure.input(np, start, u), u + 2 * u**2 + 3 * u**3)
+    np.testing.assert_allclose(structure.input(start, u), u + 2 * u**2 + 3 * u**3)
 
 
 def test_channels_go_with_a_state_nonlinearity_only() -> None:
