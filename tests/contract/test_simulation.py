@@ -32,7 +32,6 @@ FLOAT32, FLOAT64 = 1e-5, 1e-9
 PAST, WINDOWS, HORIZON, LONG = 5, 30, 12, 800
 ROWS = all_families()
 NETWORKS = [row for row in ROWS if row.seeds]
-FREE = [row for row in ROWS if row.name != "physics_net"]
 
 
 def named(rows: list[Family] | tuple[Family, ...], *marks: pytest.MarkDecorator) -> Any:
@@ -232,12 +231,12 @@ def test_networks_are_loaded_and_simulated_without_jax(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_trained_models_are_loaded_and_simulated_without_jax(tmp_path: Path) -> None:
-    answered_elsewhere({row.name: trained(row) for row in FREE}, tmp_path)
+    answered_elsewhere({row.name: trained(row) for row in ROWS}, tmp_path)
 
 
 def test_models_are_built_without_jax() -> None:
     """As the process that checks a source does, and the one that opens a run."""
-    lines = [f"import {row.package}.{row.name}" for row in FREE]
+    lines = [f"import {row.package}.{row.name}" for row in ROWS]
     script = "\n".join(["import sys", *lines, "assert 'jax' not in sys.modules"])
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert found.returncode == 0, found.stderr

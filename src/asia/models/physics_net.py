@@ -30,7 +30,6 @@ from asia.models._data.scaling import Scaling
 from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
 from asia.models._equations.measured_cell import MeasuredCell, NetworkKind, limits, signal_sizes
-from asia.models._equations.measured_terms import TermPenalties, fit_equations
 from asia.models._equations.ode import Equations, equations
 from asia.models._networks.layers import dense, zeros
 from asia.models._networks.network import NetworkModel, as_built, train_network
@@ -179,6 +178,9 @@ def _fit_equations(
     method: LevenbergMarquardt,
     judge: _LimitedScore | None,
 ) -> NetworkModel:
+    # Training compiles by JAX, which a trained model does without.
+    from asia.models._equations.measured_terms import TermPenalties, fit_equations
+
     cell, scaling = network.cell, network.scaling
     assert isinstance(cell, MeasuredCell)
     assert scaling is not None
@@ -200,9 +202,15 @@ def _fit_equations(
 
 def _single(params: Params) -> dict[str, Any]:
     """float32, as all that networks are made of."""
-    import jax
 
-    return jax.tree.map(lambda a: np.asarray(a, np.float32), dict(params))
+    def single(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: single(part) for name, part in value.items()}
+        if isinstance(value, list | tuple):
+            return [single(part) for part in value]
+        return np.asarray(value, np.float32)
+
+    return single(dict(params))
 
 
 def _cell(

@@ -14,12 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from asia.data import Array, Trajectory
 from asia.models import recurrent
+from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations
 from asia.models._equations.simulate import physical_parameters
@@ -33,14 +32,18 @@ _REACH = 3.0
 
 
 class MeasuredState(NamedTuple):
-    """x (B, nx) states, m (B, nu) inputs behind their lag, d (B, nd) disturbance, h: of the
-    network, first (B, 1): whether no sample has been simulated yet."""
+    """Before a sample."""
 
-    x: jax.Array
-    m: jax.Array
-    d: jax.Array
+    x: AnyArray
+    """States (B, nx)."""
+    m: AnyArray
+    """Inputs behind their lag (B, nu)."""
+    d: AnyArray
+    """Disturbance (B, nd)."""
     h: Any
-    first: jax.Array
+    """State of the network."""
+    first: AnyArray
+    """Whether no sample has been simulated yet (B, 1)."""
 
 
 @dataclass(frozen=True)
@@ -76,104 +79,109 @@ class MeasuredCell:
         """Signals the network reads: those of `read`, the inputs and the equations' rates."""
         return len(self.read) + len(self.equations.inputs) + self.nd
 
-    def physical(self, z: jax.Array) -> jax.Array:
+    def physical(self, z: AnyArray) -> AnyArray:
         """Physical parameters (np,) from coordinates in which [-1, 1] spans their ranges."""
         return physical_parameters(self.ranges, z)
 
-    def initial(self, params: Any, window: jax.Array) -> MeasuredState:
+    def initial(self, params: Any, window: AnyArray) -> MeasuredState:
         """From the last measured outputs, and the last measured inputs where there are any."""
-        fixed = params["fixed"]
+        fixed, xp = params["fixed"], namespace(window)
         ny, nu = len(self.order), len(self.equations.inputs)
         y = window[:, window.shape[1] - ny :] * fixed["y_std"] + fixed["y_mean"]
-        x = y[:, jnp.array(self.order)]
-        batch = x.shape[0]
-        m = jnp.zeros((batch, nu), x.dtype)
+        x = y[:, np.array(self.order)]
+
+        def zeros(columns: int) -> AnyArray:
+            return xp.zeros((len(x), columns), x.dtype)
+
+        m = zeros(nu)
         if self.past_inputs:
             last = window.shape[1] - ny - nu
             m = window[:, last : last + nu] * fixed["u_std"] + fixed["u_mean"]
         h: Any = ()
         if self.inner is not None:
-            zero = jnp.zeros((batch, self.inner.hidden), x.dtype)
-            h = [(zero, zero) for _ in range(self.inner.layers)]
-        return MeasuredState(
-            x, m, jnp.zeros((batch, self.nd), x.dtype), h, jnp.ones((batch, 1), bool)
-        )
+            h = [(zeros(self.inner.hidden),) * 2 for _ in range(self.inner.layers)]
+        return MeasuredState(x, m, zeros(self.nd), h, xp.ones((len(x), 1), bool))
 
     def step(
-        self, params: Any, state: MeasuredState, u: jax.Array
-    ) -> tuple[MeasuredState, jax.Array]:
+        self, params: Any, state: MeasuredState, u: AnyArray
+    ) -> tuple[MeasuredState, AnyArray]:
         """What the output is read from is the output, z-scored."""
-        fixed, dt = params["fixed"], self.sampling_time
+        fixed, dt, xp = params["fixed"], self.sampling_time, namespace(u)
         u = u * fixed["u_std"] + fixed["u_mean"]
         m = u
         if self.lag:
-            before = state.m if self.past_inputs else jnp.where(state.first, u, state.m)
-            m = before + (1.0 - jnp.exp(-dt / jnp.exp(params["log_lag"]))) * (u - before)
+            before = state.m if self.past_inputs else xp.where(state.first, u, state.m)
+            m = before + (1.0 - xp.exp(-dt / xp.exp(params["log_lag"]))) * (u - before)
         p = self.physical(params["physical"])
+        evaluate, inputs = self.equations.rates(xp, u.dtype), m.T
 
-        def rates(x: jax.Array) -> jax.Array:
-            return jax.vmap(lambda a, b: self.equations.derivative(p, a, b))(x, m)
+        def rates(x: AnyArray) -> AnyArray:
+            return evaluate(p, x.T, inputs).T
 
-        known, dynamic = rates(state.x), jnp.array(self.dynamic)
+        known = rates(state.x)
         learned, d, h = self._learned(params, p, state, m, known)
-        gain = jnp.ones(known.shape[1], known.dtype)
+        extra = self._in_order(xp.zeros_like(known[:, self.nd :]), learned)
+        gain: AnyArray = 1.0
         if self.kinematic:
-            gain = gain.at[jnp.array(self.kinematic)].set(1.0 + params["gain"])
-        extra = jnp.zeros_like(known).at[:, dynamic].set(learned)
+            gain = self._in_order(1.0 + params["gain"], xp.ones_like(learned[0]))
         middle = state.x + 0.5 * dt * (gain * known + extra)
         x = state.x + dt * (gain * rates(middle) + extra)
-        x = jnp.where(jnp.isfinite(x), x, state.x)
-        x = jnp.clip(x, fixed["x_low"], fixed["x_high"])
-        y = (jnp.zeros_like(x).at[:, jnp.array(self.order)].set(x) - fixed["y_mean"]) / fixed[
-            "y_std"
-        ]
-        return MeasuredState(x, m, d, h, jnp.zeros_like(state.first)), y
+        x = xp.where(xp.isfinite(x), x, state.x)
+        x = xp.minimum(xp.maximum(x, fixed["x_low"]), fixed["x_high"])
+        y = (x[:, np.argsort(self.order)] - fixed["y_mean"]) / fixed["y_std"]
+        return MeasuredState(x, m, d, h, xp.zeros_like(state.first)), y
 
-    def output(self, params: Any, features: jax.Array, u: jax.Array) -> jax.Array:
+    def _in_order(self, others: AnyArray, dynamic: AnyArray) -> AnyArray:
+        """Values (..., nx) in the order of the states, from those of the other equations (in their
+        order) and of the dynamic ones."""
+        nx = len(self.order)
+        places = [*(i for i in range(nx) if i not in self.dynamic), *self.dynamic]
+        together = namespace(others, dynamic).concatenate([others, dynamic], axis=-1)
+        return together[..., np.argsort(places)]
+
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """The features."""
         del params, u
         return features
 
-    def feed(
-        self, params: Any, state: MeasuredState, y: jax.Array, mask: jax.Array
-    ) -> MeasuredState:
+    def feed(self, params: Any, state: MeasuredState, y: AnyArray, mask: AnyArray) -> MeasuredState:
         """The state with its outputs replaced by the measured ones, z-scored, where the mask is
         1."""
         fixed = params["fixed"]
-        measured = (y * fixed["y_std"] + fixed["y_mean"])[:, jnp.array(self.order)]
+        measured = (y * fixed["y_std"] + fixed["y_mean"])[:, np.array(self.order)]
         return state._replace(x=mask * measured + (1 - mask) * state.x)
 
-    def signals(self, params: Any, p: jax.Array, x: jax.Array, m: jax.Array) -> jax.Array:
+    def signals(self, params: Any, p: AnyArray, x: AnyArray, m: AnyArray) -> AnyArray:
         """Normalised signals (B, len(read))."""
-        values = jax.vmap(lambda a, b: self.equations.named(self.read, p, a, b))(x, m)
+        values = self.equations.named(self.read, p, x.T, m.T).T
         return (values - params["fixed"]["s_mean"]) / params["fixed"]["s_std"]
 
     def _learned(
-        self, params: Any, p: jax.Array, state: MeasuredState, m: jax.Array, known: jax.Array
-    ) -> tuple[jax.Array, jax.Array, Any]:
+        self, params: Any, p: AnyArray, state: MeasuredState, m: AnyArray, known: AnyArray
+    ) -> tuple[AnyArray, AnyArray, Any]:
         """Learned rates (B, nd), next disturbance, next state of the network."""
-        fixed = params["fixed"]
-        total = known[:, jnp.array(self.dynamic)] / fixed["rate"]
+        fixed, xp = params["fixed"], namespace(known)
+        total = known[:, np.array(self.dynamic, int)] / fixed["rate"]
         signals = self.signals(params, p, state.x, m)
-        extra = jnp.zeros_like(total)
+        extra = xp.zeros_like(total)
         if self.linear:
             extra = extra + params["offset"] + signals @ params["linear"]
         d, h = state.d, state.h
         if self.network is not None:
             inputs = (m - fixed["u_mean"]) / fixed["u_std"]
-            v = jnp.concatenate([signals, inputs, total + extra], axis=-1)
-            v = _REACH * jnp.tanh(v / _REACH)
+            v = xp.concatenate([signals, inputs, total + extra], axis=-1)
+            v = _REACH * xp.tanh(v / _REACH)
             if self.network == "mlp":
                 net = params["net"]
-                v = jnp.tanh(jnp.tanh(v @ net["w1"] + net["b1"]) @ net["w2"] + net["b2"])
+                v = xp.tanh(xp.tanh(v @ net["w1"] + net["b1"]) @ net["w2"] + net["b2"])
             else:
                 assert self.inner is not None
                 h, v = recurrent.RecurrentCell(self.inner).step(params["net"], h, v)
             extra = extra + self.size * (v @ params["out_w"] + params["out_b"])
         if self.disturbance:
-            bound = jnp.exp(params["d_bound"])
-            d = jnp.where(state.first, -params["d_start"] * (total + extra), d)
-            extra = extra + bound * jnp.tanh(d / bound)
+            bound = xp.exp(params["d_bound"])
+            d = xp.where(state.first, -params["d_start"] * (total + extra), d)
+            extra = extra + bound * xp.tanh(d / bound)
             pull = params["d_gain"] * (total + extra) + params["d_decay"] * d
             d = d - self.sampling_time * pull
         return extra * fixed["rate"], d, h
@@ -189,12 +197,7 @@ def signal_sizes(cell: MeasuredCell, trajectories: Sequence[Trajectory]) -> tupl
     every = max(1, sum(len(t) for t in trajectories) // 2000)
     y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.order)]
     u = np.concatenate([t.u[::every] for t in trajectories])
-    with jax.enable_x64(True):
-        p = cell.physical(jnp.zeros(len(cell.ranges)))
-        values = np.asarray(
-            jax.vmap(lambda a, b: cell.equations.named(cell.read, p, a, b))(
-                jnp.asarray(y), jnp.asarray(u)
-            )
-        )
+    p = cell.physical(np.zeros(len(cell.ranges)))
+    values = cell.equations.named(cell.read, p, y.T, u.T).T
     std = values.std(axis=0)
     return values.mean(axis=0), np.where(std > 0, std, 1.0)

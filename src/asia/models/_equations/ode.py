@@ -59,7 +59,7 @@ def functions(xp: Any) -> Mapping[str, Callable[..., AnyArray]]:
 
 @dataclass(frozen=True)
 class Equations:
-    """Parsed physics: hashable, so that a compiled simulator can be found by it."""
+    """Parsed physics: hashable, so that functions and programs made of it can be found by it."""
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -70,24 +70,27 @@ class Equations:
     dynamics: tuple[Expression, ...]
     observation: tuple[Expression, ...]
 
+    def __hash__(self) -> int:
+        # That of all expressions would cost more than a step of a simulation.
+        return hash((self.states, self.inputs, self.outputs, self.parameters))
+
     def derivative(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
         """d/dt (nx, ...) of the states: parameters (np, ...), x (nx, ...), u (nu, ...)."""
         return self.rates(namespace(parameters, x, u), x.dtype)(parameters, x, u)
 
     def rates(self, xp: Any, dtype: Any = np.float64) -> Evaluator:
         """`derivative` for the arrays of xp, numpy or jax.numpy: for loops over samples."""
-        return _evaluator(self, self.dynamics, xp.__name__, np.dtype(dtype))
+        return _evaluator(self, "dynamics", xp.__name__, np.dtype(dtype))
 
     def observe(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
         """Outputs (ny, ...): parameters (np, ...), x (nx, ...), u (nu, ...)."""
-        return self._values(self.observation, parameters, x, u)
+        return self._values("observation", parameters, x, u)
 
     def named(
         self, names: tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
     ) -> AnyArray:
         """Values (len(names), ...) of states, inputs, parameters or definitions."""
-        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in names)
-        return self._values(expressions, parameters, x, u)
+        return self._values(names, parameters, x, u)
 
     def closure(self, expression: Expression) -> frozenset[str]:
         """All names an expression depends on, definitions followed."""
@@ -101,21 +104,25 @@ class Equations:
         return frozenset(found)
 
     def _values(
-        self, expressions: tuple[Expression, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
+        self, wanted: str | tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
     ) -> AnyArray:
         xp = namespace(parameters, x, u)
-        return _evaluator(self, expressions, xp.__name__, np.dtype(x.dtype))(parameters, x, u)
+        return _evaluator(self, wanted, xp.__name__, np.dtype(x.dtype))(parameters, x, u)
 
 
 @lru_cache(maxsize=256)
 def _evaluator(
-    system: Equations, expressions: tuple[Expression, ...], library: str, dtype: np.dtype[Any]
+    system: Equations, wanted: str | tuple[str, ...], library: str, dtype: np.dtype[Any]
 ) -> Evaluator:
-    """One Python function of the expressions.
+    """One Python function of a field's expressions, or of names.
 
     Its source holds nothing of the person's text: every name becomes a numbered variable, and the
     tree knows numbers, + - * / ** and the functions of the table alone.
     """
+    if isinstance(wanted, str):
+        expressions: tuple[Expression, ...] = getattr(system, wanted)
+    else:
+        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in wanted)
     scope: dict[str, Any] = {"rows": rows}
     scope |= {f"f_{k}": f for k, f in functions(importlib.import_module(library)).items()}
     source = _Source({})
