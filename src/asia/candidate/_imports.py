@@ -11,13 +11,8 @@ from pathlib import Path
 import asia
 from asia._syntax import syntax_tree
 
-LIBRARIES = frozenset(
-    {
-        "equinox", "jax", "jax.numpy", "optax", "scipy.fft", "scipy.linalg", "scipy.optimize",
-        "scipy.signal",
-    }
-)  # fmt: skip
-"""Those that take time to load. No others are named, whatever a source says."""
+JAX = frozenset({"jax"})
+_LOAD_JAX = ("jax", "equinox", "optax")
 _MODELS = "asia.models"
 
 
@@ -33,8 +28,9 @@ class _Imports:
 
 @lru_cache(64)
 def imported_libraries(source: str, *, fitting: bool) -> frozenset[str]:
-    """Those of `LIBRARIES` that executing a source loads; `fitting`: and calling what it imports
-    from `asia.models`, whose modules load at their top what they cannot do without."""
+    """`JAX` where executing a source loads it, else nothing: no other library takes long to load.
+    fitting: also where what it imports from `asia.models` does so when it is called; modules there
+    import at their top what they cannot do without."""
     own = _imports(source)
     found, queue, seen = set(own.first), [*own.first], set[str]()
     while queue:
@@ -45,7 +41,7 @@ def imported_libraries(source: str, *, fitting: bool) -> frozenset[str]:
         inside = _imports_of_module(name)
         found |= inside.first
         queue += [*inside.first, *(inside.later if fitting else ())]
-    return frozenset(found & LIBRARIES)
+    return JAX if any(name.split(".")[0] in _LOAD_JAX for name in found) else frozenset()
 
 
 @cache

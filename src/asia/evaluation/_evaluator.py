@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import contextmanager
@@ -49,7 +48,6 @@ from asia.scoring import (
 T = TypeVar("T")
 
 _MOST_LEFT_BEHIND = 3
-_MOST_AHEAD = 4
 _STRANGERS_ASKED = 4
 # V over the training error, below which it takes more evidence; honest candidates lie above 0.9.
 FAR_BELOW = 0.6
@@ -105,8 +103,7 @@ class Evaluator:
     @contextmanager
     def ready_workers(self) -> Generator[None]:
         """Start workers before they are needed, until this is closed."""
-        most = min(len(self.folds), os.cpu_count() or 1, _MOST_AHEAD)
-        with ReadyWorkers(self.isolation, self._limits, most) as self._ready:
+        with ReadyWorkers(self.isolation, self._limits, len(self.folds)) as self._ready:
             try:
                 yield
             finally:
@@ -289,8 +286,9 @@ class Evaluator:
                 "command again, which goes on from here"
             )
         with self.stopwatch.activity(Activity.START):
-            ready = self._ready.take(libraries) if self._ready else None
-            worker = ready or open_worker(self.isolation, self._limits)
+            ready = self._ready
+            waiting = ready.take(libraries) if ready else None
+            worker = waiting or open_worker(self.isolation, self._limits)
         try:
             with worker:
                 self._open.add(worker)

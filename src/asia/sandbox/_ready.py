@@ -3,6 +3,7 @@ is there for it, and is used once."""
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -15,6 +16,7 @@ from asia.sandbox._types import Isolation, Limits
 from asia.sandbox.worker.worker import Worker
 
 _MOST_SETS = 2
+_MOST_WAITING = 4
 
 
 @dataclass(frozen=True)
@@ -36,11 +38,12 @@ class ReadyWorkers:
     """
 
     def __init__(self, level: Isolation, limits: Limits, most: int) -> None:
-        """most: how many wait for each set of libraries."""
+        """most: how many are needed at once; no more wait for each set of libraries than there are
+        cores, and few on any machine."""
         self._open: Callable[[frozenset[str]], Worker] = lambda libraries: open_worker(
             level, limits, libraries=libraries
         )
-        self._most = most
+        self._most = min(most, os.cpu_count() or 1, _MOST_WAITING)
         self._lock = threading.Lock()
         self._waiting: list[_Waiting] = []
         self._wanted: list[frozenset[str]] = []

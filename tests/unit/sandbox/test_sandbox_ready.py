@@ -59,6 +59,18 @@ time.sleep(600)
 """
 
 
+@pytest.fixture(autouse=True)
+def cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ready_module.os, "cpu_count", lambda: 2)
+
+
+def test_no_more_wait_than_there_are_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    for cores, most in ((1, 1), (3, 3), (64, 4), (None, 1)):
+        monkeypatch.setattr(ready_module.os, "cpu_count", lambda cores=cores: cores)
+        with ReadyWorkers(Isolation.PROCESS, LIMITS, 20) as ready:
+            assert ready._most == most
+
+
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[Worker]:
     """All workers that were started ahead."""
