@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -80,7 +81,7 @@ class AutoregressiveCell(Driven[Config]):
     @property
     def inner(self) -> recurrent.RecurrentCell:
         """The recurrent network inside."""
-        return recurrent.RecurrentCell(self.config.inner)
+        return _inner_cell(self.config)
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`: the output is held."""
@@ -134,6 +135,12 @@ class AutoregressiveCell(Driven[Config]):
         del params
         inner, own = state
         return inner, mask * y + (1 - mask) * own
+
+
+# Asked for at every sample of a simulation.
+@cache
+def _inner_cell(config: Config) -> recurrent.RecurrentCell:
+    return recurrent.RecurrentCell(config.inner)
 
 
 def increment_sizes(records: ScaledData) -> Array:

@@ -82,13 +82,13 @@ class ConvolutionStack(Driven[Config]):
         memory = decaying(mlp(params["encoder"], window), params["log_tau"], u.shape[1])
         x = mlp(params["in"], xp.concatenate([self.drive(u), memory], axis=-1))
         for p, dilation in zip(params["blocks"], self.config.dilations, strict=True):
-            taps = [_late(x, dilation * i) for i in range(self.config.kernel)]
+            taps = [_delayed(x, dilation * i) for i in range(self.config.kernel)]
             value, gate = split(xp.concatenate(taps, -1) @ p["taps"] + p["b1"], 2)
             x = x + (xp.tanh(value) * sigmoid(gate)) @ p["w2"] + p["b2"]
         return xp.concatenate([x, memory], axis=-1)
 
 
-def _late(x: AnyArray, samples: int) -> AnyArray:
+def _delayed(x: AnyArray, samples: int) -> AnyArray:
     """x (B, T, channels) delayed, zero before the first sample."""
     return namespace(x).pad(x, ((0, 0), (samples, 0), (0, 0)))[:, : x.shape[1]]
 
