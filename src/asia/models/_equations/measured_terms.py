@@ -10,17 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
+from asia.data import Array
 from asia.models._data.windows import HorizonWindows
 from asia.models._equations.measured_cell import MeasuredCell
 from asia.models._networks.structure import Params, rollout
 from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._solvers.packing import Packing, packed
 from asia.models._solvers.progress import Progress
 
 Judge = Callable[[Params], float]
@@ -54,10 +55,10 @@ class TermPenalties:
 class _EquationSearch:
     """Where the search stands, and the best parameters by the judge."""
 
-    theta: jax.Array
+    theta: Array
     cost: float
     damping: float
-    best: jax.Array | None = None
+    best: Array | None = None
     best_score: float = float("inf")
 
 
@@ -72,49 +73,45 @@ def fit_equations(
 ) -> Params:
     """The parameters but `fixed` and the network's, fitted; the best by `judge`, asked after every
     iteration, where there is one."""
-    with jax.enable_x64(True):
-        kept = {k: v for k, v in params.items() if k in _HELD}
-        free = {k: jnp.asarray(v, jnp.float64) for k, v in params.items() if k not in kept}
-        theta0, unravel = ravel_pytree(free)
-        learned, _ = ravel_pytree({k: jnp.full_like(v, k in _LEARNED) for k, v in free.items()})
-        rounds = _ROUNDS if settings.sparsity > 0 and cell.linear else 1
-        every = _Program(cell, kept, unravel, _single(windows), settings)
-        few = every
-        if rounds > 1 and len(windows.u) >= _MANY:
-            quarter = HorizonWindows(*(_single(a[::4]) for a in windows))
-            few = _Program(cell, kept, unravel, quarter, settings)
-        state = _EquationSearch(theta0, float("inf"), method.damping)
-        first = jnp.where(learned > 0, settings.ridge, _SMALL * settings.ridge + 1e-6)
-        ridge = first.astype(theta0.dtype)
-        step = 0
-        for number in range(rounds):
-            program = few if number == 0 else every
-            if number > 0:
-                sparse = settings.sparsity / ((state.theta - theta0) ** 2 + _SMALL)
-                ridge = jnp.where(learned > 0, sparse, ridge)
-            state.cost, state.damping = program.cost(state.theta, theta0, ridge), method.damping
-            slow = 0
-            for _ in range(method.iterations):
-                slow = slow + 1 if _iterate(program, state, theta0, ridge) < _LEAST_GAIN else 0
-                step += 1
-                log(float(step), float(np.sqrt(max(state.cost, 0.0))))
-                if judge is not None:
-                    _ask(judge, program, state)
-                if slow == 2:
-                    break
-        theta = state.theta if state.best is None else state.best
-        return {**params, **jax.tree.map(np.asarray, unravel(theta))}
+    kept = {k: v for k, v in params.items() if k in _HELD}
+    free = {k: v for k, v in params.items() if k not in kept}
+    packing, theta0 = Packing.of(free), packed(free, np.float64)
+    learned = packed({k: np.full(np.shape(v), k in _LEARNED) for k, v in free.items()}, bool)
+    rounds = _ROUNDS if settings.sparsity > 0 and cell.linear else 1
+    every = _WindowErrors(cell, kept, packing, windows, settings)
+    few = every
+    if rounds > 1 and len(windows.u) >= _MANY:
+        quarter = HorizonWindows(*(a[::4] for a in windows))
+        few = _WindowErrors(cell, kept, packing, quarter, settings)
+    state = _EquationSearch(theta0, float("inf"), method.damping)
+    ridge = np.where(learned, settings.ridge, _SMALL * settings.ridge + 1e-6)
+    step = 0
+    for number in range(rounds):
+        errors = few if number == 0 else every
+        if number > 0:
+            sparse = settings.sparsity / ((state.theta - theta0) ** 2 + _SMALL)
+            ridge = np.where(learned, sparse, ridge)
+        state.cost, state.damping = errors.cost(state.theta, theta0, ridge), method.damping
+        slow = 0
+        for _ in range(method.iterations):
+            slow = slow + 1 if _iterate(errors, state, theta0, ridge) < _LEAST_GAIN else 0
+            step += 1
+            log(float(step), float(np.sqrt(max(state.cost, 0.0))))
+            if judge is not None:
+                _ask(judge, errors, state)
+            if slow == 2:
+                break
+    theta = state.theta if state.best is None else state.best
+    return {**params, **packing.unpack(theta)}
 
 
-def _iterate(
-    program: _Program, state: _EquationSearch, theta0: jax.Array, ridge: jax.Array
-) -> float:
+def _iterate(errors: _WindowErrors, state: _EquationSearch, theta0: Array, ridge: Array) -> float:
     """One accepted step; its relative gain, 0 when no damping gives one."""
-    gram, gradient = program.normal(state.theta, theta0, ridge)
-    size = jnp.diag(jnp.diag(gram) + 1e-12)
+    gram, gradient = errors.normal(state.theta, theta0, ridge)
+    size = np.diag(np.diag(gram) + 1e-12)
     for _ in range(_TRIES):
-        moved = state.theta - jnp.linalg.solve(gram + state.damping * size, gradient)
-        cost = program.cost(moved, theta0, ridge)
+        moved = state.theta - np.linalg.solve(gram + state.damping * size, gradient)
+        cost = errors.cost(moved, theta0, ridge)
         if np.isfinite(cost) and cost < state.cost:
             gained = (state.cost - cost) / state.cost if np.isfinite(state.cost) else 1.0
             state.theta, state.cost, state.damping = moved, cost, max(state.damping / 3, 1e-9)
@@ -123,64 +120,73 @@ def _iterate(
     return 0.0
 
 
-def _ask(judge: Judge, program: _Program, state: _EquationSearch) -> None:
-    score = judge(jax.tree.map(np.asarray, {**program.kept, **program.unravel(state.theta)}))
+def _ask(judge: Judge, errors: _WindowErrors, state: _EquationSearch) -> None:
+    score = judge(errors.params(state.theta))
     if score < state.best_score:
         state.best, state.best_score = state.theta, score
 
 
-def _single(tree: Any) -> Any:
-    """In float32: the simulation costs half as much, and its rounding is far below the noise of
-    measured states."""
-    return jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)
-
-
-class _Program:
-    """Compiled cost and normal equations: simulated in float32, summed in float64."""
+class _WindowErrors:
+    """Errors on windows, simulated in float32: it costs half as much, and its rounding is far below
+    the noise of measured states. Their squares are summed in float64."""
 
     def __init__(
         self,
         cell: MeasuredCell,
         kept: Params,
-        unravel: Callable[[jax.Array], Params],
+        packing: Packing,
         windows: HorizonWindows,
         settings: TermPenalties,
     ) -> None:
-        self.kept, self.unravel = dict(kept), unravel
-        threshold = settings.robust
+        self._kept, self._packing, self._threshold = dict(kept), packing, settings.robust
+        windows = HorizonWindows(*(np.asarray(a, np.float32) for a in windows))
+        fixed = {"fixed": kept["fixed"]}
+        self._program = partial(_errors, cell, packing, fixed, windows)
+        self._linearised = partial(_derivatives, cell, packing, fixed, windows)
 
-        def residual(theta: jax.Array) -> jax.Array:
-            params = _single({**self.kept, **unravel(theta)})
-            y = rollout(cell, params, windows.features, windows.u)
-            return (y - windows.y)[:, _EVERY - 1 :: _EVERY].ravel().astype(theta.dtype)
+    def params(self, theta: Array) -> Params:
+        """All parameters."""
+        return {**self._kept, **self._packing.unpack(theta)}
 
-        def weights(e: jax.Array) -> jax.Array:
-            if threshold is None:
-                return jnp.ones_like(e)
-            return 1.0 / jnp.sqrt(1.0 + (e / threshold) ** 2)
-
-        def twice(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
-            e = residual(theta)
-            return e, e
-
-        def loss(e: jax.Array) -> jax.Array:
-            if threshold is None:
-                return jnp.mean(e**2)
-            return jnp.mean(2.0 * threshold**2 * (jnp.sqrt(1.0 + (e / threshold) ** 2) - 1.0))
-
-        def cost(theta: jax.Array, theta0: jax.Array, ridge: jax.Array) -> jax.Array:
-            return loss(residual(theta)) + jnp.sum(ridge * (theta - theta0) ** 2)
-
-        def normal(
-            theta: jax.Array, theta0: jax.Array, ridge: jax.Array
-        ) -> tuple[jax.Array, jax.Array]:
-            jacobian, e = jax.jacfwd(twice, has_aux=True)(theta)
-            weighted = jacobian * weights(e)[:, None]
-            gram = weighted.T @ jacobian / e.size + jnp.diag(ridge)
-            return gram, weighted.T @ e / e.size + ridge * (theta - theta0)
-
-        self._cost, self.normal = jax.jit(cost), jax.jit(normal)
-
-    def cost(self, theta: jax.Array, theta0: jax.Array, ridge: jax.Array) -> float:
+    def cost(self, theta: Array, theta0: Array, ridge: Array) -> float:
         """The penalised loss."""
-        return float(self._cost(theta, theta0, ridge))
+        e, t = _double(self._program(theta.astype(np.float32))), self._threshold
+        with np.errstate(all="ignore"):
+            loss = e**2 if t is None else 2.0 * t**2 * (np.sqrt(1.0 + (e / t) ** 2) - 1.0)
+            return float(loss.mean() + (ridge * (theta - theta0) ** 2).sum())
+
+    def normal(self, theta: Array, theta0: Array, ridge: Array) -> tuple[Array, Array]:
+        """Half its Hessian (n, n), after Gauss and Newton, and half its gradient (n,)."""
+        e, jacobian = (_double(a) for a in self._linearised(theta.astype(np.float32)))
+        weighted = jacobian
+        if self._threshold is not None:
+            weighted = jacobian / np.sqrt(1.0 + (e / self._threshold) ** 2)
+        gram = weighted @ jacobian.T / e.size + np.diag(ridge)
+        return gram, weighted @ e / e.size + ridge * (theta - theta0)
+
+
+def _double(values: jax.Array) -> Array:
+    return np.asarray(values, np.float64)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _errors(
+    cell: MeasuredCell, packing: Packing, fixed: Any, windows: HorizonWindows, theta: jax.Array
+) -> jax.Array:
+    """(N,) for parameters theta (n,)."""
+    y = rollout(cell, {**fixed, **packing.unpack(theta)}, windows.features, windows.u)
+    return (y - windows.y)[:, _EVERY - 1 :: _EVERY].ravel()
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _derivatives(
+    cell: MeasuredCell, packing: Packing, fixed: Any, windows: HorizonWindows, theta: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Errors (N,) and their derivatives (n, N)."""
+
+    def along(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
+        run = partial(_errors, cell, packing, fixed, windows)
+        return jax.jvp(run, (theta,), (direction,))
+
+    basis = jax.numpy.eye(len(theta), dtype=theta.dtype)
+    return jax.vmap(along, out_axes=(None, 0))(basis)
