@@ -15,7 +15,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
-from asia.models._arrays import AnyArray, namespace, relu, sigmoid, split
+from asia.models._arrays import AnyArray, gates, namespace, relu, split
 from asia.models._config import check_at_least, check_choice
 from asia.models._data.records import window_size
 from asia.models._networks.family import Driven, network_family
@@ -111,16 +111,14 @@ class RecurrentCell(Driven[Config]):
         drive, tanh = u @ p["u"] + p["b"], namespace(u).tanh
         if self.config.cell == "rnn":
             return tanh(drive + h @ p["h"]), c
-        # The gates, side by side, and what they let through.
-        wide = (_GATES[self.config.cell] - 1) * h.shape[-1]
+        back = h @ p["h"]
         if self.config.cell == "gru":
-            back = h @ p["h"]
-            reset, keep = split(sigmoid(drive[..., :wide] + back[..., :wide]), 2)
+            wide = 2 * h.shape[-1]
+            reset, keep, _ = gates(drive + back, 3)
             new = tanh(drive[..., wide:] + reset * back[..., wide:])
             return new + keep * (h - new), c
-        drive = drive + h @ p["h"]
-        write, keep, read = split(sigmoid(drive[..., :wide]), 3)
-        c = keep * c + write * tanh(drive[..., wide:])
+        write, keep, read, new = gates(drive + back, 4)
+        c = keep * c + write * tanh(new)
         return read * tanh(c), c
 
 
