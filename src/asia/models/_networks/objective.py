@@ -21,10 +21,6 @@ from asia.models._networks.structure import (
 )
 from asia.models.methods import Adam, Loss
 
-# For so many simulations side by side it is cheaper to compute what happens inside a step twice
-# than to keep it for the gradient: 30 % at 128, nothing at 32.
-_WIDE = 48
-
 
 class Fed(NamedTuple):
     """Measured outputs y (B, T, ny) that replace a cell's own where mask (B, T) is 1."""
@@ -130,8 +126,6 @@ def scan(
         return state, features
 
     in_time = jax.tree.map(lambda v: jnp.swapaxes(v, 0, 1), (u, fed))
-    if len(u) >= _WIDE:
-        advance = jax.checkpoint(advance, prevent_cse=False)  # pyright: ignore[reportPrivateImportUsage]
     state, features = jax.lax.scan(advance, state, in_time)
     return jnp.swapaxes(features, 0, 1), state
 
