@@ -81,21 +81,26 @@ class Range:
 
 @dataclass(frozen=True)
 class GreyBoxStructure:
-    """All that is fixed before training. Hashable: compiled programs are found by it.
-
-    sampling_time in s; low, high (nx,): physical bounds of the states, infinite where open;
-    measured: whether simulations start at the last measured outputs.
-    """
+    """All that is fixed before training. Hashable: compiled programs are found by it."""
 
     equations: Equations
+    """The person's."""
     config: Config
+    """What is added to them."""
     ranges: tuple[Range, ...]
+    """Of the parameters, in the order of the equations'."""
     low: tuple[float, ...]
+    """Lower physical bounds of the states (nx,), infinite where open."""
     high: tuple[float, ...]
+    """Upper ones."""
     sampling_time: float
+    """In s."""
     n_past_u: int
+    """Inputs in a past window."""
     n_past_y: int
+    """Outputs in a past window."""
     measured: bool = False
+    """Whether simulations start at the last measured outputs."""
 
     def __post_init__(self) -> None:
         states, outputs = self.equations.states, self.equations.outputs
@@ -159,15 +164,25 @@ class Layout:
     """Slices of the coordinate vector, one for each part of the model."""
 
     parameters: slice
+    """Of the equations."""
     limits: slice
+    """One for each saturated state."""
     spill: slice
+    """Fractions that full states hand on."""
     linear: slice
+    """Matrix (nx, nx + nu)."""
     rate_offset: slice
+    """Offsets of derivatives."""
     output_offset: slice
+    """Offsets of outputs that are no states."""
     delay: slice
+    """One for each input."""
     hidden: slice
+    """First layer (units, nx + nu + 1) of the residual network."""
     readout: slice
+    """Its output layer (nx, units)."""
     size: int
+    """Length of the vector."""
 
     @classmethod
     def of(cls, structure: GreyBoxStructure) -> Layout:

@@ -48,26 +48,36 @@ class MeasuredState(NamedTuple):
 
 @dataclass(frozen=True)
 class MeasuredCell:
-    """Structure of the model: see `asia.models._networks.structure.Cell`. Hashable.
-
-    order: the output that is each state; dynamic, kinematic: indices of the equations with and
-    without free parameters; read: names of the states and definitions the learned terms may read.
-    """
+    """Structure of the model: see `asia.models._networks.structure.Cell`. Hashable."""
 
     equations: Equations
+    """The person's."""
     ranges: tuple[Range, ...]
+    """Of their parameters."""
     order: tuple[int, ...]
+    """The output that is each state."""
     dynamic: tuple[int, ...]
+    """Equations with free parameters."""
     kinematic: tuple[int, ...]
+    """Equations without, where these get a gain; else none."""
     read: tuple[str, ...]
+    """States and definitions that the learned terms may read."""
     sampling_time: float
+    """In s."""
     past_inputs: bool
+    """Whether a past window shows inputs."""
     lag: bool
+    """Whether the inputs act through a lag."""
     linear: bool
+    """Whether there are linear terms."""
     disturbance: bool
+    """Whether there is a disturbance state."""
     network: NetworkKind | None
+    """Kind of the network, if there is one."""
     inner: recurrent.Config | None
+    """Its layers, where it is recurrent."""
     size: float
+    """Its largest effect, as a share of the rates measured."""
 
     @property
     def nd(self) -> int:

@@ -62,13 +62,21 @@ class Equations:
     """Parsed physics: hashable, so that functions and programs made of it can be found by it."""
 
     states: tuple[str, ...]
+    """Names, in the order of x."""
     inputs: tuple[str, ...]
+    """Names, in the order of u."""
     outputs: tuple[str, ...]
+    """Names, in the order of y."""
     parameters: tuple[str, ...]
+    """Names of what is fitted."""
     constants: tuple[tuple[str, float], ...]
+    """Names and values."""
     definitions: tuple[tuple[str, Expression], ...]
+    """Names and expressions, each after those it uses."""
     dynamics: tuple[Expression, ...]
+    """d/dt of each state."""
     observation: tuple[Expression, ...]
+    """Each output."""
 
     def __hash__(self) -> int:
         # That of all expressions would cost more than a step of a simulation.
