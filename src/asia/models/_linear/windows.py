@@ -176,7 +176,45 @@ def _regressors(x: Array, u: Array) -> Array:
 
 
 def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
-    """J' J (P, P) and J' e (P,), summed step by step so that no Jacobian is held."""
+    """J' J (P, P) and J' e (P,), of which no Jacobian is held."""
+    # Either way is as dear as its largest products: by lags samples^2, by steps samples ny^3.
+    if windows.u.shape[1] < 2 * model.lags.ny**3:
+        return normal_by_lags(model, windows)
+    return normal_by_steps(model, windows)
+
+
+def normal_by_lags(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
+    """All windows share the responses H_r of the outputs to a change r samples before, so that J' J
+    is a sum over lags of products of those with correlations of the regressors."""
+    lags, ny = model.lags, model.lags.ny
+    s, from_u, from_y = lags.shift()
+    samples, size = windows.u.shape[1], model.theta.size
+    x, phi, errors = lags.state(windows.features), list[Array](), list[Array]()
+    change, responses = from_y.T, [np.eye(ny)]
+    for k in range(samples):
+        u = windows.u[:, k]
+        phi.append(_regressors(x, u))
+        y = phi[-1] @ model.theta
+        errors.append(windows.y[:, k] - y)
+        x = x @ s + u @ from_u + y @ from_y
+        responses.append(model.theta[: lags.order].T @ change)
+        change = s.T @ change + from_y.T @ responses[-1]
+    z, e, h = np.stack(phi), np.stack(errors), np.stack(responses[:samples])
+    gram = np.zeros((ny, ny, z.shape[2], z.shape[2]))
+    for lag in range(samples):
+        left = samples - lag
+        both = np.cumsum(h[lag:].transpose(0, 2, 1) @ h[:left], axis=0)[::-1]
+        regressors = z[:left].transpose(0, 2, 1) @ z[lag:]
+        part = both.reshape(left, -1).T @ regressors.reshape(left, -1)
+        part = part.reshape(gram.shape)
+        gram += part + part.transpose(1, 0, 3, 2) if lag else part
+    later = [np.tensordot(e[k:], h[: samples - k], ([0, 2], [0, 1])) for k in range(samples)]
+    gradient = np.tensordot(z, np.stack(later), ([0, 1], [0, 1]))
+    return gram.transpose(2, 0, 3, 1).reshape(size, size), gradient.ravel()
+
+
+def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
+    """Summed over the sensitivities of one step after the other."""
     lags, ny = model.lags, model.lags.ny
     s, from_u, from_y = lags.shift()
     by_x = model.theta[: lags.order]

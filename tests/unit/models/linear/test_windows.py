@@ -13,7 +13,15 @@ from asia.models import linear, neural_ss
 from asia.models._data.records import scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import HorizonWindows, cut_windows, stretches
-from asia.models._linear.windows import WindowLags, WindowPredictor, held, one_step, refined
+from asia.models._linear.windows import (
+    WindowLags,
+    WindowPredictor,
+    held,
+    normal_by_lags,
+    normal_by_steps,
+    one_step,
+    refined,
+)
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
@@ -115,6 +123,27 @@ def test_refinement_lowers_the_error_over_the_horizon_and_a_great_ridge_holds(ru
     assert better.error(windows) < 0.2 * start.error(windows)
     stuck = refined(start, windows, 1e6, 20, 1e-9)
     np.testing.assert_allclose(stuck.theta, start.theta, atol=1e-4)
+
+
+@pytest.mark.parametrize("sizes", [(2, 3, 2, 2, 9), (1, 1, 3, 2, 1), (2, 2, 0, 1, 6)])
+def test_normal_equations_are_the_same_by_lags_and_by_steps(sizes):
+    nu, ny, past_u, past_y, samples = sizes
+    rng, lags = np.random.default_rng(0), WindowLags(past_u, past_y, past_u, past_y, nu, ny)
+    features, u, y = (
+        rng.standard_normal((7, *shape))
+        for shape in ((past_u * nu + past_y * ny,), (samples, nu), (samples, ny))
+    )
+    theta = 0.1 * rng.standard_normal((lags.order + nu + 1, ny))
+    model, windows = WindowPredictor(lags, theta), HorizonWindows(features, u, y)
+    for one, other in zip(
+        normal_by_lags(model, windows), normal_by_steps(model, windows), strict=True
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
+    # The gradient of half the squared error, by differences.
+    _, gradient = normal_by_lags(model, windows)
+    moved = WindowPredictor(lags, theta + 1e-6)
+    change = (moved.error(windows) - model.error(windows)) * y.size / 2
+    assert change == pytest.approx(-1e-6 * gradient.sum(), rel=1e-3)
 
 
 def test_windows_are_bounded_in_number_and_come_from_every_record(runs, context):
