@@ -41,6 +41,7 @@ class SimulationError:
         self._active, self._simulate = active, simulate
         mask = segments.mask / np.sqrt(segments.mask.sum() * structure.ny)
         self._weight = mask[..., None]
+        self._last: tuple[Array, NormalEquations] | None = None
 
     @property
     def theta0(self) -> Array:
@@ -60,21 +61,37 @@ class SimulationError:
             if not self._structure.measured:
                 total += _INITIAL_RIDGE / shift.shape[2] * (shift**2).sum(axis=(2, 3))
             for part in self._simulate.pieces():
-                e = self._errors(z, shift, part)
+                e = self._errors(np.arange(len(self)), z, shift, part)
                 total += np.einsum("rkstn,rkstn->rk", e, e)
         return total
 
     def linearise(self, theta: Array) -> NormalEquations:
-        """At theta (R, n), by central differences. A segment's errors depend on its own initial
-        state only, so those of all segments are moved together."""
+        """At theta (R, n). Rows that have not moved since the last time are not computed again."""
+        moved = np.arange(len(self))
+        if self._last is None:
+            found = self._normal_equations(theta, moved)
+        else:
+            before, found = self._last
+            moved = moved[(theta != before).any(axis=1)]
+            if len(moved):
+                fresh = self._normal_equations(theta[moved], moved)
+                for kept, new in zip(found, fresh, strict=True):
+                    kept[moved] = new
+        self._last = theta.copy(), found
+        return found
+
+    def _normal_equations(self, theta: Array, chosen: Indices) -> NormalEquations:
+        """Of some rows, by central differences. A segment's errors depend on its own initial state
+        only, so those of all segments are moved together."""
         size, nx, count = self._structure.layout.size, self._structure.nx, theta.shape[1]
         fitted = np.flatnonzero(self._active)
-        cost = np.zeros(len(self))
-        gram, gradient = np.zeros((len(self), count, count)), np.zeros((len(self), count))
+        cost, gram, gradient = (
+            np.zeros((len(theta), *shape)) for shape in ((), (count, count), (count,))
+        )
         z, shift = self._parts(self._around(theta, fitted))
         with np.errstate(all="ignore"):
             for part in self._simulate.pieces():
-                found = self._errors(z, shift, part)
+                found = self._errors(chosen, z, shift, part)
                 found = found.reshape(*found.shape[:3], -1)
                 e, (up, down) = found[:, 0], np.split(found[:, 1:], 2, axis=1)
                 jacobian = ((up - down) / (2.0 * _STEP)).transpose(0, 2, 3, 1)
@@ -127,10 +144,10 @@ class SimulationError:
             return theta, np.zeros((*theta.shape[:2], len(self._segments.u), nx))
         return theta[..., :size], theta[..., size:].reshape(*theta.shape[:2], -1, nx)
 
-    def _errors(self, z: Array, shift: Array, part: slice) -> Array:
-        """Errors (R, K, S, T, ny) of some segments."""
-        repeated, scales = np.repeat(np.arange(len(self)), z.shape[1]), self._starts.scales
-        x0 = self._starts.x_guess[:, None] + shift * scales.x_scale.T[:, None, None]
+    def _errors(self, chosen: Indices, z: Array, shift: Array, part: slice) -> Array:
+        """Errors (R, K, S, T, ny) of some rows and segments."""
+        repeated, scales = np.repeat(chosen, z.shape[1]), self._starts.scales
+        x0 = self._starts.x_guess[chosen, None] + shift * scales.x_scale.T[chosen, None, None]
         points, x0 = z.reshape(len(repeated), -1), x0.reshape(len(repeated), *x0.shape[2:])
         y, _ = self._simulate.piece(points, scales.of_rows(repeated), x0, part)
         error = (y - self._segments.y[part]) / scales.y_scale[:, 0]
@@ -140,7 +157,7 @@ class SimulationError:
             tail = np.sqrt(np.maximum(2.0 * threshold * size - threshold**2, 1e-12))
             error = np.where(size <= threshold, error, np.sign(error) * tail)
         error *= self._weight[part]
-        return error.reshape(len(self), -1, *error.shape[1:])
+        return error.reshape(len(chosen), -1, *error.shape[1:])
 
     def _prior(self, z: Array) -> tuple[Array, Array]:
         """Square roots (..., size) of the penalties on coordinates z, and their derivatives."""

@@ -107,3 +107,15 @@ def test_costs_and_normal_equations(config: greybox.Config, horizon: int | None)
             assert np.abs(pull).max() < 1e-6
             other = e(points[row, 1])
             assert error.cost(points)[row, 1] == pytest.approx(float(other @ other), rel=1e-9)
+
+
+def test_rows_that_have_not_moved_keep_their_normal_equations() -> None:
+    error, other = error_of(greybox.Config()), error_of(greybox.Config())
+    theta = error.theta0.copy()
+    error.linearise(theta)
+    theta[1] += 0.01
+    for found, expected in zip(error.linearise(theta), other.linearise(theta), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    still = [values.copy() for values in error.linearise(theta)]
+    for found, expected in zip(still, other.linearise(theta), strict=True):
+        np.testing.assert_array_equal(found, expected)
