@@ -77,6 +77,8 @@ def train_network(
             "its data and not from a seed; leave members at 1"
         )
     members: list[Params] = []
+    # One after the other, by one compiled program: three at a time, by jax.vmap, take 0.8 times as
+    # long where 8 short chunks are side by side, but 1.0 to 1.25 times where 31 are.
     for i in range(method.members):
         params, own = model.params, replace(context, seed=context.seed + i)
         if i > 0 and isinstance(cell, Restartable):
