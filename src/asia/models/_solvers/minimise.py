@@ -75,7 +75,8 @@ def minimise(
         best = costs.argmin(axis=1)
         better = (costs[each, best] < before) & ~done
         reached = np.where(better, costs[each, best], before)
-        small = better & (before - reached <= method.tolerance * before)
+        old, new = (np.where(better, costs, 0.0) for costs in (before, reached))
+        small = better & (old - new <= method.tolerance * old)
         theta = np.where(better[:, None], points[each, best], theta)
         changed = np.where(better, dampings[each, best] * 0.3, dampings[:, -1] * 10.0)
         damping = np.where(done, damping, np.maximum(changed, 1e-12))
@@ -91,9 +92,11 @@ def _finite(costs: Array) -> Array:
 
 def _steps(at: NormalEquations, dampings: Array) -> Array:
     """Steps (R, trials, n) for dampings (R, trials), with Marquardt's column scaling."""
-    scale = np.sqrt(np.diagonal(at.gram, axis1=1, axis2=2))
-    scale = np.where(scale > 0, scale, 1.0)
-    gram = at.gram / (scale[:, :, None] * scale[:, None, :])
-    damped = gram[:, None] + dampings[..., None, None] * np.eye(gram.shape[1])
-    gradient = np.broadcast_to((at.gradient / scale)[:, None, :, None], (*damped.shape[:3], 1))
-    return -np.linalg.solve(damped, gradient)[..., 0] / scale[:, None]
+    # A row whose errors are not finite gets steps that are not, which are refused.
+    with np.errstate(all="ignore"):
+        scale = np.sqrt(np.diagonal(at.gram, axis1=1, axis2=2))
+        scale = np.where(scale > 0, scale, 1.0)
+        gram = at.gram / (scale[:, :, None] * scale[:, None, :])
+        damped = gram[:, None] + dampings[..., None, None] * np.eye(gram.shape[1])
+        gradient = np.broadcast_to((at.gradient / scale)[:, None, :, None], (*damped.shape[:3], 1))
+        return -np.linalg.solve(damped, gradient)[..., 0] / scale[:, None]

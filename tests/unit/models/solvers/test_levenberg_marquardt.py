@@ -124,3 +124,18 @@ def test_settings_out_of_range_are_refused(arguments: dict[str, float]) -> None:
 def test_an_unknown_way_to_stop_is_refused() -> None:
     with pytest.raises(UserError, match="expected None or 'validation'"):
         LevenbergMarquardt(stop="inner")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_a_row_that_is_not_finite_leaves_the_others_alone(lost: float) -> None:
+    def costs(points: np.ndarray) -> np.ndarray:
+        return ((points - 2.0) ** 2).sum(axis=2) * np.array([[1.0], [lost]])
+
+    def linearise(theta: np.ndarray) -> NormalEquations:
+        gram = np.stack([np.eye(2), np.full((2, 2), lost)])
+        pull = (theta - 2.0) * np.array([[1.0], [lost]])
+        return NormalEquations(costs(theta[:, None])[:, 0], gram, pull)
+
+    found = minimise(costs, linearise, np.zeros((2, 2)), LevenbergMarquardt())
+    np.testing.assert_allclose(found.theta, [[2.0, 2.0], [0.0, 0.0]], atol=1e-9)
+    assert found.cost[1] == np.inf
