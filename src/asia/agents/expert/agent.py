@@ -2,13 +2,13 @@
 
 Explore: a first, cheap configuration of each of the families most apt for the problem, interrupted
 by a move that is near certain. Refine: of all moves on the best trial of each family, the one with
-the most weight.
+the most weight for the seconds it is expected to take.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from asia.agents._view import AgentView, Proposal, Trial
@@ -31,12 +31,22 @@ PATIENCE = 0.85
 
 @dataclass(frozen=True)
 class _Option:
-    """Something to try; `make` gives None when it was tried before. apt: worth a place in the
-    ladder."""
+    """Something to try."""
 
     weight: float
+    """How promising it is."""
     make: Callable[[], Proposal | None]
+    """The proposal; None when it was tried before."""
+    seconds: float
+    """What a fit of it is expected to take."""
     apt: bool = True
+    """Whether it is worth a place in the ladder."""
+
+    def paced(self, usual: float) -> _Option:
+        """With less weight the more seconds it takes beyond the usual: a root, because experiments
+        are counted too."""
+        pace = min(1.0, 2.0 * usual / (usual + self.seconds)) ** 0.5
+        return replace(self, weight=self.weight * pace)
 
 
 class ExpertAgent:
@@ -52,7 +62,8 @@ class ExpertAgent:
             proposal = _heaviest([*sure, *(option for option in ladder if option.apt)])
             if proposal is not None:
                 return proposal
-        return _heaviest([*moves, *ladder])
+        usual = _usual_seconds(view)
+        return _heaviest([option.paced(usual) for option in (*moves, *ladder)])
 
 
 def _heaviest(options: list[_Option]) -> Proposal | None:
@@ -61,13 +72,22 @@ def _heaviest(options: list[_Option]) -> Proposal | None:
     return next((p for option in ordered if (p := option.make()) is not None), None)
 
 
+def _usual_seconds(view: AgentView) -> float:
+    """Expected seconds of a fit, mean of the trials so far; not measured."""
+    recipes = (read_recipe(trial.source) for trial in view.trials)
+    known = ((r, family(r.family)) for r in recipes if r is not None)
+    seconds = [row.seconds(view.facts, recipe) for recipe, row in known if row is not None]
+    return max(sum(seconds) / len(seconds), 1e-3) if seconds else 1.0
+
+
 def _untried(view: AgentView) -> Iterator[_Option]:
     """First configurations of families that no trial has used, the most apt first."""
     used = {t.family for t in view.trials}
     for row in families(view.facts):
         if row.name not in used:
             apt = row.aptness(view.facts) > 0
-            yield _Option(UNTRIED, partial(_first, view, row), apt)
+            seconds = row.seconds(view.facts, row.trial(view.facts))
+            yield _Option(UNTRIED, partial(_first, view, row), seconds, apt)
 
 
 def _first(view: AgentView, row: Family) -> Proposal | None:
@@ -95,7 +115,9 @@ def _refinements(view: AgentView) -> Iterator[_Option]:
             weight = move.weight(at) * (share if move.behind_counts else 1.0)
             if weight > 0:
                 weight *= move.fade ** _failures(at, move)
-                yield _Option(weight, partial(_moved, at, move))
+                recipe = at.recipe if move.same_effort else move.change(at)
+                seconds = at.row.seconds(at.facts, recipe)
+                yield _Option(weight, partial(_moved, at, move), seconds)
 
 
 def _failures(at: Situation, move: Move) -> int:

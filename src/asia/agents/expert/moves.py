@@ -89,6 +89,7 @@ GENERAL_MOVES: tuple[Move, ...] = (
         hypothesis="What is left to gain lies in the numbers: within a factor of three of the best "
         "ones known, where the outcomes so far say it is likeliest (tree-structured Parzen).",
         expected="A small gain in V.",
+        same_effort=True,
         fade=0.9,
     ),
     Move(

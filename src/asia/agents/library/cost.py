@@ -1,14 +1,16 @@
-"""What a fit of a network may cost, in updates.
+"""What a fit costs: how many updates a network may take, and the expected seconds of a recipe.
 
-The cost is estimated from sizes and two constants of an ordinary core, never measured: the same
+Both are estimated from sizes and from constants of an ordinary core, never from a clock: the same
 problem gives the same candidates everywhere.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 from asia.agents._view import Facts
+from asia.agents.library.recipe import Recipe
 
 SampleCost = Literal["light", "medium", "heavy"]
 Stage = Literal["trial", "full"]
@@ -25,6 +27,41 @@ FEWEST_STEPS = 200
 GENTLE_STEPS = 400
 CHUNK = 128
 _BATCH = 128
+# Settings that say how often a fit is repeated, and how large its model is.
+_REPEATS = ("starts", "members")
+_SIZES = ("hidden", "width", "units", "states", "slow", "residual")
+_USUAL_SIZE = 16.0
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Seconds of one fold's fit on an ordinary core, see `fit_seconds`. Fitted to recorded searches
+    by `benchmarks/models/cost.py`."""
+
+    start: float = 2.0
+    """What every fit takes: imports, tracing, compilation."""
+    unit: float = 1e-6
+    """For each sample that is simulated, at the usual size of a model."""
+
+
+def fit_seconds(cost: Cost, facts: Facts, recipe: Recipe) -> float:
+    """Expected seconds of one fold's fit."""
+    return cost.start + cost.unit * work(facts, recipe)
+
+
+def work(facts: Facts, recipe: Recipe) -> float:
+    """Samples that a fit simulates, all its steps and repetitions together, times the size of the
+    model over the usual one; at least half of it counts whatever the size."""
+    rounds = recipe.number("steps", 1.0) * recipe.number("iterations", 1.0)
+    samples = float(facts.fit_samples)
+    if recipe.method == "Adam":
+        length = recipe.number("truncation", facts.horizon or facts.fit_samples)
+        samples = min(samples, recipe.number("batch", _BATCH) * length)
+    repeats = 1.0
+    for name in _REPEATS:
+        repeats *= max(1.0, recipe.number(name, 1.0))
+    size = max(recipe.number(name, 0.0) for name in _SIZES)
+    return rounds * samples * repeats * (0.5 + 0.5 * (size or _USUAL_SIZE) / _USUAL_SIZE)
 
 
 def steps(facts: Facts, cost: SampleCost, stage: Stage) -> int:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from asia.agents._view import Facts
+from asia.agents.library.cost import Cost, fit_seconds
 from asia.agents.library.recipe import MODELS, Arguments, Recipe
 from asia.agents.library.space import Space
 from asia.agents.library.traits import Trait, traits
@@ -33,6 +34,8 @@ class Family:
     """What may be varied."""
     small: Arguments
     """Settings of the first configuration that make it fit in seconds, for tests."""
+    cost: Cost = field(default_factory=Cost)
+    """What a fit takes; the default is for a family that nobody has timed."""
     longer: Callable[[Facts], Recipe] | None = None
     """The first configuration with a long fit; None where the first fit is cheap anyway."""
     points: tuple[tuple[Trait, float], ...] = ()
@@ -88,6 +91,10 @@ class Family:
         """The base and the points of the problem's traits."""
         found = traits(facts)
         return self.base + sum(points for trait, points in self.points if trait in found)
+
+    def seconds(self, facts: Facts, recipe: Recipe) -> float:
+        """Expected seconds of one fold's fit."""
+        return fit_seconds(self.cost, facts, recipe)
 
     def _own(self, recipe: Recipe) -> Recipe:
         return replace(recipe, family=self.name, package=self.package)

@@ -78,6 +78,8 @@ class Move:
     """Made on the best trial of a family, or on one of a family that only failed."""
     behind_counts: bool = True
     """Whether the weight shrinks with the distance to the leading family."""
+    same_effort: bool = False
+    """Whether a fit takes as long as that of the trial, whatever is changed."""
     fade: float = 0.4
     """What is left of the weight after each time that the move did not help."""
 

@@ -1,0 +1,89 @@
+"""Constants of the families' expected fit seconds, from recorded searches.
+
+asia run two_tanks_sim --agent random --experiments 40
+python benchmarks/models/cost.py runs/two_tanks_sim-random-s0 ...
+
+Reads the seconds of the folds' fits out of the ledgers of searches, and fits `start` and `unit` of
+`asia.agents.library.cost.Cost` for each family: least squares of the relative error, neither below
+zero. Prints them and how far the expected seconds, as the cards have them now and as fitted, lie
+from the measured ones: medians and 90 % quantiles of the ratio, either way.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import nnls
+
+from asia.agents.library.cost import Cost, work
+from asia.agents.library.recipe import read_recipe
+from asia.agents.library.table import family
+from asia.ledger import Store, open_run
+from asia.problem.load import load_lock
+from asia.search import problem_facts
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Work of a fit, and its seconds as measured and as expected now."""
+
+    work: float
+    seconds: float
+    expected: float
+
+
+def main() -> None:
+    """Fit and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("runs", nargs="+", type=Path)
+    found: dict[str, list[Fit]] = defaultdict(list)
+    for run in parser.parse_args().runs:
+        for name, fit in fits(run):
+            found[name].append(fit)
+    print("| family | fits | start | unit | ratio now | ratio fitted |")
+    print("|---|---|---|---|---|---|")
+    for name, own in sorted(found.items()):
+        cost = fitted(own)
+        now = ratios([f.expected for f in own], own)
+        then = ratios([cost.start + cost.unit * f.work for f in own], own)
+        print(f"| {name} | {len(own)} | {cost.start:.2f} | {cost.unit:.2g} | {now} | {then} |")
+
+
+def fits(run: Path) -> list[tuple[str, Fit]]:
+    """Fits of the library's recipes in one search."""
+    opened = open_run(run)
+    facts = problem_facts(load_lock(run / "problem.lock.toml"))
+    store, found = Store(run / "artifacts"), list[tuple[str, Fit]]()
+    for experiment in opened.view.finished:
+        recipe = read_recipe(store.text(experiment.proposed.source))
+        row = family(recipe.family) if recipe is not None else None
+        if recipe is None or row is None or experiment.result is None:
+            continue
+        if seconds := [fold.fit_seconds for fold in experiment.result.folds]:
+            fit = Fit(work(facts, recipe), max(seconds), row.seconds(facts, recipe))
+            found.append((row.name, fit))
+    return found
+
+
+def fitted(own: list[Fit]) -> Cost:
+    """Least squares of the relative error."""
+    seconds = np.array([f.seconds for f in own])
+    rows = np.stack([np.ones(len(own)), [f.work for f in own]], axis=1) / seconds[:, None]
+    size = np.abs(rows).max(axis=0)
+    start, unit = nnls(rows / size, np.ones(len(own)))[0] / size
+    return Cost(float(start), float(unit))
+
+
+def ratios(expected: list[float], own: list[Fit]) -> str:
+    """Median and 90 % quantile of the larger over the smaller."""
+    ratio = np.array(expected) / np.array([f.seconds for f in own])
+    either = np.maximum(ratio, 1 / ratio)
+    return f"{np.median(either):.2f}, {np.quantile(either, 0.9):.2f}"
+
+
+if __name__ == "__main__":
+    main()
