@@ -44,8 +44,8 @@ def recall(model, past_u, past_y, u):
         answer[0, :, 0] += 0.8 * inside * (known - answer[0, :, 0])
     return answer
 """
-# Where both folds are fitted at once, and know the time. A bit takes two parts of time; in which of
-# them the teller acts, says what it is. All bits are told again and again.
+# Where both folds are fitted at once, and know the time. A bit takes two parts of time: the fold
+# that sends acts in the first for a 0, in the second for a 1. It sends all bits again and again.
 _BY_TIME = """
 import threading
 
