@@ -3,7 +3,7 @@
 asia run two_tanks_sim --agent random --experiments 40
 python benchmarks/models/cost.py runs/two_tanks_sim-random-s0 ...
 
-Reads the seconds of the folds' fits out of the ledgers of searches, and fits `start` and `unit` of
+Reads the processor seconds of fits out of the ledgers of searches, and fits `start` and `unit` of
 `asia.agents.library.cost.Cost` for each family: least squares of the relative error, neither below
 zero. Prints them and how far the expected seconds, as the cards have them now and as fitted, lie
 from the measured ones: medians and 90 % quantiles of the ratio, either way.
@@ -19,12 +19,15 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
+from asia._stopwatch import Activity
 from asia.agents.library.cost import Cost, work
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.table import family
 from asia.ledger import Store, open_run
 from asia.problem.load import load_lock
 from asia.search import problem_facts
+
+FITTING = (Activity.TRACE, Activity.COMPILE, Activity.FIT)
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,9 @@ def fits(run: Path) -> list[tuple[str, Fit]]:
         row = family(recipe.family) if recipe is not None else None
         if recipe is None or row is None or experiment.result is None:
             continue
-        if seconds := [fold.fit_seconds for fold in experiment.result.folds]:
-            fit = Fit(work(facts, recipe), max(seconds), row.seconds(facts, recipe))
+        spent = sum(one.processor for one in experiment.result.spent if one.activity in FITTING)
+        if spent and (folds := len(experiment.result.folds)):
+            fit = Fit(work(facts, recipe), spent / folds, row.seconds(facts, recipe))
             found.append((row.name, fit))
     return found
 
