@@ -39,6 +39,8 @@ def parse_frames(data: bytes) -> None:
             y = hostile.worker.simulate(past, past, u)
             assert y.shape == (2, 3, 1)
             assert np.isfinite(y).all()
+            hostile.worker.count_compiling()
+            assert all(0 <= s < np.inf for pair in hostile.worker.spent.values() for s in pair)
         finally:
             hostile.close()
 
@@ -91,7 +93,9 @@ class _Hostile:
         def nothing() -> None:
             pass
 
-        started = WorkerProcess(_Ended(), pipes, nothing, nothing, nothing, beyond_reach=True)  # type: ignore[arg-type]
+        started = WorkerProcess(
+            _Ended(), pipes, nothing, nothing, nothing, beyond_reach=True, find=lambda: None  # type: ignore[arg-type]
+        )  # fmt: skip
         self.worker = Worker(started, Limits(0.5, 0.5, 4096, model_mb=1))
         self.worker._channel.send = self._answer  # type: ignore[method-assign]
         # No candidate is there before this: a start that fails is nobody's.
