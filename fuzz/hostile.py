@@ -57,7 +57,7 @@ def seeds() -> tuple[bytes, ...]:
     return (
         b"\0" + part.join([fitted, done + model, done + y]),
         b"\2" + part.join([begun + frame + asks, done + curve, done + model, done + y]),
-        b"\1" + part.join([done, done + y]),
+        b"\1" + part.join([done, done + y, done + bytes(48)]),
         b"\1" + part.join([done, shape]),
         b"\1" + part.join([done, words]),
         b"\0" + part.join([words]),
