@@ -4,9 +4,9 @@ asia run two_tanks_sim --agent random --experiments 40
 python benchmarks/models/cost.py runs/two_tanks_sim-random-s0 ...
 
 Reads the processor seconds of fits out of the ledgers of searches, and fits `start` and `unit` of
-`asia.agents.library.cost.Cost` for each family: least squares of the relative error, neither below
-zero. Prints them and how far the expected seconds, as the cards have them now and as fitted, lie
-from the measured ones: medians and 90 % quantiles of the ratio, either way.
+`asia.agents.library.cost.Timing` for each family: least squares of the relative error, neither
+below zero. Prints them and how far the expected seconds, as the cards have them now and as fitted,
+lie from the measured ones: medians and 90 % quantiles of the ratio, either way.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ import numpy as np
 from scipy.optimize import nnls
 
 from asia._stopwatch import Activity
-from asia.agents.library.cost import Cost, work
+from asia.agents.library.cost import Timing, work
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.table import family
 from asia.ledger import Store, open_run
 from asia.problem.load import load_lock
 from asia.search import problem_facts
 
+LEAST_SHARE = 0.1
 FITTING = (Activity.TRACE, Activity.COMPILE, Activity.FIT)
 
 
@@ -50,10 +51,10 @@ def main() -> None:
     print("| family | fits | start | unit | ratio now | ratio fitted |")
     print("|---|---|---|---|---|---|")
     for name, own in sorted(found.items()):
-        cost = fitted(own)
+        timing = fitted(own)
         now = ratios([f.expected for f in own], own)
-        then = ratios([cost.start + cost.unit * f.work for f in own], own)
-        print(f"| {name} | {len(own)} | {cost.start:.2f} | {cost.unit:.2g} | {now} | {then} |")
+        then = ratios([timing.start + timing.unit * f.work for f in own], own)
+        print(f"| {name} | {len(own)} | {timing.start:.2f} | {timing.unit:.2g} | {now} | {then} |")
 
 
 def fits(run: Path) -> list[tuple[str, Fit]]:
@@ -73,13 +74,15 @@ def fits(run: Path) -> list[tuple[str, Fit]]:
     return found
 
 
-def fitted(own: list[Fit]) -> Cost:
-    """Least squares of the relative error."""
-    seconds = np.array([f.seconds for f in own])
-    rows = np.stack([np.ones(len(own)), [f.work for f in own]], axis=1) / seconds[:, None]
+def fitted(own: list[Fit]) -> Timing:
+    """Least squares of the relative error; a tenth of the usual seconds at least grow with the
+    work, because few fits show little of how they grow."""
+    seconds, amount = (np.array([getattr(f, name) for f in own]) for name in ("seconds", "work"))
+    least = LEAST_SHARE * float(np.median(seconds) / np.median(amount))
+    rows = np.stack([np.ones(len(own)), amount], axis=1) / seconds[:, None]
     size = np.abs(rows).max(axis=0)
-    start, unit = nnls(rows / size, np.ones(len(own)))[0] / size
-    return Cost(float(start), float(unit))
+    start, more = nnls(rows / size, 1.0 - least * amount / seconds)[0] / size
+    return Timing(float(start), least + float(more))
 
 
 def ratios(expected: list[float], own: list[Fit]) -> str:

@@ -34,7 +34,7 @@ _USUAL_SIZE = 16.0
 
 
 @dataclass(frozen=True)
-class Cost:
+class Timing:
     """Seconds of one fold's fit on an ordinary core, see `fit_seconds`. Fitted to recorded searches
     by `benchmarks/models/cost.py`."""
 
@@ -44,9 +44,9 @@ class Cost:
     """For each sample that is simulated, at the usual size of a model."""
 
 
-def fit_seconds(cost: Cost, facts: Facts, recipe: Recipe) -> float:
+def fit_seconds(timing: Timing, facts: Facts, recipe: Recipe) -> float:
     """Expected seconds of one fold's fit."""
-    return cost.start + cost.unit * work(facts, recipe)
+    return timing.start + timing.unit * work(facts, recipe)
 
 
 def work(facts: Facts, recipe: Recipe) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from asia.agents._view import Facts
-from asia.agents.library.cost import Cost, fit_seconds
+from asia.agents.library.cost import Timing, fit_seconds
 from asia.agents.library.recipe import MODELS, Arguments, Recipe
 from asia.agents.library.space import Space
 from asia.agents.library.traits import Trait, traits
@@ -34,7 +34,7 @@ class Family:
     """What may be varied."""
     small: Arguments
     """Settings of the first configuration that make it fit in seconds, for tests."""
-    cost: Cost = field(default_factory=Cost)
+    timing: Timing = field(default_factory=Timing)
     """What a fit takes; the default is for a family that nobody has timed."""
     longer: Callable[[Facts], Recipe] | None = None
     """The first configuration with a long fit; None where the first fit is cheap anyway."""
@@ -94,7 +94,7 @@ class Family:
 
     def seconds(self, facts: Facts, recipe: Recipe) -> float:
         """Expected seconds of one fold's fit."""
-        return fit_seconds(self.cost, facts, recipe)
+        return fit_seconds(self.timing, facts, recipe)
 
     def _own(self, recipe: Recipe) -> Recipe:
         return replace(recipe, family=self.name, package=self.package)

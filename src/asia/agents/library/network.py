@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from asia.agents._view import Facts
-from asia.agents.library.cost import SampleCost, Stage
+from asia.agents.library.cost import SampleCost, Stage, Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import adam, by_lbfgs, by_multiple_shooting, network_space
 from asia.agents.library.recipe import MODELS, Arguments, Recipe
@@ -47,6 +47,7 @@ def network_family(
     small: Arguments,
     needs: frozenset[Trait] = frozenset(),
     package: str = MODELS,
+    timing: Timing | None = None,
 ) -> Family:
     """The row of a network. small: the sizes for tests; the steps of the fit are added."""
 
@@ -80,6 +81,7 @@ def network_family(
         longer=recipe("full"),
         space=space,
         small=(*small, _SMALL_STEPS),
+        timing=timing or Timing(),
         methods=methods,
         seeds=True,
         package=package,

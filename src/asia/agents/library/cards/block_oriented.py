@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move
@@ -53,6 +54,7 @@ CARD = Card(
             start=_block_oriented,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
+            timing=Timing(start=1.9, unit=4.1e-06),
         ),
     ),
     (

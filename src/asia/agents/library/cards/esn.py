@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.move import Move
 from asia.agents.library.recipe import Recipe
@@ -38,6 +39,7 @@ CARD = Card(
             start=_esn,
             space=_space,
             small=(("units", 4),),
+            timing=Timing(start=0.0, unit=0.00017),
         ),
     ),
     (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.network import WHOLE_RECORD, NetworkStart, network_family
 from asia.agents.library.space import OneOf
 
@@ -21,6 +22,7 @@ CARD = Card((
         ),
         WHOLE_RECORD,
         small=(("receptive_field", 8), ("width", 4)),
+        timing=Timing(start=8.6, unit=3.1e-06),
     ),
     network_family(
         "transformer",
@@ -36,5 +38,6 @@ CARD = Card((
         ),
         WHOLE_RECORD,
         small=(("layers", 1), ("width", 4), ("span", 8)),
+        timing=Timing(start=4.7, unit=1.8e-06),
     ),
 ))  # fmt: skip

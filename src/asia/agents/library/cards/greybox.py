@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import (
     biased,
     coloured,
@@ -223,6 +224,7 @@ CARD = Card(
             start=_greybox,
             space=_space,
             small=(("iterations", 3), ("starts", 1)),
+            timing=Timing(start=1.3, unit=1.7e-06),
             extendable=True,
         ),
     ),

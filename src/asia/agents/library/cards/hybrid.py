@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.recipe import Recipe
@@ -35,6 +36,7 @@ CARD = Card(
             start=_hybrid,
             space=_space,
             small=(("units", 4), ("iterations", 3), ("starts", 1)),
+            timing=Timing(start=0.4, unit=4.7e-05),
         ),
     ),
     (more_ridge(), less_ridge()),

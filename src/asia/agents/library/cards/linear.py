@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.recipe import Recipe
@@ -47,6 +48,7 @@ CARD = Card((
         start=_linear,
         space=_linear_space,
         small=(("order", 1), ("iterations", 3)),
+        timing=Timing(start=0.2, unit=2e-06),
     ),
     Family(
         name="arx",
@@ -57,5 +59,6 @@ CARD = Card((
         start=_arx,
         space=_arx_space,
         small=(("iterations", 3),),
+        timing=Timing(start=0.0, unit=1.4e-06),
     ),
 ))  # fmt: skip

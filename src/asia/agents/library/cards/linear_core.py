@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.network import WHOLE_RECORD, NetworkStart, network_family
 from asia.agents.library.space import OneOf
 
@@ -46,5 +47,6 @@ CARD = Card((
         ),
         WHOLE_RECORD,
         small=(("levels", 2), ("states", 2), ("lift", 2), ("width", 4)),
+        timing=Timing(start=2.9, unit=1e-06),
     ),
 ))  # fmt: skip

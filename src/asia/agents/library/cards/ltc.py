@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.network import STEP_BY_STEP, NetworkStart, network_family
 from asia.agents.library.space import OneOf
 
@@ -21,6 +22,7 @@ CARD = Card((
         ),
         STEP_BY_STEP,
         small=(("hidden", 3),),
+        timing=Timing(start=3.0, unit=5e-07),
     ),
     network_family(
         "cascaded_ltc",
@@ -36,5 +38,6 @@ CARD = Card((
         ),
         STEP_BY_STEP,
         small=(("slow", 2), ("fast", 2), ("width", 4)),
+        timing=Timing(start=4.8, unit=9e-07),
     ),
 ))  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import curved
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
@@ -54,6 +55,7 @@ CARD = Card(
             start=_neural_ss,
             space=_neural_ss_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
+            timing=Timing(start=1.6, unit=2.1e-06),
         ),
     ),
     (

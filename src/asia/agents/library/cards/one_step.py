@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import by_overfit, curved, plateau_share
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
@@ -64,6 +65,7 @@ CARD = Card(
             start=_narx,
             space=_narx_space,
             small=(("iterations", 3),),
+            timing=Timing(start=0.4, unit=3.9e-06),
         ),
         Family(
             name="gp_narx",
@@ -75,6 +77,7 @@ CARD = Card(
             start=_gp_narx,
             space=_gp_narx_space,
             small=(("points", 60), ("iterations", 3)),
+            timing=Timing(start=0.4, unit=1.3e-06),
         ),
     ),
     (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.network import STEP_BY_STEP, NetworkStart, network_family
 from asia.agents.library.space import OneOf
 
@@ -38,6 +39,7 @@ CARD = Card((
         ),
         STEP_BY_STEP,
         small=_SMALL,
+        timing=Timing(start=3.3, unit=8.3e-07),
     ),
     network_family(
         "autoregressive",
@@ -48,6 +50,7 @@ CARD = Card((
         _fed_back(teacher=0.0),
         STEP_BY_STEP,
         small=_SMALL,
+        timing=Timing(start=4.2, unit=2.1e-07),
     ),
     network_family(
         "kinematic",

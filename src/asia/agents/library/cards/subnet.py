@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
 from asia.agents.library.network import STEP_BY_STEP, NetworkStart, network_family
 from asia.agents.library.space import OneOf
 
@@ -37,5 +38,6 @@ CARD = Card((
         _start,
         STEP_BY_STEP,
         small=(("states", 2), ("width", 4), ("layers", 1)),
+        timing=Timing(start=3.9, unit=4.3e-07),
     ),
 ))  # fmt: skip
