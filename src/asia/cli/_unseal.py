@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -44,21 +45,23 @@ def unseal(
             raise UserError("the name does not match; nothing was opened")
     consent = yes_process or _consents(opened)
     result = open_seal(directory, process_consent=consent, keys=keys)
-    pictures = write_report(directory)
     if result.opened_before:
         names = ", ".join(result.opened_before)
         say(f"note: this test was opened before, by {names}", file=sys.stderr)
     if not result.first_time:
         say("already unsealed: this is the first and only result", file=sys.stderr)
     view = open_run(directory).view
+    # What was drawn before is not changed by the test.
+    draw = partial(write_report, directory, missing_only=result.first_time)
     if json:
+        draw()
         answer = {**_as_object(result.record), "early_stopping": view.started.early_stopping}
         say(jsonlib.dumps(answer, allow_nan=False))
         return
     _print_text(result.record)
     if view.started.early_stopping == "validation":
         say(f"chosen {validation_words(view.validation_scores)}; the test itself was never seen")
-    for picture in pictures:
+    for picture in draw():
         if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
             say(f"picture  {picture}")
 

@@ -11,6 +11,7 @@ from asia.evaluation._results import (
     Refit,
     consistency,
     derive_seed,
+    mean_simulation,
 )
 from asia.evaluation._rungs import LINEAR, TRUTH, Rung, score_rungs
 
@@ -28,6 +29,7 @@ __all__ = [
     "consistency",
     "dependences",
     "derive_seed",
+    "mean_simulation",
     "score_rungs",
     "simulate_held_out",
     "suspicions",

@@ -243,10 +243,10 @@ class Evaluator:
 
     def simulate_scored(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
-    ) -> list[tuple[Array, ...]]:
+    ) -> list[tuple[Array, ...] | CandidateError]:
         """As `simulate`, for answers that will be scored: a second worker is asked as `dependences`
-        does. Raises CandidateError, with reason SUSPECT where an answer depends on what it must
-        not."""
+        does. For each model its simulations, or what it did: reason SUSPECT where an answer depends
+        on what it must not."""
         jobs = [partial(self._simulate_checked, source, model, blocks) for model in models]
         return self._run(jobs)
 
@@ -369,17 +369,23 @@ class Evaluator:
 
     def _simulate_checked(
         self, source: str, model: bytes, blocks: Sequence[Block]
-    ) -> tuple[Array, ...]:
-        y_hat = self._simulate_model(source, model, blocks)
+    ) -> tuple[Array, ...] | CandidateError:
+        try:
+            y_hat = self._simulate_model(source, model, blocks)
+            failure = self._dependence(source, model, blocks, y_hat)
+        except CandidateError as error:
+            return error
+        return y_hat if failure is None else CandidateError(failure.reason, failure.detail)
+
+    def _dependence(
+        self, source: str, model: bytes, blocks: Sequence[Block], y_hat: Sequence[Array]
+    ) -> Failure | None:
         scale = np.concatenate([record.y for record in self._records]).std(axis=0)
         ask = partial(
             dependences, scale=scale, horizon=self.horizon, seed=self._check_seed(source, "other"),
             without=self._without, rounding=0.0,
         )  # fmt: skip
-        failure = _suspected(self._ask_fresh(source, model, blocks, y_hat, ask), None)
-        if failure is not None:
-            raise CandidateError(failure.reason, failure.detail)
-        return y_hat
+        return _suspected(self._ask_fresh(source, model, blocks, y_hat, ask), None)
 
     def _simulate_model(
         self, source: str, model: bytes, blocks: Sequence[Block]

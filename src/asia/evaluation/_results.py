@@ -60,6 +60,17 @@ class Refit:
     """The result of that second fit."""
 
 
+def mean_simulation(each: Sequence[tuple[Array, ...] | CandidateError]) -> tuple[Array, ...]:
+    """The mean over models of their simulations, one (H, ny) array a block. Raises the first
+    CandidateError among them."""
+    simulations: list[tuple[Array, ...]] = []
+    for one in each:
+        if isinstance(one, CandidateError):
+            raise one
+        simulations.append(one)
+    return tuple(np.mean(np.stack(parts), axis=0) for parts in zip(*simulations, strict=True))
+
+
 def consistency(value: float, training_errors: Sequence[float]) -> float:
     """V over the mean training error of the folds, both normalised by the same standard
     deviations."""

@@ -36,8 +36,9 @@ __all__ = [
 ]
 
 
-def write_report(directory: Path) -> tuple[Path, ...]:
-    """Draw the run in `directory` into `<directory>/report`, each picture as PNG and PDF.
+def write_report(directory: Path, *, missing_only: bool = False) -> tuple[Path, ...]:
+    """Draw the run in `directory` into `<directory>/report`, each picture as PNG and PDF;
+    missing_only: only those that are not there.
 
     progress: V against experiments. simulation and residuals: the best experiment on its held-out
     folds, once there is one. test and, for a benchmark with published results, leaderboard: once
@@ -46,7 +47,7 @@ def write_report(directory: Path) -> tuple[Path, ...]:
     """
     from asia.report._write import write
 
-    return write(directory)
+    return write(directory, missing_only=missing_only)
 
 
 def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:

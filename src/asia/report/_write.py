@@ -23,12 +23,18 @@ from asia.report._pictures.windows import draw_horizon, draw_test_horizon
 
 Picture = tuple[str, Callable[[], Figure]]
 
+# Of a PNG and of a PDF, so that the same picture has the same bytes.
+_METADATA = ({"Software": None}, {"CreationDate": None})
 
-def write(directory: Path) -> tuple[Path, ...]:
+
+def write(directory: Path, *, missing_only: bool = False) -> tuple[Path, ...]:
     """See `asia.report.write_report`."""
-    run = open_run(directory)
+    run, report = open_run(directory), directory / "report"
     problem = load_lock(directory / "problem.lock.toml")
-    return save(pictures(run, problem), directory / "report")
+    drawn = pictures(run, problem)
+    if missing_only:
+        drawn = (one for one in drawn if not all(path.exists() for path in _files(report, one[0])))
+    return save(drawn, report)
 
 
 def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
@@ -86,10 +92,13 @@ def save(drawn: Iterator[Picture], directory: Path) -> tuple[Path, ...]:
             figure = draw()
             figure.draw_without_rendering()
             figure.set_layout_engine("none")
-            for suffix, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
+            for path, metadata in zip(_files(directory, name), _METADATA, strict=True):
                 stream = BytesIO()
-                figure.savefig(stream, format=suffix, dpi=DPI, metadata=metadata)
-                path = directory / f"{name}.{suffix}"
+                figure.savefig(stream, format=path.suffix[1:], dpi=DPI, metadata=metadata)
                 path.write_bytes(stream.getvalue())
                 paths.append(path)
     return tuple(paths)
+
+
+def _files(directory: Path, name: str) -> tuple[Path, Path]:
+    return directory / f"{name}.png", directory / f"{name}.pdf"

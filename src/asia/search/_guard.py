@@ -8,7 +8,7 @@ import numpy as np
 
 from asia.data import Array
 from asia.errors import CandidateError
-from asia.evaluation import Evaluator
+from asia.evaluation import Evaluator, mean_simulation
 from asia.ledger import Experiment, GuardLooked, GuardScore, SearchView, Store
 from asia.problem.load import Problem
 from asia.protocol import Block, whole
@@ -44,15 +44,15 @@ def look_at_guard(
 
 def _simulated(
     evaluator: Evaluator, store: Store, experiment: Experiment, blocks: Sequence[Block]
-) -> list[Array] | Failure:
+) -> tuple[Array, ...] | Failure:
     """The mean of the fold models' simulations, one (H, ny) array a block."""
     assert experiment.result is not None
     models = [store.get(fold.model) for fold in experiment.result.folds]
     try:
-        each = evaluator.simulate_scored(store.text(experiment.proposed.source), models, blocks)
+        source = store.text(experiment.proposed.source)
+        return mean_simulation(evaluator.simulate_scored(source, models, blocks))
     except CandidateError as error:
         return Failure(error.reason, error.detail)
-    return [np.mean(parts, axis=0) for parts in zip(*each, strict=True)]
 
 
 def _scored(blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array, metric: str) -> Outcome:

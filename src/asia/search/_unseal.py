@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, UserError
-from asia.evaluation import Evaluator
+from asia.evaluation import Evaluator, mean_simulation
 from asia.ledger import (
     Chain,
     Experiment,
@@ -141,6 +142,9 @@ def _score(
     measured = _by_record([b.y for b in blocks], blocks)
     assert best.result is not None
     refitted = view.refitted.model if view.refitted else None
+    with scorer.evaluator.ready_workers():
+        folds = tuple(fold.model for fold in best.result.folds)
+        ensemble, *rest = scorer.scores([folds, *([(refitted,)] if refitted else [])])
     return Unsealed(
         experiment=best.number,
         test_digest=digest,
@@ -149,8 +153,8 @@ def _score(
         lengths=tuple(len(y) for y in measured),
         skip=problem.protocol.test.skip,
         measured=store.put_arrays(measured),
-        ensemble=scorer.score(tuple(fold.model for fold in best.result.folds)),
-        refit=scorer.score((refitted,)) if refitted else None,
+        ensemble=ensemble,
+        refit=rest[0] if rest else None,
         horizon=problem.protocol.horizon,
     )
 
@@ -170,10 +174,20 @@ class _TestScorer:
     blocks: tuple[Block, ...]
     problem: Problem
 
-    def score(self, models: tuple[str, ...]) -> TestedModel | Failure:
-        """Score of the mean of the models' simulations, or why there is none."""
+    def scores(self, groups: Sequence[tuple[str, ...]]) -> list[TestedModel | Failure]:
+        """For each group of models the score of the mean of their simulations, or why there is
+        none."""
+        source = self.store.text(self.best.proposed.source)
+        models = [self.store.get(model) for group in groups for model in group]
         try:
-            return self._record(self._mean(models))
+            each = iter(self.evaluator.simulate_scored(source, models, self.blocks))
+        except CandidateError as error:
+            return [Failure(error.reason, error.detail) for _ in groups]
+        return [self._score(list(islice(each, len(group)))) for group in groups]
+
+    def _score(self, each: Sequence[tuple[Array, ...] | CandidateError]) -> TestedModel | Failure:
+        try:
+            return self._record(mean_simulation(each))
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
@@ -188,10 +202,3 @@ class _TestScorer:
         if MEE in rule.metrics:
             mee = mee_table(y, y_hat, names, rule.groups, rule.horizons)
         return TestedModel(scores, self.store.put_arrays(simulated), mee)
-
-    def _mean(self, models: tuple[str, ...]) -> tuple[Array, ...]:
-        source = self.store.text(self.best.proposed.source)
-        each = self.evaluator.simulate_scored(
-            source, [self.store.get(m) for m in models], self.blocks
-        )
-        return tuple(np.mean(np.stack(parts), axis=0) for parts in zip(*each, strict=True))
