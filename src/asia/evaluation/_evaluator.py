@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -21,6 +21,7 @@ from asia.evaluation._relations import Suspicion, SuspicionKind
 from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.evaluation._results import (
     Evaluation,
+    FoldEnd,
     FoldResult,
     Refit,
     consistency,
@@ -52,18 +53,6 @@ _STRANGERS_ASKED = 4
 # V over the training error, below which it takes more evidence; honest candidates lie above 0.9.
 FAR_BELOW = 0.6
 _UNLIKE = 1.5
-
-
-@dataclass(frozen=True)
-class _FoldEnd:
-    """How the evaluation of one fold ended, also where it failed."""
-
-    result: FoldResult | Failure
-    """The result, or why there is none."""
-    output: str
-    """What the candidate printed."""
-    validation_scores: int
-    """How often it asked for its score on the held-out part."""
 
 
 class Evaluator:
@@ -312,14 +301,14 @@ class Evaluator:
             deadline=time.monotonic() + self._limits.fit_seconds,
         )
 
-    def _fold_or_failure(self, source: str, fold: Fold) -> _FoldEnd:
+    def _fold_or_failure(self, source: str, fold: Fold) -> FoldEnd:
         opening = partial(self._worker, imported_libraries(source, fitting=False))
         oracle = Oracle(opening, source, self._context, fold, self._rule)
         try:
             result, output = self._run_fold(source, fold, oracle)
         except CandidateError as error:
             result, output = Failure(error.reason, error.detail, fold.index + 1), ""
-        return _FoldEnd(result, output, oracle.calls)
+        return FoldEnd(result, output, oracle.calls)
 
     def _run_fold(self, source: str, fold: Fold, oracle: Oracle) -> tuple[FoldResult, str]:
         metric, inside = self._rule.metric, whole(fold.train, self._rule)

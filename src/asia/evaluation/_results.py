@@ -35,6 +35,18 @@ class FoldResult:
 
 
 @dataclass(frozen=True)
+class FoldEnd:
+    """How the evaluation of one fold ended, also where it failed."""
+
+    result: FoldResult | Failure
+    """The result, or why there is none."""
+    output: str
+    """What the candidate printed."""
+    validation_scores: int
+    """How often it asked for its score on the held-out part."""
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """The evaluation of one candidate."""
 
