@@ -49,7 +49,8 @@ def main() -> None:
     figure, axes = pyplot.subplots(len(roots), 1, figsize=(9, 4.2 * len(roots)), squeeze=False)
     for (title, root), axis in zip(roots, axes[:, 0], strict=True):
         draw(axis, root, 0.0, 0, longest)
-        axis.set(xlim=(0, longest), ylim=(0, DEEPEST), yticks=[], xlabel="seconds of running threads")
+        axis.set(xlim=(0, longest), ylim=(0, DEEPEST), yticks=[])
+        axis.set_xlabel("seconds of running threads")
         axis.set_title(f"{title}: {root.samples / RATE:.1f} s", loc="left", fontsize=10)
         axis.spines[["top", "right", "left"]].set_visible(False)
     for name, colour in COLOURS.items():
