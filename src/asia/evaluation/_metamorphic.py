@@ -39,7 +39,7 @@ _BY_ITSELF = 24
 # Parts of a case that are asked alone: a short one, and two anywhere beyond.
 _SHORT, _FURTHER = (0.02, 0.25), (0.25, 1.0)
 # Further lengths, for a model that answers in less time than a compilation takes.
-_MORE, _MORE_SECONDS, _COMPILES = 24, 0.3, 0.1
+_MORE, _MORE_SECONDS, _COMPILES = 24, 1.0, 0.1
 
 
 def suspicions(
@@ -193,7 +193,7 @@ class _Inquiry:
 
     def _prefixes(self) -> Iterator[tuple[RequestCheck, int]]:
         """Requests and lengths: the same three for all, at which a model compiles; then others, as
-        many as a model that does not compile answers in 0.3 s."""
+        many as a model that does not compile answers in a second."""
         checks = [check for check in self.checks if check.lengths(self.fractions) is not None]
         for place in range(max(len(checks), len(self.fractions)) if checks else 0):
             check = checks[place % len(checks)]
