@@ -224,6 +224,10 @@ def test_write_report_reads_a_run_directory(tmp_path: Path) -> None:
     }
     assert all(p.stat().st_size > 5000 for p in written)
     assert dict(mpl.rcParams) == before
+    assert write_report(run, missing_only=True) == ()
+    (run / "report" / "residuals.pdf").unlink()
+    again = write_report(run, missing_only=True)
+    assert [p.name for p in again] == ["residuals.png", "residuals.pdf"]
 
 
 def test_a_changed_artifact_is_refused(tmp_path: Path) -> None:
