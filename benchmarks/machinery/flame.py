@@ -16,6 +16,7 @@ import sys
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 RATE = 100
 DEEPEST = 60
@@ -73,18 +74,18 @@ def read(file: Path) -> Frame:
     return root
 
 
-def draw(axis: object, frame: Frame, left: float, depth: int, longest: float) -> None:
+def draw(axis: Any, frame: Frame, left: float, depth: int, longest: float) -> None:
     """Boxes of what `frame` calls."""
     for name, inner in sorted(frame.inner.items(), key=lambda item: -item[1].samples):
         width = inner.samples / RATE
         if depth < DEEPEST and width > NARROWEST * longest:
             colour = colour_of(name)
-            axis.barh(  # type: ignore[attr-defined]
+            axis.barh(
                 depth + 0.5, width, 0.95, left=left, color=colour, edgecolor="white", linewidth=0.3
             )
             if width > LABELLED * longest:
                 words = name.partition(" (")[0].partition(":")[0][: int(150 * width / longest)]
-                axis.text(left, depth + 0.5, f" {words}", fontsize=4, va="center")  # type: ignore[attr-defined]
+                axis.text(left, depth + 0.5, f" {words}", fontsize=4, va="center")
             draw(axis, inner, left, depth + 1, longest)
         left += width
 
