@@ -7,13 +7,14 @@ them, as a person would.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics, Phase, Status
 from asia.problem import Physics
+from asia.problem.symmetry import Symmetry
 from asia.protocol import EarlyStopping, TrainingLoss, find_metric
 
 
@@ -35,7 +36,8 @@ class Facts:
     in the person's words; groups: names of the records held out together, one tuple a
     fold, () where folds are cut inside the records; early_stopping: `validation` lets a fit ask
     for its score on the held-out part; ladder: the share of V by which a new best must be better to
-    be reported, None where every V is reported.
+    be reported, None where every V is reported; symmetry: changes of the signals that leave the
+    system's laws as they are.
     """
 
     description: str
@@ -55,6 +57,7 @@ class Facts:
     notes: str = ""
     strategies: str = ""
     ladder: float | None = None
+    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
 
     @property
     def past(self) -> int:

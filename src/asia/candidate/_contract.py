@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from asia.data import Array, Signal, Trajectory
 from asia.problem import Physics
+from asia.problem.symmetry import Symmetry
 
 VALIDATION_SCORES = 200
 
@@ -36,6 +37,9 @@ class Context:
     """Name of the metric that V is computed with."""
     physics: Physics | None = None
     """The person's equations."""
+    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
+    """Changes of the signals that leave the system's laws as they are, by name: for each signal
+    that changes, the one that takes its place, with a minus where its sign changes."""
     seed: int = 0
     """One per search, fold and repeat, the same for every candidate."""
     deadline: float = float("inf")

@@ -6,14 +6,16 @@ Reading problems from disk lives in `asia.problem.load`.
 
 from asia.data import Array, Signal, Trajectory
 from asia.problem._budget import Budget
-from asia.problem.physics.types import Bounds, ParameterRange, Physics
+from asia.problem.physics.types import Bounds, Correction, ParameterRange, Physics, Prior
 
 __all__ = [
     "Array",
     "Bounds",
     "Budget",
+    "Correction",
     "ParameterRange",
     "Physics",
+    "Prior",
     "Signal",
     "Trajectory",
 ]

@@ -9,6 +9,10 @@ from typing import Any
 
 from asia.problem._problem import Problem
 from asia.problem.physics.types import Physics
+from asia.problem.symmetry import Symmetry
+
+# Tables that count only where they hold something: a digest outlives additions to the rules.
+_LATER = ("priors", "corrections")
 
 
 def protocol_digest(problem: Problem) -> str:
@@ -18,8 +22,14 @@ def protocol_digest(problem: Problem) -> str:
 
 
 def physics_digest(physics: Physics) -> str:
-    """Hex sha256 of the equations, ranges and bounds."""
-    return _of_json(asdict(physics))
+    """Hex sha256 of the equations, ranges, bounds, and the priors and corrections there are."""
+    tables = asdict(physics)
+    return _of_json({k: v for k, v in tables.items() if v or k not in _LATER})
+
+
+def symmetry_digest(symmetry: Symmetry) -> str:
+    """Hex sha256 of the generators."""
+    return _of_json({name: dict(generator) for name, generator in symmetry.items()})
 
 
 def text_digest(text: str) -> str:

@@ -20,6 +20,7 @@ from asia.problem._protocol import check_protocol, with_groups
 from asia.problem._schema import LockFile, ProblemFile, ProblemTables
 from asia.problem._toml import read_table
 from asia.problem.physics.check import check_physics
+from asia.problem.symmetry import check_symmetry
 from asia.protocol._cuts import block_count, least_case
 from asia.protocol._rules import ProtocolRule
 
@@ -127,18 +128,19 @@ def _assemble(
     )
     _check_names(channels)
     physics = file.physics
+    names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
     if physics is not None:
-        names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
         check_physics(physics, *names)
+    check_symmetry(file.symmetry, *names, physics)
     check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
     data = data_source(file.data, root)
     records = data.records("train", channels)
-    names = [t.name for t in records.trajectories]
-    if not names:
+    recorded = [t.name for t in records.trajectories]
+    if not recorded:
         raise UserError(
             f"data.source '{file.data.source}' has no training records: name a folder that has them"
         )
-    rule = with_groups(file.protocol.rule(), file.data.groups, names)
+    rule = with_groups(file.protocol.rule(), file.data.groups, recorded)
     require_length(records.trajectories, rule)
     _require_motion(records.trajectories, channels.outputs)
     return Problem(
@@ -159,6 +161,7 @@ def _assemble(
         truth=records.truth,
         warnings=records.warnings,
         guard_sha256=guard_sha256,
+        symmetry=file.symmetry,
     )
 
 

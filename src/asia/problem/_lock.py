@@ -10,12 +10,20 @@ from typing import Any
 
 from asia.data._digest import data_digest
 from asia.errors import UserError
-from asia.problem._digest import physics_digest, protocol_digest, text_digest
+from asia.problem._digest import (
+    physics_digest,
+    protocol_digest,
+    symmetry_digest,
+    text_digest,
+)
 from asia.problem._problem import Problem, Seal
 from asia.problem._protocol import groups_table, protocol_table
 from asia.problem._schema import DigestTable
 from asia.problem._toml import toml_text
 
+_PARTS = (
+    "description", "notes", "strategies", "baseline", "physics", "symmetry", "protocol",
+)  # fmt: skip
 _HEADER = "# Written by ASIA when the run began. A change in here, or in the data, ends the run.\n"
 
 
@@ -60,11 +68,7 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
 def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
     """Raises UserError that names every part whose digest is not the expected one."""
     found = _digests(problem, None)
-    changed = [
-        f"the {part}"
-        for part in ("description", "notes", "strategies", "baseline", "physics", "protocol")
-        if found[part] != getattr(expected, part)
-    ]
+    changed = [f"the {part}" for part in _PARTS if found[part] != getattr(expected, part)]
     train = found["train"]
     if len(train) != len(expected.train):
         changed.append("the number of training records")
@@ -87,6 +91,7 @@ def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
         "strategies": text_digest(problem.strategies) if problem.strategies else None,
         "baseline": None if problem.baseline is None else text_digest(problem.baseline),
         "physics": None if problem.physics is None else physics_digest(problem.physics),
+        "symmetry": symmetry_digest(problem.symmetry) if problem.symmetry else None,
         "protocol": protocol_digest(problem),
     }
 
@@ -112,6 +117,7 @@ def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
         "protocol": protocol_table(problem.protocol),
         "budget": asdict(problem.budget),
         "physics": None if problem.physics is None else asdict(problem.physics),
+        "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
         "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from asia.data._trajectory import Array, Signal, Trajectory
 from asia.data.sources import Channels, Source
 from asia.problem._budget import Budget
 from asia.problem.physics.types import Physics
+from asia.problem.symmetry import Symmetry
 from asia.protocol._rules import ProtocolRule
 
 
@@ -81,6 +82,8 @@ class Problem:
     """What to try, in plain words, for agents that read."""
     guard_sha256: str | None = None
     """What the records that stand guard must hash to, known once a run has begun."""
+    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
+    """Changes of the signals that leave the system's laws as they are."""
 
     @classmethod
     def from_arrays(

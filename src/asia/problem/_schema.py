@@ -131,6 +131,9 @@ class ProblemTables:
     protocol: ProtocolTable = ProtocolTable()
     budget: Budget = field(default_factory=Budget)
     physics: Physics | None = None
+    symmetry: Mapping[str, Mapping[str, str]] = field(
+        default_factory=dict[str, "Mapping[str, str]"]
+    )
 
 
 @with_config(_STRICT)
@@ -156,6 +159,7 @@ class DigestTable:
     strategies: str | None = None
     baseline: str | None = None
     physics: str | None = None
+    symmetry: str | None = None
     protocol: str
 
 

@@ -37,6 +37,7 @@ def problem_facts(problem: Problem) -> Facts:
         budget=Effort(problem.budget.experiments, problem.budget.fit_seconds),
         notes=problem.notes,
         strategies=problem.strategies,
+        symmetry=problem.symmetry,
     )
 
 

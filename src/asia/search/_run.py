@@ -188,6 +188,7 @@ def make_evaluator(
         horizon=rule.horizon,
         metric=rule.metric,
         physics=problem.physics,
+        symmetry=problem.symmetry,
         seed=derive_seed(view.started.seed, "search"),
     )
     return Evaluator(

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.problem import Bounds, ParameterRange, Physics
+from asia.models._equations.ode import equations
+from asia.problem import Bounds, Correction, ParameterRange, Physics, Prior
 from asia.problem.physics.check import check_physics, definition_order
 
 TANKS = Physics(
@@ -85,3 +87,33 @@ def test_a_mistake_is_named_with_its_field(change: dict[str, Any], said: str) ->
 def test_an_input_that_is_no_identifier_is_a_clash_for_nobody() -> None:
     physics = Physics(states=("x",), dynamics={"x": "-x"})
     check_physics(physics, ["pump voltage"], ["x"])
+
+
+@pytest.mark.parametrize(
+    ("priors", "words"),
+    [
+        ({"k1/k9": Prior(1.0, 0.1)}, "undefined symbol 'k9'"),
+        ({"k1/x1": Prior(1.0, 0.1)}, "undefined symbol 'x1'"),
+        ({"2 + 1": Prior(1.0, 0.1)}, "names no parameter"),
+        ({"k1/k2": Prior(1.0, 0.0)}, "a deviation above 0"),
+        ({"k1/k2": Prior(float("inf"), 1.0)}, "a finite mean"),
+    ],
+)
+def test_a_prior_is_of_parameters(priors: dict[str, Prior], words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        check_physics(replace(TANKS, priors=priors), ["pump"], ["level"])
+    check_physics(replace(TANKS, priors={"k1/k2": Prior(1.0, 0.1)}), ["pump"], ["level"])
+
+
+def test_a_correction_stands_in_an_equation_and_is_0_there() -> None:
+    dynamics = {**TANKS.dynamics, "x1": f"{TANKS.dynamics['x1']} + leak"}
+    leaking = replace(TANKS, dynamics=dynamics, corrections={"leak": Correction(0.1)})
+    check_physics(leaking, ["pump"], ["level"])
+    p, x, u = np.full(len(TANKS.parameters), 0.5), np.array([2.0, 3.0]), np.array([4.0])
+    plain = equations(TANKS, ["pump"], ["level"]).rates(np)(p, x, u)
+    np.testing.assert_array_equal(equations(leaking, ["pump"], ["level"]).rates(np)(p, x, u), plain)
+    with pytest.raises(UserError, match="no equation uses it"):
+        check_physics(replace(TANKS, corrections=leaking.corrections), ["pump"], ["level"])
+    with pytest.raises(UserError, match="a scale above 0"):
+        wrong = replace(leaking, corrections={"leak": Correction(0.0)})
+        check_physics(wrong, ["pump"], ["level"])

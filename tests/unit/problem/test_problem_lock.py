@@ -27,8 +27,12 @@ def locked(write_problem: Write, minimal: str, tmp_path: Path) -> tuple[Problem,
     directory = write_problem(
         minimal.replace('["u"]', '[{ name = "u", unit = "°C" }]')
         + '[protocol]\npast_inputs = 3\n[budget]\nhours = 0.5\n[physics]\nstates = ["x"]\n'
-        '[physics.constants]\ng = 9.81\n[physics.dynamics]\nx = "u - g*x"\n'
+        '[physics.constants]\ng = 9.81\n[physics.dynamics]\nx = "u - g*x + d"\n'
+        '[physics.parameters]\na = { min = 0.1, max = 1.0 }\n'
+        '[physics.priors]\n"a/g" = { mean = 0.1, deviation = 0.02, reason = "a ruler" }\n'
+        "[physics.corrections]\nd = { scale = 0.5 }\n"
         '[physics.observation]\ny = "x"\n[physics.bounds]\nx = { min = 0.0 }\n'
+        '[symmetry.odd]\nu = "-u"\ny = "-y"\n'
     )
     (directory / "description.md").write_text("a 'tank' of \"water\"\n\\ tab\t ° \x7f 😀\n")
     (directory / "baseline.py").write_text("def fit(): ...\n")
@@ -44,7 +48,7 @@ def test_lock_restores_the_problem(locked: tuple[Problem, Path]) -> None:
     again = load_lock(path)
     for part in ("name", "description", "baseline", "inputs", "outputs", "sampling_time"):
         assert getattr(again, part) == getattr(problem, part)
-    for part in ("data", "protocol", "budget", "physics"):
+    for part in ("data", "protocol", "budget", "physics", "symmetry"):
         assert getattr(again, part) == getattr(problem, part)
     assert data_digest(again.train) == data_digest(problem.train)
     assert again.test.source == problem.test.source

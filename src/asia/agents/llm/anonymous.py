@@ -35,6 +35,7 @@ def _facts(facts: Facts) -> Facts:
         notes="",
         strategies="",
         physics=None,
+        symmetry={},
         inputs=tuple(Signal(f"u{i}") for i in range(1, len(facts.inputs) + 1)),
         outputs=tuple(Signal(f"y{i}") for i in range(1, len(facts.outputs) + 1)),
         records=tuple(replace(record, name=f"r{i}") for i, record in enumerate(facts.records, 1)),

@@ -197,7 +197,8 @@ def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         parameters=tuple(physics.parameters),
-        constants=tuple(physics.constants.items()),
+        # Without what is learned of them, corrections are 0.
+        constants=(*physics.constants.items(), *((name, 0.0) for name in physics.corrections)),
         definitions=tuple(
             (name, parsed("definitions", name, physics.definitions[name]))
             for name in definition_order(physics)

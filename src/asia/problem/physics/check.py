@@ -23,9 +23,11 @@ def check_physics(physics: Physics, inputs: Sequence[str], outputs: Sequence[str
     """
     symbols = _symbols(physics, inputs)
     _check_ranges(physics)
+    _check_priors(physics)
     _check_keys(physics, outputs)
     for where, text in _expressions(physics):
         _check_names(parse_expression(text, where), where, symbols)
+    _check_corrections(physics)
     definition_order(physics)
 
 
@@ -61,6 +63,7 @@ def _symbols(physics: Physics, inputs: Sequence[str]) -> set[str]:
         ("a parameter", physics.parameters, "[physics.parameters]"),
         ("a constant", physics.constants, "[physics.constants]"),
         ("a definition", physics.definitions, "[physics.definitions]"),
+        ("a correction", physics.corrections, "[physics.corrections]"),
     )
     for kind, names, where in groups:
         for name in names:
@@ -95,6 +98,35 @@ def _check_ranges(physics: Physics) -> None:
         low, high = bounds.min, bounds.max
         if low is not None and high is not None and not low < high:
             raise UserError(f"[physics.bounds] {name}: min {low} must be below max {high}")
+
+
+def _check_priors(physics: Physics) -> None:
+    known = {*physics.parameters, *physics.constants}
+    for text, prior in physics.priors.items():
+        where = f"[physics.priors] {text}"
+        expression = parse_expression(text, where)
+        _check_names(expression, where, known)
+        if not expression.names & set(physics.parameters):
+            raise UserError(f"{where}: names no parameter; write an expression in parameters")
+        if not (isfinite(prior.mean) and isfinite(prior.deviation) and prior.deviation > 0):
+            raise UserError(
+                f"{where}: expected a finite mean and a deviation above 0, got {prior.mean} and "
+                f"{prior.deviation}"
+            )
+
+
+def _check_corrections(physics: Physics) -> None:
+    used = {n for where, text in _expressions(physics) for n in parse_expression(text, where).names}
+    for name, correction in physics.corrections.items():
+        if name not in used:
+            raise UserError(
+                f"[physics.corrections] {name}: no equation uses it; write it where the unknown "
+                "effect enters"
+            )
+        if not (isfinite(correction.scale) and correction.scale > 0):
+            raise UserError(
+                f"[physics.corrections] {name}: expected a scale above 0, its typical size"
+            )
 
 
 def _check_keys(physics: Physics, outputs: Sequence[str]) -> None:

@@ -30,6 +30,26 @@ class Bounds:
 
 
 @dataclass(frozen=True)
+class Prior:
+    """What is known of a combination of parameters before the records: a normal distribution."""
+
+    mean: float
+    """The most probable value, in the unit of the combination."""
+    deviation: float
+    """Standard deviation, above 0, in the same unit."""
+    reason: str = ""
+    """Why, in words."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """An unknown effect at a place in the equations, learned from the records."""
+
+    scale: float
+    """Its typical size, above 0, in the unit of the place."""
+
+
+@dataclass(frozen=True)
 class Physics:
     """The person's equations. Expressions are text in the names of states, inputs, parameters,
     constants and definitions; `expressions.py` says what they may hold."""
@@ -48,3 +68,7 @@ class Physics:
     """Outputs from states; default: the state of the same name."""
     bounds: Mapping[str, Bounds] = field(default_factory=dict[str, Bounds])
     """Physical ranges of states, which the simulator keeps to."""
+    priors: Mapping[str, Prior] = field(default_factory=dict[str, Prior])
+    """What is known of parameters, by an expression in them and in constants."""
+    corrections: Mapping[str, Correction] = field(default_factory=dict[str, Correction])
+    """Names that stand in the equations for unknown effects: 0 until a model learns them."""
