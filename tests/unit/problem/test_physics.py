@@ -114,6 +114,6 @@ def test_a_correction_stands_in_an_equation_and_is_0_there() -> None:
     np.testing.assert_array_equal(equations(leaking, ["pump"], ["level"]).rates(np)(p, x, u), plain)
     with pytest.raises(UserError, match="no equation uses it"):
         check_physics(replace(TANKS, corrections=leaking.corrections), ["pump"], ["level"])
+    wrong = replace(leaking, corrections={"leak": Correction(0.0)})
     with pytest.raises(UserError, match="a scale above 0"):
-        wrong = replace(leaking, corrections={"leak": Correction(0.0)})
         check_physics(wrong, ["pump"], ["level"])

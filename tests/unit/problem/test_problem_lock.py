@@ -28,7 +28,7 @@ def locked(write_problem: Write, minimal: str, tmp_path: Path) -> tuple[Problem,
         minimal.replace('["u"]', '[{ name = "u", unit = "°C" }]')
         + '[protocol]\npast_inputs = 3\n[budget]\nhours = 0.5\n[physics]\nstates = ["x"]\n'
         '[physics.constants]\ng = 9.81\n[physics.dynamics]\nx = "u - g*x + d"\n'
-        '[physics.parameters]\na = { min = 0.1, max = 1.0 }\n'
+        "[physics.parameters]\na = { min = 0.1, max = 1.0 }\n"
         '[physics.priors]\n"a/g" = { mean = 0.1, deviation = 0.02, reason = "a ruler" }\n'
         "[physics.corrections]\nd = { scale = 0.5 }\n"
         '[physics.observation]\ny = "x"\n[physics.bounds]\nx = { min = 0.0 }\n'
