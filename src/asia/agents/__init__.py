@@ -31,7 +31,14 @@ from asia.agents.controls.bayes import BayesAgent
 from asia.agents.controls.random import SPACES, RandomAgent, SpaceName
 from asia.agents.expert.agent import ExpertAgent
 from asia.agents.llm.agent import LlmAgent
-from asia.agents.llm.problem import MODEL_RULES, briefing, equations, ladder_rule, library
+from asia.agents.llm.problem import (
+    MODEL_RULES,
+    briefing,
+    equations,
+    ladder_rule,
+    library,
+    symmetries,
+)
 from asia.agents.llm.settings import LlmSettings
 
 __all__ = [
@@ -70,4 +77,5 @@ __all__ = [
     "packages_of",
     "recorded_agent",
     "settings_of",
+    "symmetries",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-from asia.agents import MODEL_RULES, equations, ladder_rule, library
+from asia.agents import MODEL_RULES, equations, ladder_rule, library, symmetries
 from asia.candidate import installed_libraries
 from asia.data import Signal
 from asia.problem.load import Problem
@@ -209,13 +209,19 @@ def _early_stopping(rule: ProtocolRule) -> str:
 
 def _physics(problem: Problem) -> str:
     if problem.physics is None:
+        given = symmetries(problem.symmetry)
+        use = "`context.symmetry` has them: networks can be trained and averaged under them."
+    else:
+        given = (*equations(problem.physics), *symmetries(problem.symmetry))
+        use = """`context.physics` has the equations, and `asia.models.greybox`, `hybrid` and
+`physics_net` fit them. `context.symmetry` has the symmetries, where there are any."""
+    lines = "\n".join(given)
+    if not lines:
         return ""
-    lines = "\n".join(equations(problem.physics))
     return f"""
-## Equations
+## What is known
 
-The person gives these, in physical units; they may lack something. `context.physics` has them, and
-`asia.models.greybox`, `hybrid` and `physics_net` fit them.
+The person gives this, in physical units. Equations may lack something. {use}
 
 ```
 {lines}

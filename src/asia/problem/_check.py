@@ -13,6 +13,7 @@ from asia.data._digest import data_digest
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Problem, Seal
+from asia.problem.knowledge import correction_lines, prior_lines, symmetry_lines
 from asia.protocol._cuts import splits, windows
 from asia.protocol._metrics import find_metric
 from asia.protocol._rules import ProtocolRule
@@ -115,6 +116,7 @@ class CheckReport:
             *_kept_lines(p),
             *_guard_lines(p),
             f"physics: {self.physics or 'none'}",
+            *_knowledge_lines(p),
             f"baseline: {'baseline.py' if p.baseline else 'none'}",
             *(f"warning: {w}" for w in self.warnings),
         ]
@@ -210,6 +212,15 @@ def _physics_summary(problem: Problem) -> str | None:
         return None
     free = f"{len(physics.parameters)} parameters to fit" if physics.parameters else "no parameters"
     return f"{len(physics.states)} states ({', '.join(physics.states)}), {free}"
+
+
+def _knowledge_lines(problem: Problem) -> list[str]:
+    physics = problem.physics
+    lines = [f"symmetry {line}" for line in symmetry_lines(problem.symmetry)]
+    if physics is None:
+        return lines
+    priors = [f"prior {line}" for line in prior_lines(physics)]
+    return [*priors, *(f"correction {line}" for line in correction_lines(physics)), *lines]
 
 
 def _doubts(problem: Problem, seal: Seal, signals: Sequence[SignalCheck]) -> list[str]:

@@ -104,6 +104,7 @@ class Problem:
         protocol: ProtocolRule | Mapping[str, Any] | None = None,
         budget: Budget | Mapping[str, Any] | None = None,
         physics: Physics | Mapping[str, Any] | None = None,
+        symmetry: Symmetry | None = None,
     ) -> Problem:
         """A problem from records in memory, written to `directory` so that runs resume, verify and
         unseal.
@@ -112,8 +113,8 @@ class Problem:
         of them, one a record; sampling_time in seconds; test_u, test_y: the same for the test.
         inputs, outputs: names or `Signal`s with units; columns of that name are taken out of data
         frames. name: of the problem, the directory's without one. The records are called train1,
-        train2 and so on, and test1; `groups` names them. protocol, budget, physics: as the tables
-        of problem.toml, or as objects; baseline: source of the first candidate.
+        train2 and so on, and test1; `groups` names them. protocol, budget, physics, symmetry:
+        as the tables of problem.toml, or as objects; baseline: source of the first candidate.
 
         The same call again loads what is there. Raises UserError when the directory holds other
         data or settings, with nothing overwritten, and for what does not make a problem.
@@ -136,6 +137,7 @@ class Problem:
             protocol=protocol,
             budget=budget,
             physics=physics,
+            symmetry=symmetry,
         )
         return arrays.save_problem(given, Path(directory))
 

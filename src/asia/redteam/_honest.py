@@ -57,6 +57,7 @@ class HonestProblem:
             facts.horizon,
             facts.metric,
             facts.physics,
+            facts.symmetry,
             seed=1,
         )
 

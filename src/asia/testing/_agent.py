@@ -12,7 +12,7 @@ from asia.agents import Agent, AgentView, Facts, Proposal, Trial
 from asia.candidate import check_source, source_digest
 from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics
-from asia.problem import ParameterRange, Physics
+from asia.problem import ParameterRange, Physics, Prior
 
 EXPERIMENTS = 20
 _FAILED = 1 / 6
@@ -109,7 +109,7 @@ def _outcome(proposal: Proposal, number: int, luck: str) -> Trial:
 def _problems() -> Iterator[Facts]:
     single = _facts(1, 1)
     yield single
-    yield _facts(2, 2)
+    yield replace(_facts(2, 2), symmetry={"odd": {"u1": "-u1", "y1": "-y1"}})
     yield replace(
         single,
         physics=Physics(
@@ -117,6 +117,7 @@ def _problems() -> Iterator[Facts]:
             dynamics={"x1": "-a*x1 + u1", "x2": "x1 - a*x2"},
             parameters={"a": ParameterRange(0.01, 1.0)},
             observation={"y1": "x2"},
+            priors={"a": Prior(0.1, 0.05, "made up")},
         ),
     )
     yield replace(

@@ -16,6 +16,7 @@ from asia.agents.llm.search import Task, search_text, task_of
 from asia.agents.llm.text import fenced, quoted
 from asia.data import Signal
 from asia.ledger import error_line
+from asia.problem import Prior
 from asia.testing import check_agent
 
 from .searches import CLEAN, body, simulation, view, windows
@@ -71,15 +72,30 @@ def test_equations_are_told_and_hidden() -> None:
         strategies="gait",
         outputs=(Signal("x", "furlong"), Signal("v", "knot")),
         inputs=(Signal("hip_torque", "N m"),),
+        symmetry={"gallop": {"hip_torque": "-hip_torque"}},
     )
-    assert "-k*x + u" in problem_text(facts)
+    assert facts.physics is not None
+    priors = {"k": Prior(0.2, 0.1, "measured on a bench")}
+    facts = replace(facts, physics=replace(facts.physics, priors=priors))
+    for words in ("-k*x + u", "k = 0.2 +- 0.1: measured on a bench", "hip_torque -> -hip_torque"):
+        assert words in problem_text(facts)
     seen = view(
         facts, (trial(1, None, error="ValueError: hip_torque in furlong/knot, v=3"),), "explore"
     )
     text = problem_text(anonymous(seen).facts) + search_text(
         anonymous(seen), Task("explore"), hide_baseline=True
     )
-    for word in ("quadruped", "gait", "hip_torque", "furlong", "knot", "-k*x + u", "greybox"):
+    for word in (
+        "quadruped",
+        "gait",
+        "hip_torque",
+        "furlong",
+        "knot",
+        "-k*x + u",
+        "bench",
+        "gallop",
+        "greybox",
+    ):
         assert word not in text, word
     assert "u: [0] u1\n" in text
     assert "y: [0] y1, [1] y2" in text

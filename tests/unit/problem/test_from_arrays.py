@@ -13,7 +13,7 @@ import asia
 from asia.data import Signal, data_digest
 from asia.errors import UserError
 from asia.ledger import verify
-from asia.problem import Budget, ParameterRange, Physics
+from asia.problem import Budget, ParameterRange, Physics, Prior
 from asia.problem.load import Problem
 from asia.protocol import FoldRule, ProtocolRule
 from asia.seal._test import open_test
@@ -79,8 +79,12 @@ def test_several_records_with_everything_named(tmp_path: Path) -> None:
         protocol={"folds": {"kind": "leave_one_group_out"}, "past_inputs": np.int64(3)},
         budget=Budget(experiments=3),
         physics=Physics(
-            ("level",), {"level": "k*flow"}, parameters={"k": ParameterRange(0.1, 1.0)}
+            ("level",),
+            {"level": "k*flow"},
+            parameters={"k": ParameterRange(0.1, 1.0)},
+            priors={"2*k": Prior(1.0, 0.2, "a data sheet")},
         ),
+        symmetry={"odd": {"flow": "-flow", "level": "-level"}},
     )
     assert [t.name for t in problem.train] == ["train1", "train2", "train3"]
     assert problem.inputs[1] == Signal("valve, main", "%")
@@ -89,6 +93,8 @@ def test_several_records_with_everything_named(tmp_path: Path) -> None:
     assert (problem.protocol.past_inputs, problem.budget.experiments) == (3, 3)
     assert problem.physics is not None
     assert problem.physics.parameters["k"].max == 1.0
+    assert problem.physics.priors["2*k"] == Prior(1.0, 0.2, "a data sheet")
+    assert problem.symmetry == {"odd": {"flow": "-flow", "level": "-level"}}
     assert (problem.name, problem.description, problem.baseline) == (
         "tank",
         "A tank.\n",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from asia.data import Signal, Trajectory
+from asia.problem import Correction, Prior
 from asia.problem._check import check_problem
 from asia.problem._problem import Problem, Seal
 from asia.problem.load import load_problem
@@ -29,6 +30,22 @@ def test_folds_match_the_papers_ranges(tanks: Problem) -> None:
     ranges = [(h.first, h.last) for f in report.folds for h in f.held_out]
     assert ranges == [(6, 515), (516, 1024)]
     assert [f.training_samples for f in report.folds] == [509, 510]
+
+
+def test_what_is_known_beside_the_equations_is_printed(tanks: Problem) -> None:
+    assert tanks.physics is not None
+    dynamics = {**tanks.physics.dynamics, "x1": "-k1*sqrt(x1) + k4*pump_voltage + leak"}
+    physics = replace(
+        tanks.physics,
+        dynamics=dynamics,
+        priors={"k2/k1": Prior(1.0, 0.15, "two alike tanks")},
+        corrections={"leak": Correction(0.01)},
+    )
+    known = replace(tanks, physics=physics, symmetry={"odd": {"pump_voltage": "-pump_voltage"}})
+    lines = check_problem(known, Seal(None)).lines()
+    assert "prior k2/k1 = 1 +- 0.15: two alike tanks" in lines
+    assert "correction leak: unknown, about 0.01 large" in lines
+    assert "symmetry odd: pump_voltage -> -pump_voltage" in lines
 
 
 def test_training_samples_are_those_the_folds_train_on(tanks: Problem) -> None:

@@ -17,6 +17,8 @@ from asia.agents.llm.text import bounded, fenced
 from asia.candidate import VALIDATION_SCORES, installed_libraries
 from asia.data import Array, Signal
 from asia.problem import Physics
+from asia.problem.knowledge import correction_lines, prior_lines, symmetry_lines
+from asia.problem.symmetry import Symmetry
 from asia.protocol import find_metric, metric_label
 
 _TEXT = 8000
@@ -120,6 +122,7 @@ def briefing(facts: Facts) -> str:
         "Signals": "\n".join(_signals(facts)),
         "Judgement": "\n".join(_judgement(facts)),
         "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
+        "Symmetry": "\n".join(symmetries(facts.symmetry)),
         "Training records": "\n".join(_records(facts)),
         "Contract": _contract(facts),
         "A small candidate": fenced(EXAMPLE, _SOURCE),
@@ -185,6 +188,22 @@ def equations(physics: Physics) -> Iterator[str]:
         ("bounds", bounds),
     ):
         yield from _entries(title, entries)
+    for title, lines in (
+        ("prior knowledge, mean +- standard deviation", prior_lines(physics)),
+        ("corrections, 0 in the equations as they stand", correction_lines(physics)),
+    ):
+        yield from _listed(title, lines)
+
+
+def symmetries(symmetry: Symmetry) -> Iterator[str]:
+    """As the person gave them, a line each."""
+    yield from _listed("symmetries: each leaves the laws as they are", symmetry_lines(symmetry))
+
+
+def _listed(title: str, lines: Iterator[str]) -> Iterator[str]:
+    found = [f"  {line}" for line in lines]
+    if found:
+        yield from (f"{title}:", *found)
 
 
 def _entries(title: str, entries: Mapping[str, str]) -> Iterator[str]:

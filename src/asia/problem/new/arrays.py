@@ -18,6 +18,7 @@ from asia.problem._protocol import groups_table, protocol_table
 from asia.problem._toml import toml_text
 from asia.problem.new.directory import check_directory, write_directory
 from asia.problem.physics.types import Physics
+from asia.problem.symmetry import Symmetry
 from asia.protocol._rules import ProtocolRule
 
 Table = Mapping[str, Any]
@@ -51,6 +52,8 @@ class ArrayProblem:
     """What the search may spend; None for the defaults."""
     physics: Physics | Table | None
     """Equations; None for none."""
+    symmetry: Symmetry | None = None
+    """Changes of the signals that leave the laws as they are."""
 
 
 def save_problem(given: ArrayProblem, directory: Path) -> Problem:
@@ -113,6 +116,7 @@ def _tables(given: ArrayProblem) -> Table:
         ),
         "budget": _plain(given.budget),
         "physics": _plain(given.physics),
+        "symmetry": {k: dict(v) for k, v in given.symmetry.items()} if given.symmetry else None,
     }
 
 
