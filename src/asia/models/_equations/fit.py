@@ -8,6 +8,7 @@ import numpy as np
 
 from asia.data import Array
 from asia.models._equations.config import GreyBoxStructure
+from asia.models._equations.noise_rounds import NoiseRounds
 from asia.models._equations.past_window import window_prior
 from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._equations.simulation_error import SimulationError
@@ -22,6 +23,9 @@ from asia.models._equations.starts import (
 )
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.minimise import TRIALS, Minimum, minimise
+
+# Estimates of the noise, each followed by a fit.
+_NOISE_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,8 @@ def fit(
     """The best of `method.starts` fits, in up to three stages: the equations alone, from points
     drawn in their ranges and screened; from the better half of these the additions, with starting
     points drawn anew; from the best of these the residual network, which starts without effect.
+    With a noise model, the fits before the network and those with it are followed by estimates of
+    the noise from the best fit's residuals, and generalised least squares from all points found.
 
     The same seed gives bitwise the same result. Raises FloatingPointError when no starting point
     gives a finite simulation.
@@ -54,12 +60,22 @@ def fit(
     rng = np.random.default_rng(seed)
     layout, count = structure.layout, method.starts
     simulate = CompiledSimulator(structure, segments.u, TRIALS * count)
+    noise = NoiseRounds(structure, segments, simulate, method)
     curve: list[Array] = []
 
     def best_fits(starts: Starts, active: Array) -> Minimum:
-        error = SimulationError(structure, segments, starts, active, simulate)
+        error = SimulationError(structure, segments, starts, active, simulate, noise.weighting)
         found = minimise(error.cost, error.linearise, error.theta0, method)
         curve.append(found.history[np.argmin(found.cost)])
+        return found
+
+    def under_noise(starts: Starts, active: Array, found: Minimum) -> Minimum:
+        for _ in range(_NOISE_ROUNDS):
+            if not noise.estimate(starts, found):
+                break
+            error = SimulationError(structure, segments, starts, active, simulate, noise.weighting)
+            found = minimise(error.cost, error.linearise, found.theta, method)
+            curve.append(found.history[np.argmin(found.cost)])
         return found
 
     active = np.zeros(layout.size)
@@ -71,9 +87,10 @@ def fit(
         active[layout.hidden] = active[layout.readout] = 0.0
         starts = augment(structure, segments, simulate, starts, found, rng)
         found = best_fits(starts, active)
+    found = under_noise(starts, active, found)
     if structure.config.residual:
-        starts = add_network(structure, starts, found, rng)
-        found = best_fits(starts, np.ones(layout.size))
+        starts, active = add_network(structure, starts, found, rng), np.ones(layout.size)
+        found = under_noise(starts, active, best_fits(starts, active))
     if not np.isfinite(found.cost).any():
         raise FloatingPointError("grey-box: no starting point gives a finite simulation")
     return _finish(structure, segments, simulate, starts, found, np.concatenate(curve))

@@ -10,6 +10,8 @@ from asia.data import Array
 from asia.models._data.cuts import Indices
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.starts import RecordPieces, Starts
+from asia.models._noise.estimate import huber_root
+from asia.models._noise.weighting import ErrorWeighting
 from asia.models._solvers.minimise import NormalEquations
 
 if TYPE_CHECKING:
@@ -24,7 +26,12 @@ _WEAK = 1e-3
 
 class SimulationError:
     """Normalised, masked and, where asked for, robust errors of the fits from `starts`, with the
-    ridges. One row a start; theta (n,) holds coordinates, and shifts (S, nx) of the initial states
+    ridges. With a noise model the errors are innovations times the deviation of the residuals, and
+    the cost is the negative log posterior times 2 v / N, where N counts the values and v is the
+    mean normalised variance of a residual: a penalty in deviations of a prior has the weight v / N,
+    and a ridge the prior deviation that it has beside white noise of that variance.
+
+    One row a start; theta (n,) holds coordinates, and shifts (S, nx) of the initial states
     in units of their scale unless these are measured.
     """
 
@@ -35,10 +42,12 @@ class SimulationError:
         starts: Starts,
         active: Array,
         simulate: CompiledSimulator,
+        whiten: ErrorWeighting | None = None,
     ) -> None:
-        """active (size,): 1 where a coordinate is fitted."""
+        """active (size,): 1 where a coordinate is fitted. `whiten`: of generalised least squares,
+        in units of `y_scale`; None for least squares."""
         self._structure, self._segments, self._starts = structure, segments, starts
-        self._active, self._simulate = active, simulate
+        self._active, self._simulate, self._whiten = active, simulate, whiten
         mask = segments.mask / np.sqrt(segments.mask.sum() * structure.ny)
         self._weight = mask[..., None]
         self._last: tuple[Array, NormalEquations] | None = None
@@ -152,10 +161,10 @@ class SimulationError:
         y, _ = self._simulate.piece(points, scales.of_rows(repeated), x0, part)
         error = (y - self._segments.y[part]) / scales.y_scale[:, 0]
         threshold = self._structure.config.robust
-        if threshold is not None:
-            size = np.abs(error)
-            tail = np.sqrt(np.maximum(2.0 * threshold * size - threshold**2, 1e-12))
-            error = np.where(size <= threshold, error, np.sign(error) * tail)
+        if self._whiten is not None:
+            error = self._whiten(error, part)
+        elif threshold is not None:
+            error = huber_root(error, threshold)
         error *= self._weight[part]
         return error.reshape(len(chosen), -1, *error.shape[1:])
 

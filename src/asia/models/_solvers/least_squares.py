@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from asia.models._config import check_at_least, demand
+from asia.models._noise.choice import NoiseKind, check_noise
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,20 @@ class LevenbergMarquardt:
     """"validation" keeps the parameters with the least `context.validation_score`, asked for after
     every iteration, in families that can (physics_net); without such a score, or elsewhere, the
     last ones are kept."""
+    noise_model: NoiseKind = "white"
+    """What the residual of a simulation is taken for: "white", or "slow" for a slow disturbance
+    (Ornstein-Uhlenbeck) plus white noise. The sizes of both are estimated from the residuals of the
+    fit by least squares, and generalised least squares goes on from there, in turn until they
+    settle. Changes how a model is trained, not how it simulates."""
+    slow_time: float | None = None
+    """Time constant of the slow disturbance in s; None estimates it."""
+    huber: float | None = None
+    """Threshold, in deviations of the innovations, beyond which their cost grows in proportion to
+    them; None is least squares."""
 
     def __post_init__(self) -> None:
         check_at_least(0, self, "iterations", "tolerance")
         check_at_least(1, self, "starts")
+        check_noise(self)
         demand(self, "damping", self.damping > 0, "a positive number")
         demand(self, "stop", self.stop in (None, "validation"), "None or 'validation'")

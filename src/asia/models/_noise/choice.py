@@ -1,0 +1,64 @@
+"""What a training method says of the noise of the outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias, get_args
+
+from asia.errors import UserError
+from asia.models._config import check_choice, demand, owner
+
+NoiseKind: TypeAlias = Literal["white", "slow"]
+
+
+class NoiseSettings(Protocol):
+    """The settings of a training method that are about noise."""
+
+    @property
+    def noise_model(self) -> NoiseKind:
+        """What the residual of a simulation is taken for."""
+        ...
+
+    @property
+    def slow_time(self) -> float | None:
+        """Time constant of its slow part in s; None estimates it."""
+        ...
+
+    @property
+    def huber(self) -> float | None:
+        """Threshold on the innovations in their deviations; None is least squares."""
+        ...
+
+
+@dataclass(frozen=True)
+class NoiseChoice:
+    """What of the noise model is given, and what is estimated."""
+
+    slow: bool
+    """Whether there is a slow part."""
+    time: float | None = None
+    """Its time constant in s; None estimates it."""
+    huber: float | None = None
+    """Threshold on the innovations, in their deviations, beyond which their cost grows in
+    proportion to them; None is least squares."""
+
+    @classmethod
+    def of(cls, method: NoiseSettings) -> NoiseChoice | None:
+        """None where the method is plain least squares."""
+        slow = method.noise_model == "slow"
+        if not slow and method.huber is None:
+            return None
+        return cls(slow, method.slow_time, method.huber)
+
+
+def check_noise(method: NoiseSettings) -> None:
+    """Raises UserError where the settings are not what they may be."""
+    check_choice(method, "noise_model", get_args(NoiseKind))
+    for name in ("slow_time", "huber"):
+        value = getattr(method, name)
+        demand(method, name, value is None or value > 0, "None or a positive number")
+    if method.slow_time is not None and method.noise_model != "slow":
+        raise UserError(
+            f"{owner(method)}: slow_time is the time constant of a slow disturbance; set "
+            'noise_model to "slow" with it, or leave it out'
+        )

@@ -1,0 +1,44 @@
+"""Errors of a simulation as generalised least squares weighs them. NumPy alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+from asia.models._noise.estimate import huber_root
+from asia.models._noise.whitening import (
+    InnovationFilter,
+    ResidualNoise,
+    innovation_filter,
+    innovations,
+)
+
+
+@dataclass(frozen=True)
+class ErrorWeighting:
+    """Whitens errors. Under white noise of one output the result is the error as it was: a ridge
+    keeps the deviation that it has beside least squares with residuals of the same variance."""
+
+    through: InnovationFilter
+    """The filter of the noise model."""
+    unit: float
+    """Deviation of the residuals, over the outputs in the root mean square."""
+    huber: float | None
+    """Threshold on the innovations in their deviations."""
+
+    @classmethod
+    def of(
+        cls, noise: ResidualNoise, sampling_time: float, mask: Array, huber: float | None
+    ) -> ErrorWeighting:
+        """For errors in the unit of the noise model where mask (S, T) is positive."""
+        unit = float(np.sqrt(noise.variance.mean()))
+        return cls(innovation_filter(noise, sampling_time, mask), unit, huber)
+
+    def __call__(self, error: Array, part: slice = slice(None)) -> Array:
+        """Errors (..., S, T, ny) of some segments -> what is squared."""
+        found = innovations(InnovationFilter(*(a[part] for a in self.through)), error)
+        if self.huber is not None:
+            found = huber_root(found, self.huber)
+        return self.unit * found
