@@ -48,6 +48,9 @@ class _NetworkFit:
     """Steps between two such checks."""
     patience: int = 20
     """Checks in a row without improvement after which the fit stops."""
+    symmetry: bool = False
+    """Whether the fit sees the records under every symmetry of the problem that takes inputs to
+    inputs and outputs to outputs, and simulations are averaged over these."""
 
 
 @dataclass(frozen=True)

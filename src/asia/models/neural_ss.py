@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,13 +28,13 @@ from asia.models._data.records import (
     ScaledData,
     ScaledTrajectory,
     check,
-    scaled,
     window,
     window_size,
 )
 from asia.models._data.scaling import Scaling
+from asia.models._data.turns import SignalTurns, TurnedData
 from asia.models._data.windows import cut_windows
-from asia.models._linear.fit import LinearFit, Refinement, encoder_of
+from asia.models._linear.fit import LinearFit, Refinement, encoder_of, refine
 from asia.models._linear.windows import WindowPredictor
 from asia.models._networks.simulation import outputs_of
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
@@ -76,6 +77,9 @@ class Config:
     outputs is taken."""
     delay: int | None = 0
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
+    symmetry: bool = False
+    """Whether the fit sees the records under every symmetry of the problem that takes inputs to
+    inputs and outputs to outputs, and simulations are averaged over these."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "hidden", "members", "channels")
@@ -97,6 +101,8 @@ class FittedStateSpace:
     """Of the inputs, in samples."""
     scaling: Scaling
     """From physical units to z-scores."""
+    turns: SignalTurns | None = None
+    """Symmetries over which simulations are averaged; None: none."""
 
 
 @dataclass(frozen=True)
@@ -137,16 +143,22 @@ class NeuralStateSpace:
         (B, H, ny). Raises UserError before training."""
         if self.fitted is None:
             raise UserError("neural state-space model: not trained yet; call train first")
-        f = self.fitted
-        past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
-        features = window(past, f.scaling.outputs(past_y))
-        inputs = linear.delayed(past, future, f.delay)
-        cell = StateCell(f.structure)
-        outputs = [
-            outputs_of(cell, {**params, "encoder": vars(encoder)}, features, inputs)
-            for params, encoder in f.members
-        ]
-        return f.scaling.physical(np.median(outputs, axis=0))
+        simulate = partial(_simulated, self.fitted)
+        if self.fitted.turns is None:
+            return simulate(past_u, past_y, u)
+        return self.fitted.turns.averaged(simulate, past_u, past_y, u)
+
+
+def _simulated(f: FittedStateSpace, past_u: Array, past_y: Array, u: Array) -> Array:
+    past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
+    features = window(past, f.scaling.outputs(past_y))
+    inputs = linear.delayed(past, future, f.delay)
+    cell = StateCell(f.structure)
+    outputs = [
+        outputs_of(cell, {**params, "encoder": vars(encoder)}, features, inputs)
+        for params, encoder in f.members
+    ]
+    return f.scaling.physical(np.median(outputs, axis=0))
 
 
 def build(config: Config, context: Context) -> NeuralStateSpace:
@@ -170,26 +182,38 @@ def train(
     short or mis-shaped.
     """
     check(trajectories, context)
-    scaling = Scaling.of(trajectories)
-    records = scaled(trajectories, scaling)
     c = model.config
-    predictor = _windowed_start(records, context, c)
+    turned = c.symmetry or (isinstance(method, Adam) and method.symmetry)
+    data = TurnedData.of(trajectories, SignalTurns.of(context) if turned else None)
+    predictor = _windowed_start(data.records, context, c)
     if predictor is not None:
-        return _train_windowed(model, predictor, records, scaling, context, method)
-    found, delay, used = linear_start(records, context, c.order, c.delay)
+        return _train_windowed(model, predictor, data, context, method)
+    found, delay, used = linear_start(data.records, context, c.order, c.delay)
+    if data.turns is not None:
+        used = data.with_turned(used)
+        found = _symmetric(found, used, data.copies)
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels,
     )  # fmt: skip
     if isinstance(method, Adam):
-        late = [linear.shifted(r, delay) for r in records]
+        late = [linear.shifted(r, delay) for r in data.every]
         encoder = encoder_of(used, found, context)
         params = _encoded(structure.start(found.system, _random(context)), encoder, c, context)
-        trained = _by_adam(structure, params, late, context, method)
+        trained = _by_adam(structure, params, late, context, method, data.copies)
         members = [(trained, Encoder(**trained.pop("encoder")))]
     else:
         members = _by_lm(structure, c, found, used, context, method)
-    return replace(model, fitted=FittedStateSpace(structure, tuple(members), delay, scaling))
+    fitted = FittedStateSpace(structure, tuple(members), delay, data.scaling, data.turns)
+    return replace(model, fitted=fitted)
+
+
+def _symmetric(found: LinearFit, records: ScaledData, copies: int) -> LinearFit:
+    """The linear model refined on all records, which say that it is symmetric; turned ones start
+    at rest."""
+    x0 = np.zeros((len(records), found.system.order))
+    x0[::copies] = found.x0
+    return refine(records, LinearFit(found.system, x0, found.error), Refinement())
 
 
 def _windowed_start(
@@ -204,8 +228,7 @@ def _windowed_start(
 def _train_windowed(
     model: NeuralStateSpace,
     predictor: WindowPredictor,
-    records: ScaledData,
-    scaling: Scaling,
+    data: TurnedData,
     context: Context,
     method: LevenbergMarquardt | Adam,
 ) -> NeuralStateSpace:
@@ -220,20 +243,19 @@ def _train_windowed(
     encoder, rng = affine(lags.selection(), np.zeros(lags.order)), _random(context)
     if isinstance(method, Adam):
         params = structure.start_windowed(predictor, rng)
-        members = [_by_adam(structure, params, records, context, method)]
+        members = [_by_adam(structure, params, data.every, context, method, data.copies)]
     else:
         starts = [structure.start_windowed(predictor, rng) for _ in range(method.starts)]
         size = tree_size(starts[0])
         most = _WORK / (size**2 * (context.horizon or 1) * context.ny)
-        w = cut_windows(records, context, int(np.clip(most, *_WINDOWS)))
+        w = cut_windows(data.every, context, int(np.clip(most, *_WINDOWS)))
         samples = StateSamples(encoder(w.features), w.u, w.y, np.ones(w.y.shape[:2]), known=True)
         # What held the linear model to its training windows has to hold this one as well.
         ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
         fits = fit_states(structure, starts, samples, ridges, method, context.log)
         members = [one.params for one in fits[: c.members]]
-    return replace(
-        model, fitted=FittedStateSpace(structure, tuple((p, encoder) for p in members), 0, scaling)
-    )
+    each = tuple((p, encoder) for p in members)
+    return replace(model, fitted=FittedStateSpace(structure, each, 0, data.scaling, data.turns))
 
 
 def _random(context: Context) -> np.random.Generator:
@@ -298,10 +320,13 @@ def _by_adam(
     records: ScaledData,
     context: Context,
     method: Adam,
+    copies: int,
 ) -> Any:
     from asia.models._networks.training import fit
 
-    trained = fit(StateCell(structure), _cast(params, np.float32), records, context, method)
+    cell = StateCell(structure)
+    start = _cast(params, np.float32)
+    trained = fit(cell, start, records, context, method, copies=copies)
     return _cast(trained, np.float64)
 
 

@@ -84,6 +84,21 @@ def covers(symmetry: Symmetry, names: Collection[str]) -> bool:
     return closed and any(signal in names for signal, _ in named)
 
 
+def of_signals(symmetry: Symmetry, inputs: Collection[str], outputs: Collection[str]) -> Symmetry:
+    """The generators that take inputs to inputs and outputs to outputs and name nothing else: those
+    that a model without equations can have."""
+    sides = ({*inputs}, {*outputs})
+    return {
+        name: generator
+        for name, generator in symmetry.items()
+        if generator
+        and all(
+            any({signal, _unsigned(value)} <= side for side in sides)
+            for signal, value in generator.items()
+        )
+    }
+
+
 def _matrix(generator: Mapping[str, str], names: Sequence[str]) -> Array:
     matrix = np.eye(len(names))
     for row, name in enumerate(names):

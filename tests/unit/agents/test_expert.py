@@ -186,3 +186,20 @@ def test_sixty_proposals_are_sixty_configurations(known: Facts) -> None:
     assert len(trials) == 60
     assert len({recipe_of(t).key for t in trials}) == 60
     assert any(t.value is None for t in trials)
+
+
+@pytest.mark.parametrize("leader", ["neural_ss", "recurrent"])
+def test_models_without_equations_get_the_symmetries_of_their_signals(leader: str) -> None:
+    plain = simulation(physics=False)
+    odd = replace(plain, symmetry={"odd": {"u": "-u", "y": "-y"}})
+    inner = replace(plain, symmetry={"odd": {"u": "-u", "torque": "-torque"}})
+
+    def outcome(proposal: Proposal, number: int) -> Trial:
+        return trial(proposal, number, 0.3 if proposal.family == leader else 0.9)
+
+    def given(known: Facts) -> set[str]:
+        done = search(ExpertAgent, known, 20, outcome)
+        return {t.family for t in done if recipe_of(t).get("symmetry")}
+
+    assert leader in given(odd)
+    assert not given(inner)

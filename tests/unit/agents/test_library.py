@@ -27,9 +27,10 @@ from tests.unit.agents.searches import (
     windows,
 )
 
+ODD = {"odd": {"u": "-u", "y": "-y"}}
 PROBLEMS = {
     "physics": simulation(physics=True),
-    "long": simulation(physics=False, samples=100_000),
+    "long": replace(simulation(physics=False, samples=100_000), symmetry=ODD),
     "windows": windows(),
     "body": body(),
     "validation": replace(windows(), early_stopping="validation"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.problem.symmetry import Symmetry, check_symmetry, covers, group
+from asia.problem.symmetry import Symmetry, check_symmetry, covers, group, of_signals
 
 TURN = {"x": "y", "y": "-x"}
 MIRROR = {"y": "-y"}
@@ -22,6 +22,18 @@ def test_a_turn_and_a_mirror_make_the_eight_symmetries_of_a_square() -> None:
 def test_a_generator_gives_each_signal_its_new_value() -> None:
     element = group({"turn": TURN}, ["x", "y", "z"])[1]
     np.testing.assert_array_equal(element @ [1.0, 2.0, 3.0], [2.0, -1.0, 3.0])
+
+
+def test_those_of_signals_keep_inputs_and_outputs_apart() -> None:
+    odd = {"u": "-u", "y": "-y"}
+    symmetry = {
+        "odd": odd,
+        "output": {"y": "-y"},
+        "mixed": {"u": "y", "y": "u"},
+        "inner": {"u": "-u", "force": "-force"},
+        "nothing": {},
+    }
+    assert of_signals(symmetry, ["u"], ["y"]) == {"odd": odd, "output": {"y": "-y"}}
 
 
 def test_coverage() -> None:

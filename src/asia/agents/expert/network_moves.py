@@ -70,7 +70,23 @@ def _absent(at: Situation, name: str) -> bool:
     return not at.recipe.get(name)
 
 
+def _given_symmetry(at: Situation) -> bool:
+    """Whether the method can give the network the symmetries of the problem."""
+    return any(p.name == "symmetry" for p in at.row.space(at.facts).options)
+
+
 NETWORK_MOVES: tuple[Move, ...] = (
+    Move(
+        name="symmetries of the signals",
+        weight=lambda c: (
+            (0.7 if c.place == 0 else 0.5) * _given_symmetry(c) * _absent(c, "symmetry")
+        ),
+        change=lambda c: c.recipe.trained(symmetry=True),
+        hypothesis="The problem says under which changes of its signals the system stays the same. "
+        "A network that learns from the records under each of them, and is averaged over them, "
+        "need not learn it.",
+        expected="A lower V; the training error may rise.",
+    ),
     Move(
         name="squares of the inputs",
         weight=lambda c: (

@@ -6,6 +6,7 @@ from asia.agents._view import Facts
 from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.traits import traits
 
 LM = "LevenbergMarquardt"
 GRADIENT = ("Adam", "LBFGS", "MultipleShooting")
@@ -43,8 +44,14 @@ def network_space(facts: Facts, cost: SampleCost, config: tuple[Parameter, ...])
         Span("steps", least, most, whole=True),
         *adam_space(facts),
         OneOf("members", (1, 3)),
+        *symmetry_space(facts),
     )
     return Space((*config, OneOf("features", ((), ("square",)))), options)
+
+
+def symmetry_space(facts: Facts) -> tuple[Parameter, ...]:
+    """Whether a model without equations is given the symmetries of its signals, where declared."""
+    return (OneOf("symmetry", (False, True)),) if "symmetric" in traits(facts) else ()
 
 
 def adam_space(facts: Facts, needs: str = "") -> tuple[Parameter, ...]:
@@ -81,7 +88,8 @@ def by_lbfgs(facts: Facts, recipe: Recipe) -> Recipe:
     """The same model fitted by L-BFGS on all samples at once."""
     loss = "mse" if facts.loss == "mse" else "huber"
     updates = max(FEWEST_STEPS, round(recipe.number("steps", 2000)) // 10)
-    return recipe.fitted_by("LBFGS", (("steps", updates), ("ridge", 1e-5), ("loss", loss)))
+    options: Arguments = (("steps", updates), ("ridge", 1e-5), ("loss", loss))
+    return recipe.fitted_by("LBFGS", (*options, *_symmetry(recipe)))
 
 
 def by_multiple_shooting(facts: Facts, recipe: Recipe) -> Recipe:
@@ -91,5 +99,12 @@ def by_multiple_shooting(facts: Facts, recipe: Recipe) -> Recipe:
         ("learning_rate", recipe.number("learning_rate", 3e-3)),
         ("length", 30 if facts.horizon is None else max(2, facts.horizon // 3)),
         *absolute_loss(facts),
+        *_symmetry(recipe),
     )
     return recipe.fitted_by("MultipleShooting", options)
+
+
+def _symmetry(recipe: Recipe) -> Arguments:
+    """What another method keeps of it."""
+    symmetry = dict(recipe.options).get("symmetry")
+    return (("symmetry", symmetry),) if symmetry else ()

@@ -5,8 +5,11 @@ from __future__ import annotations
 from typing import Literal
 
 from asia.agents._view import Facts
+from asia.problem.symmetry import of_signals
 
-Trait = Literal["physics", "parameters", "windows", "measured", "short", "long", "several"]
+Trait = Literal[
+    "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric"
+]
 
 _SHORT = 2_000
 _LONG = 20_000
@@ -16,7 +19,8 @@ def traits(facts: Facts) -> frozenset[Trait]:
     """physics: equations are given; parameters: with unknown parameters in them; windows: many
     short simulations instead of whole records; measured: every state is an output or, without
     equations, the past window is one output sample; short, long: at most 2000 or at least 20 000
-    samples to fit; several: more than one output."""
+    samples to fit; several: more than one output; symmetric: a symmetry of inputs and outputs alone
+    is declared."""
     physics = facts.physics
     found: dict[Trait, bool] = {
         "physics": physics is not None,
@@ -26,8 +30,13 @@ def traits(facts: Facts) -> frozenset[Trait]:
         "short": facts.fit_samples <= _SHORT,
         "long": facts.fit_samples >= _LONG,
         "several": len(facts.outputs) > 1,
+        "symmetric": bool(of_signals(facts.symmetry, *_names(facts))),
     }
     return frozenset(name for name, holds in found.items() if holds)
+
+
+def _names(facts: Facts) -> tuple[list[str], list[str]]:
+    return [s.name for s in facts.inputs], [s.name for s in facts.outputs]
 
 
 def _measured(facts: Facts) -> bool:

@@ -20,6 +20,7 @@ from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray
 from asia.models._data.records import check
+from asia.models._data.turns import SignalTurns
 from asia.models._networks.features import Features, NetworkConfig
 from asia.models._networks.layers import linear_output
 from asia.models._networks.network import NetworkModel, Prepare, train_network
@@ -106,7 +107,10 @@ def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C
         if not isinstance(cell, structure):
             raise UserError(f"{name}.train: expected a model that {name}.build has made")
         start = cell.start(trajectories, context)
-        cell = replace(cell, drive=cell.drive.fitted(trajectories))
+        seen = trajectories
+        if method.symmetry:
+            seen = SignalTurns.of(context).turned(trajectories)
+        cell = replace(cell, drive=cell.drive.fitted(seen))
         return train_network(replace(model, cell=cell), trajectories, context, method, start)
 
     for function in (build, train):

@@ -11,8 +11,9 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._data.chunks import laid, whole
-from asia.models._data.records import ScaledData, batch, check, scaled, window
+from asia.models._data.records import ScaledData, batch, check, window
 from asia.models._data.scaling import Scaling
+from asia.models._data.turns import SignalTurns, TurnedData
 from asia.models._networks.simulation import features_of, outputs_of
 from asia.models._networks.structure import (
     Cell,
@@ -39,10 +40,17 @@ class NetworkModel:
     """From physical units to z-scores; None before training."""
     others: tuple[Params, ...] = ()
     """Parameters of further members, whose simulations are averaged with that of `params`."""
+    turns: SignalTurns | None = None
+    """Symmetries over which simulations are averaged; None: none."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
         (B, H, ny) float64. Raises UserError before training."""
+        if self.turns is None:
+            return self._simulated(past_u, past_y, u)
+        return self.turns.averaged(self._simulated, past_u, past_y, u)
+
+    def _simulated(self, past_u: Array, past_y: Array, u: Array) -> Array:
         if self.scaling is None:
             raise UserError("network model: not trained yet; call train before simulate")
         past = window(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
@@ -68,8 +76,8 @@ def train_network(
     from asia.models._networks.training import fit  # imports JAX, which a simulation must not
 
     check(trajectories, context)
-    scaling = Scaling.of(trajectories)
-    records = scaled(trajectories, scaling)
+    data = TurnedData.of(trajectories, SignalTurns.of(context) if method.symmetry else None)
+    every, scaling, turns = data.every, data.scaling, data.turns
     cell = model.cell
     if method.members > 1 and not isinstance(cell, Restartable):
         raise UserError(
@@ -84,13 +92,20 @@ def train_network(
         if i > 0 and isinstance(cell, Restartable):
             params = cell.parameters(own)
         if prepare is None:
-            params = with_output_layer(cell, params, records, context)
+            params = with_output_layer(cell, params, every, context)
         else:
-            params = prepare(params, records, scaling)
-        members.append(
-            fit(cell, params, records, own, method, lambda p: NetworkModel(cell, p, scaling))
+            params = prepare(params, data.records, scaling)
+        trained = fit(
+            cell,
+            params,
+            every,
+            own,
+            method,
+            lambda p: NetworkModel(cell, p, scaling, turns=turns),
+            data.copies,
         )
-    return replace(model, params=members[0], scaling=scaling, others=tuple(members[1:]))
+        members.append(trained)
+    return NetworkModel(cell, members[0], scaling, tuple(members[1:]), turns)
 
 
 def as_built(params: Params, records: ScaledData, scaling: Scaling) -> Params:

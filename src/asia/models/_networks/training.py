@@ -65,15 +65,17 @@ def fit(
     context: Context,
     method: NetworkMethod,
     model_of: Callable[[Params], Model] | None = None,
+    copies: int = 1,
 ) -> Params:
     """Trained float32 parameters; `model_of` makes the model that `context.validation_score` is
-    asked about."""
+    asked about. So many records in a row as `copies` says are one and the same, turned by
+    symmetries: they are held out together."""
     score = None
     if method.stop == "validation" and context.validation_score and model_of:
         score = partial(_validation, context.validation_score, model_of)
     samples: HoldoutSplit | PaddedBatch = batch(records, context)
     if score is None and method.holdout > 0:
-        samples = _split(records, context, method.holdout)
+        samples = _split(records, context, method.holdout, copies)
     with jax.enable_x64(False):
         seed = context.seed % 2**31
         task = FitTask(structure, samples, context.horizon, seed, context.log, score)
@@ -118,9 +120,10 @@ def _run(
     return shooting.run(cell, params, samples, method, steps, monitor)
 
 
-def _split(records: ScaledData, context: Context, fraction: float) -> HoldoutSplit:
+def _split(records: ScaledData, context: Context, fraction: float, copies: int) -> HoldoutSplit:
     full = batch(records, context)
-    chosen = holdout_records(len(records), fraction)
+    originals = holdout_records(len(records) // copies, fraction)
+    chosen = [copies * i + k for i in originals for k in range(copies)]
     if chosen:
         kept = [r for i, r in enumerate(records) if i not in chosen]
         return HoldoutSplit(

@@ -7,7 +7,7 @@ from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import curved
 from asia.agents.library.family import Family
-from asia.agents.library.methods import LM
+from asia.agents.library.methods import LM, symmetry_space
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
@@ -19,7 +19,7 @@ def _neural_ss(_: Facts) -> Recipe:
     return Recipe("neural_ss", config, LM, (("iterations", 60), ("starts", 2)))
 
 
-def _neural_ss_space(_: Facts) -> Space:
+def _neural_ss_space(facts: Facts) -> Space:
     return Space(
         config=(
             OneOf("order", (None, 2, 3, 4)),
@@ -29,6 +29,7 @@ def _neural_ss_space(_: Facts) -> Space:
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
             OneOf("members", (1, 3)),
+            *symmetry_space(facts),
         ),
         options=(OneOf("iterations", (40, 80)), OneOf("starts", (1, 2, 4))),
     )
@@ -68,6 +69,14 @@ CARD = Card(
             change=lambda c: c.recipe.configured(members=3).trained(starts=4),
             hypothesis="Fits from different starts err differently; their median errs less.",
             expected="A lower and steadier V at the same training error.",
+        ),
+        Move(
+            name="symmetries of the signals",
+            weight=lambda c: 0.7 * c.varies("symmetry") * (not c.recipe.get("symmetry")),
+            change=lambda c: c.recipe.configured(symmetry=True),
+            hypothesis="The problem says under which changes of its signals the system stays the "
+            "same: a model averaged over them has no even terms to learn where it is odd.",
+            expected="A lower V; the training error may rise.",
         ),
         Move(
             name="static function at the output",

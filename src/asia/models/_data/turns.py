@@ -1,0 +1,113 @@
+"""Symmetries of a system as a black box sees them: its inputs and outputs turned alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Array, Trajectory
+from asia.errors import UserError
+from asia.models._data.records import ScaledData, ScaledTrajectory, scaled
+from asia.models._data.scaling import Scaling
+from asia.problem.symmetry import group, of_signals
+
+SimulateWindows = Callable[[Array, Array, Array], Array]
+"""`simulate` of a model."""
+
+
+@dataclass(frozen=True)
+class SignalTurns:
+    """Elements of the group of symmetries that take inputs to inputs and outputs to outputs, the
+    identity first."""
+
+    inputs: Array
+    """Signed permutations (G, nu, nu)."""
+    outputs: Array
+    """The same elements on the outputs (G, ny, ny)."""
+
+    @classmethod
+    def of(cls, context: Context) -> SignalTurns:
+        """Those of a problem. Raises UserError where it has none."""
+        inputs, outputs = ([s.name for s in side] for side in (context.inputs, context.outputs))
+        usable = of_signals(context.symmetry, inputs, outputs)
+        if not usable:
+            raise UserError(
+                "symmetry is on, but no [symmetry] of the problem takes inputs to inputs and "
+                "outputs to outputs and names nothing else; declare one or leave symmetry off"
+            )
+        elements = group(usable, [*inputs, *outputs])
+        nu = len(inputs)
+        return cls(elements[:, :nu, :nu], elements[:, nu:, nu:])
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+    def turned(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+        """Each record as it is, followed by what it becomes under the other elements."""
+        return [
+            replace(t, u=t.u @ turn_u.T, y=t.y @ turn_y.T)
+            for t in trajectories
+            for turn_u, turn_y in self._elements()
+        ]
+
+    def turned_scores(self, records: ScaledData) -> list[ScaledTrajectory]:
+        """The same in the z-scores of turned records, which the turns leave as they are."""
+        return [
+            replace(r, u=r.u @ turn_u.T, y=r.y @ turn_y.T, measured_u=r.measured_u @ turn_u.T)
+            for r in records
+            for turn_u, turn_y in self._elements()
+        ]
+
+    def _elements(self) -> Iterator[tuple[Array, Array]]:
+        return zip(self.inputs, self.outputs, strict=True)
+
+    def averaged(self, simulate: SimulateWindows, past_u: Array, past_y: Array, u: Array) -> Array:
+        """The mean over the elements of what `simulate` says of the turned signals, turned back:
+        it has the symmetries exactly, whatever `simulate` has learned."""
+        count = len(u)
+        turned = (
+            np.concatenate([signal @ turn.T for turn in turns])
+            for signal, turns in (
+                (past_u, self.inputs),
+                (past_y, self.outputs),
+                (u, self.inputs),
+            )
+        )
+        found = simulate(*turned).reshape(len(self), count, u.shape[1], -1)
+        return np.mean([y @ turn for y, turn in zip(found, self.outputs, strict=True)], axis=0)
+
+
+@dataclass(frozen=True)
+class TurnedData:
+    """The records of a fit, which may also be seen under symmetries of the system."""
+
+    records: ScaledData
+    """As measured: what a choice by held-out parts is made on."""
+    scaling: Scaling
+    """The same for signals that a symmetry exchanges, and about zero for one that it negates."""
+    turns: SignalTurns | None
+    """The symmetries; None: none."""
+
+    @classmethod
+    def of(cls, trajectories: Sequence[Trajectory], turns: SignalTurns | None) -> TurnedData:
+        """From records in physical units."""
+        every = trajectories if turns is None else turns.turned(trajectories)
+        scaling = Scaling.of(every)
+        return cls(scaled(trajectories, scaling), scaling, turns)
+
+    @property
+    def copies(self) -> int:
+        """How often each record stands in `every`."""
+        return 1 if self.turns is None else len(self.turns)
+
+    @property
+    def every(self) -> ScaledData:
+        """Each record followed by its turned copies."""
+        return self.with_turned(self.records)
+
+    def with_turned(self, records: ScaledData) -> ScaledData:
+        """Each of these followed by its turned copies."""
+        return records if self.turns is None else self.turns.turned_scores(records)
