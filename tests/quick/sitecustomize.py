@@ -1,4 +1,5 @@
-"""Gives the processes that tests start the same quick linear rung as tests/conftest.py gives ours.
+"""What the processes that tests start do as tests/conftest.py and tests/unit/painting.py have it in
+ours: the quick linear rung, and pictures that are drawn but not painted.
 
 Python imports this module where PYTHONPATH names its folder. Workers of the sandbox have an
 environment of their own and do not.
@@ -7,36 +8,61 @@ environment of their own and do not.
 import importlib.abc
 import importlib.util
 import sys
+from collections.abc import Callable
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
-TARGET = "asia.search"
+
+def quick_rung(search: ModuleType) -> None:
+    del search
+    rungs = sys.modules["asia.evaluation._rungs"]
+    assert isinstance(rungs.LINEAR, str)
+    rungs.LINEAR = Path(__file__).with_name("arx.py").read_text("utf-8")
+
+
+def unpainted(figure: ModuleType) -> None:
+    paint = figure.Figure.savefig
+
+    def blank(self: Any, target: Any, **settings: object) -> None:
+        if not hasattr(target, "write"):
+            # A file of a program that a test runs.
+            return paint(self, target, **settings)
+        assert self.axes, "the picture shows nothing"
+        return target.write(b"not painted")
+
+    figure.Figure.savefig = blank
+    figure.Figure.draw_without_rendering = lambda self: None
+
+
+CHANGES: dict[str, Callable[[ModuleType], None]] = {
+    "asia.search": quick_rung,
+    "matplotlib.figure": unpainted,
+}
 
 
 class _Loader(importlib.abc.Loader):
-    def __init__(self, real: importlib.abc.Loader) -> None:
-        self.real = real
+    def __init__(self, real: importlib.abc.Loader, change: Callable[[ModuleType], None]) -> None:
+        self.real, self.change = real, change
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         return self.real.create_module(spec)
 
     def exec_module(self, module: ModuleType) -> None:
         self.real.exec_module(module)
-        rungs = sys.modules["asia.evaluation._rungs"]
-        assert isinstance(rungs.LINEAR, str)
-        rungs.LINEAR = Path(__file__).with_name("arx.py").read_text("utf-8")
+        self.change(module)
 
 
 class _Finder(importlib.abc.MetaPathFinder):
     def find_spec(self, name: str, path: object, target: object = None) -> ModuleSpec | None:
-        if name != TARGET:
+        change = CHANGES.pop(name, None)
+        if change is None:
             return None
-        sys.meta_path.remove(self)
         spec = importlib.util.find_spec(name)
         assert spec is not None
         assert spec.loader is not None
-        spec.loader = _Loader(spec.loader)
+        spec.loader = _Loader(spec.loader, change)
         return spec
 
 

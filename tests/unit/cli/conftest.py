@@ -1,9 +1,12 @@
 import contextlib
+import fcntl
 import io
+import json
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import pytest
@@ -61,14 +64,19 @@ def unpainted_pictures() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def searched_once(tmp_path_factory: pytest.TempPathFactory) -> Searched:
-    root = tmp_path_factory.mktemp("search")
-    problem = write_problem(root / "toy")
-    runs = root / "runs"
-    with painted():
-        printed = command_line(
-            "run", problem, "--agent", "random", "--experiments", 1, "--runs", runs, "--json"
-        )
-    return Searched(printed, problem, runs)
+    """One for all workers of a test run: the first that asks makes it, the others wait."""
+    mine = tmp_path_factory.getbasetemp()
+    root = (mine.parent if "PYTEST_XDIST_WORKER" in os.environ else mine) / "searched"
+    root.mkdir(exist_ok=True)
+    made = root / "printed.json"
+    with (root / "lock").open("wb") as one_at_a_time:
+        fcntl.flock(one_at_a_time, fcntl.LOCK_EX)
+        if not made.exists():
+            problem = write_problem(root / "toy")
+            words = ("--agent", "random", "--experiments", 1, "--runs", root / "runs", "--json")
+            with painted():
+                made.write_text(json.dumps(asdict(command_line("run", problem, *words))))
+    return Searched(Done(**json.loads(made.read_text())), root / "toy", root / "runs")
 
 
 @pytest.fixture
