@@ -1,0 +1,245 @@
+"""What each option of the library brings, and whether it does harm.
+
+    python benchmarks/models/options.py [--rows sensor,lag] [--seeds 0 1 2]
+    python benchmarks/models/options.py --tanks | --nanodrone [--seeds 0 1 2]
+
+On systems that have the effect an option is for, and on the same systems without it, a family is
+fitted with and without the option. The figure is the error of its simulation of a fresh record,
+against the noise-free truth, relative to the truth's standard deviation; median over the seeds.
+
+With --tanks or --nanodrone the options of the candidate in `benchmarks/rebuilt` are left out one at
+a time; the figure is V on the training data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from option_systems import System, TankEffects, duffing, tanks, vehicle
+
+from asia.candidate import Context
+from asia.evaluation import Evaluator
+from asia.executor import LocalExecutor
+from asia.models import greybox, neural_ss, recurrent
+from asia.models.methods import Adam, LevenbergMarquardt
+from asia.problem import Budget
+from asia.problem.load import load_problem
+from asia.protocol import make_folds
+from asia.sandbox import Isolation
+from asia.scoring import Score
+
+Draw = Callable[[int], System]
+"""The system of a seed."""
+REBUILT = Path(__file__).parents[1] / "rebuilt"
+LM = LevenbergMarquardt(iterations=40, starts=3)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A family, its settings and its method."""
+
+    family: ModuleType
+    config: dict[str, Any]
+    method: Any
+
+    def with_config(self, **option: Any) -> Fit:
+        """With settings of the model changed."""
+        return replace(self, config={**self.config, **option})
+
+    def with_method(self, **option: Any) -> Fit:
+        """With settings of the method changed."""
+        return replace(self, method=replace(self.method, **option))
+
+    def error(self, system: System) -> float:
+        """Of the simulation of the fresh record, relative; mean over the outputs."""
+        known = system.context
+        model = self.family.build(self.family.Config(**self.config), known)
+        model = self.family.train(model, system.training, known, self.method)
+        u, y, past = system.fresh.u, system.fresh.y, known.n_past_u
+        y_hat = model.simulate(u[None, :past], y[None, :past], u[None, past:])[0]
+        truth = system.truth[past:]
+        return float(np.mean(np.sqrt(((y_hat - truth) ** 2).mean(axis=0)) / truth.std(axis=0)))
+
+
+@dataclass(frozen=True)
+class Row:
+    """An option, and systems with and without its effect."""
+
+    option: str
+    effect: str
+    present: Draw
+    absent: Draw
+    without: Fit
+    given: Fit
+
+
+PLAIN = Fit(greybox, {}, LM)
+FULL = Fit(greybox, {"saturation": ("x1",)}, LM)
+SMALL = Fit(neural_ss, {"order": 2, "hidden": 6}, LevenbergMarquardt(iterations=40, starts=2))
+GATED = Fit(
+    recurrent,
+    {"cell": "gru", "hidden": 12},
+    Adam(steps=800, learning_rate=5e-3, truncation=64, batch=16),
+)
+
+
+def tank_row(name: str, effect: str, own: TankEffects, given: Fit, without: Fit = PLAIN) -> Row:
+    """A row on the tanks with and without an effect."""
+    as_given = TankEffects()
+    return Row(name, effect, lambda s: tanks(own, s), lambda s: tanks(as_given, s), without, given)
+
+
+ROWS = (
+    Row(
+        "neural_ss symmetry",
+        "odd plant, 300 samples",
+        duffing,
+        lambda s: duffing(s, bias=0.4),
+        SMALL,
+        SMALL.with_config(symmetry=True),
+    ),
+    Row(
+        "Adam symmetry",
+        "odd plant, 300 samples",
+        duffing,
+        lambda s: duffing(s, bias=0.4),
+        GATED,
+        GATED.with_method(symmetry=True),
+    ),
+    Row(
+        "Adam symmetry, two rotors",
+        "mirror image, 300 samples",
+        vehicle,
+        lambda s: vehicle(s, uneven=0.2),
+        GATED,
+        GATED.with_method(symmetry=True),
+    ),
+    tank_row(
+        "noise_model",
+        "slow disturbance, 20 % of the output, 40 s",
+        TankEffects(drift=0.2),
+        PLAIN.with_method(noise_model="slow"),
+    ),
+)
+
+
+def main() -> None:
+    """Print the table that is asked for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rows", default="", metavar="WORD,WORD", help="rows with these words")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    candidates = parser.add_mutually_exclusive_group()
+    candidates.add_argument("--tanks", action="store_true")
+    candidates.add_argument("--nanodrone", action="store_true")
+    asked = parser.parse_args()
+    if asked.tanks or asked.nanodrone:
+        left_out("cascaded_tanks" if asked.tanks else "nanodrone", asked.seeds)
+        return
+    words = asked.rows.split(",")
+    print(
+        "| option | effect | error without | with | ratio | where the effect is absent: without |"
+    )
+    print("| with | ratio | s |\n|---|---|---|---|---|---|---|---|---|")
+    for row in ROWS:
+        if any(word in row.option for word in words):
+            print(line(row, asked.seeds), flush=True)
+
+
+def line(row: Row, seeds: Sequence[int]) -> str:
+    """The row of the table."""
+    started = time.perf_counter()
+    cells: list[str] = []
+    for draw in (row.present, row.absent):
+        pairs = [(row.without.error(draw(s)), row.given.error(draw(s))) for s in seeds]
+        without, given = (median(side) for side in zip(*pairs, strict=True))
+        ratio = median(b / a for a, b in pairs)
+        cells += [f"{without:.4f}", f"{given:.4f}", f"{ratio:.2f}"]
+    seconds = time.perf_counter() - started
+    return f"| {row.option} | {row.effect} | {' | '.join(cells)} | {seconds:.0f} |"
+
+
+def left_out(problem: str, seeds: Sequence[int]) -> None:
+    """V of the rebuilt candidate of a problem, and without each of its settings."""
+    source = (REBUILT / f"{problem}.py").read_text("utf-8")
+    print("| left out | V, by seed | median | times the whole | s |\n|---|---|---|---|---|")
+    whole = None
+    for name, text in [("nothing", source), *without_each_setting(source)]:
+        started = time.perf_counter()
+        values = [value(problem, text, seed) for seed in seeds]
+        middle = median(values)
+        whole = whole or middle
+        each = ", ".join(f"{v:.4f}" for v in values)
+        seconds = time.perf_counter() - started
+        print(f"| {name} | {each} | {middle:.4f} | {middle / whole:.3f} | {seconds:.0f} |")
+        sys.stdout.flush()
+
+
+def without_each_setting(source: str) -> list[tuple[str, str]]:
+    """The candidate without each keyword of its families' settings and its methods in turn, where
+    that keyword names an option and not a size."""
+    found: list[tuple[str, str]] = []
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    for call, keyword in ((c, k) for c in calls for k in c.keywords):
+        name = ast.unparse(call.func)
+        if keyword.arg in SIZES or not (name.endswith("Config") or name in METHODS):
+            continue
+        text = without(source, keyword)
+        found.append((f"{name.removesuffix('.Config')} {keyword.arg}", text))
+    return found
+
+
+METHODS = ("LevenbergMarquardt", "Adam", "LBFGS", "MultipleShooting")
+SIZES = (
+    "iterations", "starts", "damping", "tolerance", "steps", "learning_rate", "batch", "truncation",
+    "hidden", "layers", "network", "substeps", "members",
+)  # fmt: skip
+"""Settings that are no options."""
+
+
+def without(source: str, keyword: ast.keyword) -> str:
+    """The source with the keyword and the comma after it cut out."""
+    lines = source.splitlines(keepends=True)
+    ends = [0]
+    for text in lines:
+        ends.append(ends[-1] + len(text.encode()))
+    assert keyword.end_lineno is not None
+    assert keyword.end_col_offset is not None
+    first = ends[keyword.lineno - 1] + keyword.col_offset
+    last = ends[keyword.end_lineno - 1] + keyword.end_col_offset
+    data = source.encode()
+    rest = data[last:].lstrip()
+    rest = rest.removeprefix(b",") if rest.startswith(b",") else data[last:]
+    return (data[:first] + rest).decode()
+
+
+def value(name: str, source: str, seed: int) -> float:
+    """V of a candidate on the training data."""
+    problem = load_problem(name)
+    rule = problem.protocol
+    known = Context(
+        problem.inputs, problem.outputs, problem.sampling_time, rule.past_inputs,
+        rule.past_outputs, rule.horizon, rule.metric, problem.physics, problem.symmetry, seed,
+    )  # fmt: skip
+    budget = Budget(fit_seconds=3600.0, memory_mb=problem.budget.memory_mb)
+    folds = make_folds(problem.train, rule)
+    judge = Evaluator(
+        folds, problem.train, known, rule, budget, Isolation.PROCESS, LocalExecutor(2)
+    )
+    outcome = judge.evaluate(source).outcome
+    if not isinstance(outcome, Score):
+        raise SystemExit(f"{outcome.reason}: {outcome.detail}\n{source}")
+    return outcome.value
+
+
+if __name__ == "__main__":
+    main()
