@@ -17,13 +17,15 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._equations.config import Config, GreyBoxStructure, Range
+from asia.models._equations.extend import extended
 from asia.models._equations.fit import FittedEquations, fit
 from asia.models._equations.initial_state import simulate_cases
-from asia.models._equations.ode import equations
+from asia.models._equations.ode import Equations, equations
+from asia.models._equations.priors import ParameterPriors, parameter_priors
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.problem import Bounds
+from asia.problem import Bounds, Physics
 
 __all__ = ["Config", "GreyBox", "build", "train"]
 
@@ -61,6 +63,8 @@ class GreyBox:
         rows = effects(self.structure, fitted.scales.for_rows(), fitted.z[:, None])
         effect = Effects(*(a[..., 0] for a in rows))
         report = dict(zip(system.parameters, effect.parameters, strict=True))
+        for name in self.structure.learned.spans:
+            del report[f"{name} low"], report[f"{name} high"]
         for i, name in enumerate(system.states):
             if name in config.saturation:
                 report[f"{name} limit"] = effect.limits[i]
@@ -91,8 +95,9 @@ def build(config: Config, context: Context) -> GreyBox:
         )
     bounds = [physics.bounds.get(name, Bounds()) for name in physics.states]
     names = [signal.name for signal in context.inputs], [signal.name for signal in context.outputs]
+    system = equations(physics, *names)
     structure = GreyBoxStructure(
-        equations=equations(physics, *names),
+        equations=system,
         config=config,
         ranges=tuple(Range(span.min, span.max) for span in physics.parameters.values()),
         low=tuple(-np.inf if b.min is None else float(b.min) for b in bounds),
@@ -100,13 +105,24 @@ def build(config: Config, context: Context) -> GreyBox:
         sampling_time=context.sampling_time,
         n_past_u=context.n_past_u,
         n_past_y=context.n_past_y,
+        priors=_priors(system, config, physics),
     )
     return GreyBox(replace(structure, measured=_is_measured(structure, context)))
 
 
+def _priors(system: Equations, config: Config, physics: Physics) -> ParameterPriors:
+    if config.prior_width is None:
+        return ParameterPriors()
+    rows = [(text, p.mean, p.deviation) for text, p in physics.priors.items()]
+    rows += [(text, mean, deviation) for text, mean, deviation, _ in config.priors]
+    return parameter_priors(system, rows, config.prior_width)
+
+
 def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:
     asked = structure.config.initial
-    possible = context.n_past_y > 0 and len(structure.measured_states) == structure.nx
+    bent = structure.config.sensor is not None
+    seen = len(structure.measured_states) == structure.nx and not bent
+    possible = context.n_past_y > 0 and seen
     if asked == "measured" and not possible:
         raise UserError(
             'greybox.Config: initial is "measured", but the past window does not show every '
@@ -124,7 +140,8 @@ def train(
     mean squared normalised error plus the ridge.
     """
     segments = cut_segments(model.structure, trajectories, context.horizon)
-    fitted = fit(model.structure, segments, method, context.seed)
+    structure = extended(model.structure, segments)
+    fitted = fit(structure, segments, method, context.seed)
     for step in np.unique(np.linspace(0, len(fitted.history) - 1, 20).round().astype(int)):
         context.log(float(step), float(fitted.history[step]))
-    return replace(model, fitted=fitted)
+    return replace(model, structure=structure, fitted=fitted)

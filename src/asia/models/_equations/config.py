@@ -7,10 +7,13 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
+from asia.models._equations.additions import LearnedNumbers
 from asia.models._equations.ode import Equations
+from asia.models._equations.priors import ParameterPriors
 from asia.problem.physics.expressions import Name
 
 Initial = Literal["measured", "estimated"]
+Sensor = Literal["power", "spline"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,22 @@ class Config:
     """How a simulation starts: "measured" at the last measured outputs, where every state is an
     output; "estimated" from the whole past window; None is measured with a horizon, where that is
     possible, and else estimated."""
+    sensor: Sensor | None = None
+    """A rising curve between the equations' output and the measured one, from the lowest to the
+    highest value of the state that is observed (else of the data): "power" has a learned zero and
+    exponent, "spline" a learned zero and slopes; None is none."""
+    lag: tuple[str, ...] = ()
+    """States and inputs that act on the equations of the other states through a first-order lag
+    with a learned time constant."""
+    smooth: tuple[str, ...] = ()
+    """States and inputs that enter the equations times exp(g), g a smooth function of them with a
+    Gaussian-process prior."""
+    smooth_width: float = 0.05
+    """Prior standard deviation of g."""
+    prior_width: float | None = 1.0
+    """Factor on the standard deviations of priors on parameters; None ignores these priors."""
+    priors: tuple[tuple[str, float, float, str], ...] = ()
+    """Further priors: expression in parameters, its mean, standard deviation, and the reason."""
 
     def __post_init__(self) -> None:
         if self.spill and not self.saturation:
@@ -65,8 +84,18 @@ class Config:
     def augmented(self) -> bool:
         """Whether anything is added to the equations."""
         return bool(
-            self.saturation or self.linear or self.offset or self.input_delay or self.residual
+            self.saturation
+            or self.linear
+            or self.offset
+            or self.input_delay
+            or self.residual
+            or self.extends
         )
+
+    @property
+    def extends(self) -> bool:
+        """Whether anything is written into the equations."""
+        return bool(self.sensor or self.lag or self.smooth)
 
 
 @dataclass(frozen=True)
@@ -101,12 +130,23 @@ class GreyBoxStructure:
     """Outputs in a past window."""
     measured: bool = False
     """Whether simulations start at the last measured outputs."""
+    learned: LearnedNumbers = LearnedNumbers()
+    """Numbers of what is written into the equations."""
+    person_states: int | None = None
+    """States of the person's equations, which come first; None is all."""
+    priors: ParameterPriors = ParameterPriors()
+    """What is known of the parameters beforehand."""
+    shown: tuple[tuple[int, int], ...] | None = None
+    """`measured_states` where the observation has been changed."""
 
     def __post_init__(self) -> None:
         states, outputs = self.equations.states, self.equations.outputs
+        signals = states + self.equations.inputs
         for field, names, known in (
             ("saturation", self.config.saturation, states),
             ("offset", self.config.offset, states + outputs),
+            ("lag", self.config.lag, signals),
+            ("smooth", self.config.smooth, signals),
         ):
             for name in names:
                 if name not in known:
@@ -118,6 +158,11 @@ class GreyBoxStructure:
     def nx(self) -> int:
         """Number of states."""
         return len(self.equations.states)
+
+    @property
+    def nx_own(self) -> int:
+        """Number of states of the person's equations."""
+        return self.nx if self.person_states is None else self.person_states
 
     @property
     def nu(self) -> int:
@@ -145,6 +190,8 @@ class GreyBoxStructure:
     @cached_property
     def measured_states(self) -> dict[int, int]:
         """Output index of each state that is observed as it is."""
+        if self.shown is not None:
+            return dict(self.shown)
         system = self.equations
         pairs = [
             (system.states.index(expression.root.name), k)
@@ -183,11 +230,18 @@ class Layout:
     """Its output layer (nx, units)."""
     size: int
     """Length of the vector."""
+    learned_from: int = 0
+    """Where the numbers begin of what is written into the equations: they come last."""
+
+    @property
+    def learned(self) -> slice:
+        """These numbers."""
+        return slice(self.learned_from, self.size)
 
     @classmethod
     def of(cls, structure: GreyBoxStructure) -> Layout:
         """The layout of `structure`."""
-        config, nx, nu = structure.config, structure.nx, structure.nu
+        config, nx, nu = structure.config, structure.nx_own, structure.nu
         observed = structure.equations.outputs
         sizes = (
             len(structure.ranges),
@@ -202,9 +256,10 @@ class Layout:
             nu if config.input_delay else 0,
             config.residual * (nx + nu + 1),
             config.residual * nx,
+            len(structure.learned.names),
         )
         edges = [0]
         for size in sizes:
             edges.append(edges[-1] + size)
         slices = [slice(a, b) for a, b in pairwise(edges)]
-        return cls(*slices, size=edges[-1])
+        return cls(*slices[:-1], size=edges[-1], learned_from=edges[-2])

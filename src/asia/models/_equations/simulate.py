@@ -107,10 +107,10 @@ def physical_parameters(ranges: Sequence[Range], z: AnyArray) -> AnyArray:
 def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects:
     """Decode coordinates z (size, R)."""
     xp, layout, config = namespace(z), structure.layout, structure.config
-    nx, nu, count = structure.nx, structure.nu, z.shape[1]
+    nx, nu, count = structure.nx_own, structure.nu, z.shape[1]
     states, outputs = structure.equations.states, structure.equations.outputs
-    limits: list[AnyArray] = [math.inf] * nx
-    spill: list[AnyArray] = [0.0] * nx
+    limits: list[AnyArray] = [math.inf] * structure.nx
+    spill: list[AnyArray] = [0.0] * structure.nx
     rate_offset: list[AnyArray] = [0.0] * nx
     output_offset: list[AnyArray] = [0.0] * structure.ny
     for k, i in enumerate(states.index(name) for name in config.saturation):
@@ -127,7 +127,7 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects
         output_offset[i] = z[layout.output_offset][k] * scales.y_scale[i]
     units = config.residual
     return Effects(
-        parameters=physical_parameters(structure.ranges, z[layout.parameters]),
+        parameters=_parameters(structure, scales, z),
         limits=rows(limits, z),
         spill=rows(spill, z),
         linear=z[layout.linear].reshape(-1, nx + nu, count),
@@ -137,6 +137,23 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects
         hidden=scales.hidden + z[layout.hidden].reshape(units, nx + nu + 1, count),
         readout=z[layout.readout].reshape(nx, units, count),
     )
+
+
+def _parameters(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> AnyArray:
+    """Those of the person's equations, those that additions bring, and the spans of states."""
+    layout, learned, xp = structure.layout, structure.learned, namespace(z)
+    own = physical_parameters(structure.ranges, z[layout.parameters])
+    if not learned.names:
+        return own
+    values = learned.values(z[layout.learned])
+    for name in learned.spans:
+        i = structure.equations.states.index(name)
+        low, high = structure.low[i], structure.high[i]
+        below = scales.x_center[i] - 2.0 * scales.x_scale[i]
+        values.append(low if math.isfinite(low) else below)
+        above = xp.maximum(scales.x_max[i], values[-1] + scales.x_scale[i])
+        values.append(high if math.isfinite(high) else above)
+    return xp.concatenate([own, rows(values, z)])
 
 
 def delayed(structure: GreyBoxStructure, delay: AnyArray, u: AnyArray) -> AnyArray:
@@ -212,18 +229,22 @@ def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) ->
         return lambda x, u: rates(parameters, x, u)
     wide = Scales(*(a[..., None] for a in scales))
     offset, bias = effect.rate_offset[..., None], effect.hidden[:, -1, :, None]
+    own, lags = structure.nx_own, structure.nx - structure.nx_own
 
     def derivative(x: AnyArray, u: AnyArray) -> AnyArray:
         drive = (u - wide.u_center) / wide.u_scale
         drive = xp.broadcast_to(drive, (len(drive), *x.shape[1:]))
-        signals = xp.concatenate([(x - wide.x_center) / wide.x_scale, drive])
+        signals = xp.concatenate([((x - wide.x_center) / wide.x_scale)[:own], drive])
         extra = offset
         if config.linear:
             extra = extra + _product(effect.linear, signals)
         if config.residual:
             inner = _product(effect.hidden[:, :-1], signals) + bias
             extra = extra + _product(effect.readout, xp.tanh(inner))
-        return rates(parameters, x, u) + wide.rate * extra
+        extra = wide.rate[:own] * extra
+        if lags:
+            extra = xp.concatenate([extra, xp.zeros((lags, *extra.shape[1:]), extra.dtype)])
+        return rates(parameters, x, u) + extra
 
     return derivative
 
@@ -240,6 +261,7 @@ def _confinement(structure: GreyBoxStructure, scales: Scales, effect: Effects) -
     top = xp.minimum(scales.high, np.array(structure.high)[:, None])[..., None]
     bottom = xp.maximum(scales.low, np.array(structure.low)[:, None])[..., None]
     limits, spill = effect.limits[..., None], effect.spill[..., None]
+    own = structure.nx_own
 
     def confine(x: AnyArray) -> AnyArray:
         if limited:
@@ -250,7 +272,7 @@ def _confinement(structure: GreyBoxStructure, scales: Scales, effect: Effects) -
                 if name in limited:
                     over = xp.maximum(value - limits[i], 0.0)
                 kept.append(value - over)
-                spilled = spill[i] * over
+                spilled = spill[i] * over if i + 1 < own else 0.0
             x = rows(kept, x)
         return xp.minimum(xp.maximum(x, bottom), top)
 

@@ -9,6 +9,7 @@ import numpy as np
 from asia.data import Array
 from asia.models._data.cuts import Indices
 from asia.models._equations.config import GreyBoxStructure
+from asia.models._equations.simulate import physical_parameters
 from asia.models._equations.starts import RecordPieces, Starts
 from asia.models._noise.estimate import huber_root
 from asia.models._noise.weighting import ErrorWeighting
@@ -50,6 +51,9 @@ class SimulationError:
         self._active, self._simulate, self._whiten = active, simulate, whiten
         mask = segments.mask / np.sqrt(segments.mask.sum() * structure.ny)
         self._weight = mask[..., None]
+        samples = segments.mask.sum() * structure.ny
+        ridge = structure.config.ridge
+        self._prior_weight = np.sqrt(ridge) if whiten is None else whiten.unit / np.sqrt(samples)
         self._last: tuple[Array, NormalEquations] | None = None
 
     @property
@@ -67,6 +71,7 @@ class SimulationError:
         z, shift = self._parts(theta)
         with np.errstate(all="ignore"):
             total = (self._prior(z)[0] ** 2).sum(axis=2)
+            total += (self._knowledge(z) ** 2).sum(axis=0)
             if not self._structure.measured:
                 total += _INITIAL_RIDGE / shift.shape[2] * (shift**2).sum(axis=(2, 3))
             for part in self._simulate.pieces():
@@ -119,6 +124,7 @@ class SimulationError:
                     gram[:, fitted[:, None], here] = own[:, k, shared, len(fitted) :]
                     gradient[:, here] = pull[:, k, len(fitted) :]
             self._add_ridges(theta, cost, gram, gradient)
+            self._add_knowledge(z, fitted, cost, gram, gradient)
         return NormalEquations(cost, gram, gradient)
 
     def _around(self, theta: Array, fitted: Indices) -> Array:
@@ -145,6 +151,28 @@ class SimulationError:
             cost += ridge * (shift**2).sum(axis=1)
             gram[:, diagonal[size:], diagonal[size:]] += ridge
             gradient[:, size:] += ridge * shift
+
+    def _add_knowledge(
+        self, z: Array, fitted: Indices, cost: Array, gram: Array, gradient: Array
+    ) -> None:
+        """z (R, K, size) as from `_around`."""
+        if not len(self._structure.priors):
+            return
+        found = self._knowledge(z)
+        e, (up, down) = found[..., 0], np.split(found[..., 1:], 2, axis=2)
+        jacobian = ((up - down) / (2.0 * _STEP))[..., : len(fitted)].transpose(1, 0, 2)
+        turned = jacobian.swapaxes(1, 2)
+        cost += (e**2).sum(axis=0)
+        gram[:, fitted[:, None], fitted] += turned @ jacobian
+        gradient[:, fitted] += (turned @ e.T[..., None])[..., 0]
+
+    def _knowledge(self, z: Array) -> Array:
+        """Weighted deviations (n, R, K) of expressions in the parameters from their priors, at
+        coordinates z (R, K, size)."""
+        structure = self._structure
+        own = z.reshape(-1, z.shape[2]).T[structure.layout.parameters]
+        found = structure.priors.deviations(physical_parameters(structure.ranges, own))
+        return self._prior_weight * found.reshape(-1, *z.shape[:2])
 
     def _parts(self, theta: Array) -> tuple[Array, Array]:
         """Coordinates (R, K, size) and shifts (R, K, S, nx)."""
@@ -174,6 +202,7 @@ class SimulationError:
         weights = np.full(layout.size, np.sqrt(config.ridge))
         for part in (layout.parameters, layout.limits, layout.spill):
             weights[part] = _WEAK
+        weights[layout.learned] = self._prior_weight
         weights[layout.hidden] = weights[layout.readout] = np.sqrt(config.residual_ridge)
         weights = weights * self._active
         effect, slope = z.copy(), np.ones_like(z)

@@ -131,7 +131,7 @@ def _base_scales(structure: GreyBoxStructure, segments: RecordPieces) -> Scales:
         y_scale=deviation(segments.y),
         low=np.full(nx, -_OPEN),
         high=np.full(nx, _OPEN),
-        hidden=np.zeros((structure.config.residual, nx + structure.nu + 1)),
+        hidden=np.zeros((structure.config.residual, structure.nx_own + structure.nu + 1)),
     )
 
 
@@ -230,7 +230,7 @@ def add_network(
 ) -> Starts:
     """The best fit again and again, each time with another first layer of the network."""
     count, best = len(starts.z), int(np.argmin(found.cost))
-    inner = structure.nx + structure.nu + 1
+    inner = structure.nx_own + structure.nu + 1
     z = np.tile(found.theta[best, : structure.layout.size], (count, 1))
     x0 = np.tile(initial_states(structure, starts, found, best), (count, 1, 1))
     hidden = rng.normal(size=(count, structure.config.residual, inner)) / np.sqrt(inner)

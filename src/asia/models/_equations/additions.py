@@ -1,0 +1,154 @@
+"""Additions that are written into the equations: lags, zeros, smooth corrections, bent sensors.
+
+Each is a change of the parsed expressions with learned numbers of its own, so that simulation needs
+to know nothing of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from asia.models._arrays import AnyArray, namespace
+from asia.problem.physics.expressions import (
+    Binary,
+    Call,
+    Name,
+    Negative,
+    Node,
+    Number,
+    parse_expression,
+)
+
+KNOTS = 6
+# Of a kernel, in spans of the signal: a correction bends about once over the span.
+LENGTH = 0.4
+
+
+@dataclass(frozen=True)
+class LearnedNumbers:
+    """Numbers that additions bring: parameters of the extended equations behind the person's."""
+
+    names: tuple[str, ...] = ()
+    """One a number."""
+    mean: tuple[float, ...] = ()
+    """Prior means, of the logarithm where the number is positive."""
+    factor: tuple[tuple[float, ...], ...] = ()
+    """Square root (n, n) of the prior covariance: coordinates are standard normal."""
+    positive: tuple[bool, ...] = ()
+    """Whether the logarithm is searched."""
+    spans: tuple[str, ...] = ()
+    """States whose lowest and highest value are appended, for expressions that need them."""
+
+    def values(self, z: AnyArray) -> list[AnyArray]:
+        """The numbers from their coordinates z (n, ...)."""
+        xp = namespace(z)
+        if not self.names:
+            return []
+        raw = np.array(self.mean)[:, None] + np.array(self.factor) @ z
+        return [xp.exp(v) if p else v for v, p in zip(raw, self.positive, strict=True)]
+
+
+class Extension:
+    """Collects additions to a system of equations."""
+
+    def __init__(self) -> None:
+        self._names: list[str] = []
+        self._mean: list[float] = []
+        self._positive: list[bool] = []
+        self._blocks: list[np.ndarray] = []
+        self._spans: list[str] = []
+
+    def number(self, name: str, mean: float, deviation: float, positive: bool = False) -> Node:
+        """A new number."""
+        self._add([name], [np.log(mean) if positive else mean], np.array([[deviation]]), positive)
+        return Name(name)
+
+    def process(self, name: str, deviation: float) -> list[Node]:
+        """Weights of the kernels of a Gaussian process with zero mean."""
+        names = [f"{name} {k}" for k in range(KNOTS)]
+        self._add(names, [0.0] * KNOTS, deviation * _kernel_root(), False)
+        return [Name(n) for n in names]
+
+    def span(self, state: str) -> tuple[Node, Node]:
+        """The lowest value of a state, and its range."""
+        if state not in self._spans:
+            self._spans.append(state)
+        low, high = Name(f"{state} low"), Name(f"{state} high")
+        return low, Binary("-", high, low)
+
+    def _add(self, names: list[str], mean: list[float], block: np.ndarray, positive: bool) -> None:
+        self._names += names
+        self._mean += mean
+        self._positive += [positive] * len(names)
+        self._blocks.append(block)
+
+    def finished(self) -> LearnedNumbers:
+        """All numbers."""
+        size = len(self._names)
+        factor, first = np.zeros((size, size)), 0
+        for block in self._blocks:
+            there = slice(first, first + len(block))
+            factor[there, there] = block
+            first += len(block)
+        return LearnedNumbers(
+            tuple(self._names),
+            tuple(self._mean),
+            tuple(tuple(float(v) for v in row) for row in factor),
+            tuple(self._positive),
+            tuple(self._spans),
+        )
+
+
+@cache
+def _kernel_root() -> np.ndarray:
+    """Maps standard normal coordinates to weights of the kernels at the knots."""
+    x = np.linspace(0.0, 1.0, KNOTS)
+    gram = np.exp(-0.5 * ((x[:, None] - x) / LENGTH) ** 2) + 1e-4 * np.eye(KNOTS)
+    return np.linalg.inv(np.linalg.cholesky(gram)).T
+
+
+def formula(text: str, **nodes: Node) -> Node:
+    """A tree from text whose names are replaced."""
+    return substituted(parse_expression(text, "addition").root, nodes)
+
+
+def substituted(node: Node, nodes: Mapping[str, Node]) -> Node:
+    """The tree with some names replaced by trees."""
+    match node:
+        case Name(name):
+            return nodes.get(name, node)
+        case Negative(operand):
+            return Negative(substituted(operand, nodes))
+        case Binary(symbol, left, right):
+            return Binary(symbol, substituted(left, nodes), substituted(right, nodes))
+        case Call(function, arguments):
+            return Call(function, tuple(substituted(a, nodes) for a in arguments))
+        case Number():
+            return node
+
+
+def names_in(node: Node) -> frozenset[str]:
+    """All names of a tree."""
+    match node:
+        case Name(name):
+            return frozenset((name,))
+        case Negative(operand):
+            return names_in(operand)
+        case Binary(_, left, right):
+            return names_in(left) | names_in(right)
+        case Call(_, arguments):
+            return frozenset[str]().union(*(names_in(a) for a in arguments))
+        case Number():
+            return frozenset()
+
+
+def total(terms: Sequence[Node]) -> Node:
+    """A sum."""
+    found = terms[0]
+    for term in terms[1:]:
+        found = Binary("+", found, term)
+    return found

@@ -1,0 +1,66 @@
+"""Gaussian priors on expressions in the parameters of the equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asia.data import Array
+from asia.models._equations.ode import Equations
+from asia.problem.physics.expressions import parse_expression
+
+
+@dataclass(frozen=True)
+class ParameterPriors:
+    """Values of expressions that are probable before any data are seen."""
+
+    system: Equations | None = None
+    """Expressions in the parameters, as outputs; None where there are no priors."""
+    mean: tuple[float, ...] = ()
+    """Of each."""
+    deviation: tuple[float, ...] = ()
+    """Standard deviations."""
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    def deviations(self, parameters: Array) -> Array:
+        """How far (n, R) the expressions are from their means, in standard deviations, at
+        parameters (np, R)."""
+        nothing = np.zeros((0, *parameters.shape[1:]))
+        if self.system is None:
+            return nothing
+        values = self.system.observe(parameters, nothing, nothing)
+        return (values - np.array(self.mean)[:, None]) / np.array(self.deviation)[:, None]
+
+
+def parameter_priors(
+    system: Equations, priors: Iterable[tuple[str, float, float]], width: float
+) -> ParameterPriors:
+    """Of expression, mean and standard deviation each. Raises UserError for an expression that does
+    not parse, ValueError for one that names something else than parameters and constants."""
+    rows = list(priors)
+    if not rows:
+        return ParameterPriors()
+    parsed = [parse_expression(text, "prior") for text, _, _ in rows]
+    known = {*system.parameters, *(name for name, _ in system.constants)}
+    for expression in parsed:
+        for name in sorted(expression.names - known):
+            raise ValueError(
+                f"prior '{expression.text}': '{name}' is no parameter, known are "
+                f"{', '.join(sorted(known))}"
+            )
+    bare = replace(
+        system,
+        states=(),
+        inputs=(),
+        outputs=tuple(text for text, _, _ in rows),
+        definitions=(),
+        dynamics=(),
+        observation=tuple(parsed),
+    )
+    return ParameterPriors(
+        bare, tuple(mean for _, mean, _ in rows), tuple(width * s for _, _, s in rows)
+    )
