@@ -16,12 +16,12 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._equations.added.extend import extended
+from asia.models._equations.added.priors import NO_PRIORS, ParameterPriors, parameter_priors
 from asia.models._equations.config import Config, GreyBoxStructure, Range
-from asia.models._equations.extend import extended
 from asia.models._equations.fit import FittedEquations, fit
 from asia.models._equations.initial_state import simulate_cases
 from asia.models._equations.ode import Equations, equations
-from asia.models._equations.priors import ParameterPriors, parameter_priors
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._solvers.least_squares import LevenbergMarquardt
@@ -112,7 +112,7 @@ def build(config: Config, context: Context) -> GreyBox:
 
 def _priors(system: Equations, config: Config, physics: Physics) -> ParameterPriors:
     if config.prior_width is None:
-        return ParameterPriors()
+        return NO_PRIORS
     rows = [(text, p.mean, p.deviation) for text, p in physics.priors.items()]
     rows += [(text, mean, deviation) for text, mean, deviation, _ in config.priors]
     return parameter_priors(system, rows, config.prior_width)
@@ -128,7 +128,14 @@ def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:
             'greybox.Config: initial is "measured", but the past window does not show every '
             'state; use "estimated" or None'
         )
-    return possible and (asked == "measured" or (asked is None and context.horizon is not None))
+    measured = possible and (asked == "measured" or (asked is None and context.horizon is not None))
+    driven = [name for name in structure.config.lag if name in structure.equations.inputs]
+    if measured and driven:
+        raise UserError(
+            f"greybox.Config: a lag of an input ('{driven[0]}') has a state of its own, which no "
+            'measurement shows; set initial to "estimated" with it'
+        )
+    return measured
 
 
 def train(

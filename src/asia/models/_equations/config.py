@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, get_args
 
-from asia.models._equations.additions import LearnedNumbers
+from asia.models._equations.added.numbers import NO_NUMBERS, LearnedNumbers
+from asia.models._equations.added.priors import NO_PRIORS, ParameterPriors
 from asia.models._equations.ode import Equations
-from asia.models._equations.priors import ParameterPriors
 from asia.problem.physics.expressions import Name
 
 Initial = Literal["measured", "estimated"]
@@ -77,6 +77,15 @@ class Config:
             raise ValueError("greybox.Config: ridge and residual_ridge must be >= 0")
         if self.substeps < 1:
             raise ValueError("greybox.Config: substeps must be >= 1")
+        if self.sensor not in (None, *get_args(Sensor)):
+            raise ValueError('greybox.Config: sensor must be None, "power" or "spline"')
+        if self.smooth_width <= 0 or (self.prior_width is not None and self.prior_width <= 0):
+            raise ValueError("greybox.Config: smooth_width and prior_width must be > 0")
+        for expression, _, deviation, _ in self.priors:
+            if deviation <= 0:
+                raise ValueError(
+                    f"greybox.Config: the prior on '{expression}' needs a standard deviation > 0"
+                )
         if self.robust is not None and self.robust <= 0:
             raise ValueError("greybox.Config: robust must be > 0 or None")
 
@@ -130,11 +139,11 @@ class GreyBoxStructure:
     """Outputs in a past window."""
     measured: bool = False
     """Whether simulations start at the last measured outputs."""
-    learned: LearnedNumbers = LearnedNumbers()
+    learned: LearnedNumbers = NO_NUMBERS
     """Numbers of what is written into the equations."""
     person_states: int | None = None
     """States of the person's equations, which come first; None is all."""
-    priors: ParameterPriors = ParameterPriors()
+    priors: ParameterPriors = NO_PRIORS
     """What is known of the parameters beforehand."""
     shown: tuple[tuple[int, int], ...] | None = None
     """`measured_states` where the observation has been changed."""

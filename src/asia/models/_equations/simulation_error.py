@@ -170,6 +170,8 @@ class SimulationError:
         """Weighted deviations (n, R, K) of expressions in the parameters from their priors, at
         coordinates z (R, K, size)."""
         structure = self._structure
+        if not len(structure.priors):
+            return np.zeros((0, *z.shape[:2]))
         own = z.reshape(-1, z.shape[2]).T[structure.layout.parameters]
         found = structure.priors.deviations(physical_parameters(structure.ranges, own))
         return self._prior_weight * found.reshape(-1, *z.shape[:2])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asia.data import Array
+from asia.errors import UserError
 from asia.models._equations.ode import Equations
 from asia.problem.physics.expressions import parse_expression
 
@@ -36,19 +37,22 @@ class ParameterPriors:
         return (values - np.array(self.mean)[:, None]) / np.array(self.deviation)[:, None]
 
 
+NO_PRIORS = ParameterPriors()
+
+
 def parameter_priors(
     system: Equations, priors: Iterable[tuple[str, float, float]], width: float
 ) -> ParameterPriors:
     """Of expression, mean and standard deviation each. Raises UserError for an expression that does
-    not parse, ValueError for one that names something else than parameters and constants."""
+    not parse or names something else than parameters and constants."""
     rows = list(priors)
     if not rows:
-        return ParameterPriors()
+        return NO_PRIORS
     parsed = [parse_expression(text, "prior") for text, _, _ in rows]
     known = {*system.parameters, *(name for name, _ in system.constants)}
     for expression in parsed:
         for name in sorted(expression.names - known):
-            raise ValueError(
+            raise UserError(
                 f"prior '{expression.text}': '{name}' is no parameter, known are "
                 f"{', '.join(sorted(known))}"
             )

@@ -1,4 +1,4 @@
-"""Additions that are written into the equations: lags, zeros, smooth corrections, bent sensors.
+"""Additions that are written into the equations: lags, smooth corrections, bent sensors.
 
 Each is a change of the parsed expressions with learned numbers of its own, so that simulation needs
 to know nothing of them.
@@ -50,6 +50,9 @@ class LearnedNumbers:
             return []
         raw = np.array(self.mean)[:, None] + np.array(self.factor) @ z
         return [xp.exp(v) if p else v for v, p in zip(raw, self.positive, strict=True)]
+
+
+NO_NUMBERS = LearnedNumbers()
 
 
 class Extension:
