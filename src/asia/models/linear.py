@@ -29,10 +29,18 @@ from asia.models._data.records import (
 )
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows, stretches
-from asia.models._linear.fit import LinearFit, Refinement, choose_order, encoder_of, fit
+from asia.models._linear.fit import (
+    LinearFit,
+    Refinement,
+    choose_order,
+    encoder_of,
+    fit,
+    refined_under_noise,
+)
 from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowPredictor
+from asia.models._noise.choice import NoiseChoice
 
 if TYPE_CHECKING:
     from asia.models._solvers.least_squares import LevenbergMarquardt
@@ -113,8 +121,9 @@ def train(
     context: Context,
     method: LevenbergMarquardt | None = None,
 ) -> LinearStateSpace:
-    """Fits to the simulation error of all records at once; `method` sets iterations, damping and
-    tolerance. Raises UserError for records too short or with the wrong channels."""
+    """Fits to the simulation error of all records at once; `method` sets iterations, damping,
+    tolerance and the noise model. Raises UserError for records too short or with the wrong
+    channels."""
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
@@ -130,8 +139,9 @@ def windowed(
     records: ScaledData, context: Context, config: Config, refinement: Refinement
 ) -> WindowPredictor | None:
     """With a horizon and the order open: the model whose state is the past window, unless the
-    state-space model has the smaller error on windows left out. None means that one."""
-    if context.horizon is None or config.order is not None:
+    state-space model has the smaller error on windows left out. None means that one, and a noise
+    model asks for it: the past window is full of noise."""
+    if context.horizon is None or config.order is not None or refinement.noise is not None:
         return None
     choice = choose(records, context, refinement)
     if choice is None:
@@ -163,7 +173,8 @@ def refinement_of(method: LevenbergMarquardt | None) -> Refinement:
     """The NumPy refinement with a method's settings."""
     if method is None:
         return Refinement()
-    return Refinement(method.iterations, method.damping, max(method.tolerance, 1e-9))
+    tolerance, noise = max(method.tolerance, 1e-9), NoiseChoice.of(method)
+    return Refinement(method.iterations, method.damping, tolerance, noise=noise)
 
 
 def fit_records(
@@ -184,7 +195,9 @@ def fit_records(
         _samples_held(order, context),
         2 * past_length(context) + 100 * order,
     )
-    return fit(late, order, refinement, context.log), delay, late
+    found = fit(late, order, refinement, context.log)
+    found = refined_under_noise(late, found, refinement, context.sampling_time, context.log)
+    return found, delay, late
 
 
 def _samples_held(order: int, context: Context) -> int:

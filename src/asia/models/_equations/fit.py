@@ -21,11 +21,9 @@ from asia.models._equations.starts import (
     initial_states,
     screen,
 )
+from asia.models._noise.estimate import NOISE_ROUNDS
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.minimise import TRIALS, Minimum, minimise
-
-# Estimates of the noise, each followed by a fit.
-_NOISE_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ def fit(
         return found
 
     def under_noise(starts: Starts, active: Array, found: Minimum) -> Minimum:
-        for _ in range(_NOISE_ROUNDS):
+        for _ in range(NOISE_ROUNDS):
             if not noise.estimate(starts, found):
                 break
             error = SimulationError(structure, segments, starts, active, simulate, noise.weighting)

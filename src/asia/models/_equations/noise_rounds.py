@@ -8,14 +8,11 @@ from asia.errors import UserError
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.starts import RecordPieces, SegmentSimulator, Starts, initial_states
 from asia.models._noise.choice import NoiseChoice
-from asia.models._noise.estimate import estimate_noise, settled
+from asia.models._noise.estimate import LEAST_DEVIATION, estimate_noise, settled
 from asia.models._noise.weighting import ErrorWeighting
 from asia.models._noise.whitening import ResidualNoise
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.minimise import Minimum
-
-# Of the output's deviation: a residual smaller than that is rounding.
-_LEAST_DEVIATION = 1e-6
 
 
 class NoiseRounds:
@@ -48,7 +45,7 @@ class NoiseRounds:
         z, scales = found.theta[best, : structure.layout.size], starts.scales.of_rows(best)
         x0 = initial_states(structure, starts, found, best)
         y = self._simulate(z[None], scales.for_rows(), x0[None])[0][0]
-        mask, floor = segments.mask, np.full(structure.ny, _LEAST_DEVIATION)
+        mask, floor = segments.mask, np.full(structure.ny, LEAST_DEVIATION)
         if structure.measured:
             # The simulation starts at the first measurement, so that no error is left there.
             mask = mask * (np.arange(mask.shape[1]) > 0)

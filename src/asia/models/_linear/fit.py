@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
+from asia.models._data.cuts import side_by_side
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, contiguous_splits, past_length, windows
 from asia.models._linear.response import DrivenRecords, Response
 from asia.models._linear.subspace import spread_poles, starts
 from asia.models._linear.system import LinearSystem
+from asia.models._noise.choice import NoiseChoice
+from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
+from asia.models._noise.weighting import ErrorWeighting
 from asia.models._solvers.progress import Progress
 
 # A system this close to the unit circle or beyond grows without bound on a longer record.
@@ -32,6 +37,8 @@ class Refinement:
     """First damping, relative to the scaled normal matrix."""
     tolerance: float = 1e-7
     """Relative decrease of the cost below which it stops."""
+    noise: NoiseChoice | None = None
+    """The noise model of `refined_under_noise`; None is least squares."""
 
 
 @dataclass(frozen=True)
@@ -129,8 +136,41 @@ def normalised(response: Response) -> LinearFit:
     return LinearFit(response.system.transformed(t), response.x0 @ t.T, response.error)
 
 
+def refined_under_noise(
+    records: ScaledData,
+    found: LinearFit,
+    refinement: Refinement,
+    sampling_time: float,
+    log: Progress | None = None,
+) -> LinearFit:
+    """Generalised least squares from a fit by least squares: noise estimated from its residuals,
+    then refined, in turn until the estimate settles; the fit itself without a noise model."""
+    choice, noise = refinement.noise, None
+    if choice is None:
+        return found
+    for _ in range(NOISE_ROUNDS):
+        response = DrivenRecords(records).response(found.system, found.x0)
+        residual = side_by_side([response.misfit(i) for i in range(len(records))])
+        mask = side_by_side([r.weight for r in records])
+        floor = np.full(residual.shape[-1], LEAST_DEVIATION)
+        before, noise = noise, estimate_noise(residual, mask, sampling_time, choice, floor)
+        if settled(before, noise):
+            break
+        weightings = [
+            ErrorWeighting.of(noise, sampling_time, r.weight[None], choice.huber) for r in records
+        ]
+        # A slow mode that starts far off would take the place of the slow disturbance.
+        held = replace(refinement, initial_ridge=Refinement.initial_ridge)
+        found = refine(records, found, held, log, weightings)
+    return found
+
+
 def refine(
-    records: ScaledData, start: LinearFit, refinement: Refinement, log: Progress | None = None
+    records: ScaledData,
+    start: LinearFit,
+    refinement: Refinement,
+    log: Progress | None = None,
+    weightings: Sequence[ErrorWeighting] | None = None,
 ) -> LinearFit:
     """Levenberg-Marquardt on A, B, C, D, offset and the initial states.
 
@@ -138,7 +178,8 @@ def refine(
     step unique. A step to an unstable system is refused.
     """
     prior = refinement.initial_ridge * start.error if np.isfinite(start.error) else 0.0
-    current, damping = DrivenRecords(records).response(start.system, start.x0), refinement.damping
+    driven, damping = DrivenRecords(records, weightings), refinement.damping
+    current = driven.response(start.system, start.x0)
     for iteration in range(refinement.iterations):
         if log is not None:
             log(iteration, float(np.sqrt(current.error)))

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array
-from asia.models._data.records import ScaledData, ScaledTrajectory
+from asia.models._data.records import ScaledData
 from asia.models._linear.system import LinearSystem
+from asia.models._noise.weighting import ErrorWeighting
 
 Spectrum = NDArray[np.complex128]
 # Records whose lengths differ by less share the transforms of a system.
@@ -57,10 +58,13 @@ class Powers:
 
 
 class DrivenRecords:
-    """Records with the transforms of their inputs."""
+    """Records with the transforms of their inputs; `weightings`, one a record, are those of
+    generalised least squares."""
 
-    def __init__(self, records: ScaledData) -> None:
-        self.records = records
+    def __init__(
+        self, records: ScaledData, weightings: Sequence[ErrorWeighting] | None = None
+    ) -> None:
+        self.records, self.weightings = records, weightings
         self.counts = [-(-len(r) // _ROUNDED) * _ROUNDED for r in records]
         self.spectra = [
             np.fft.rfft(r.u, transform_size(count), axis=0)
@@ -105,18 +109,21 @@ class Response:
 
     @cached_property
     def residual(self) -> Array:
-        """Weighted y minus output of all records, one after the other (samples * ny,)."""
+        """Weighted y minus output of all records, one after the other (samples * ny,); with
+        weightings, what these make of it."""
         with np.errstate(all="ignore"):
-            return np.concatenate(
-                [
-                    self._misfit(r, x).ravel()
-                    for r, x in zip(self.driven.records, self.states, strict=True)
-                ]
-            )
+            return np.concatenate([self._weighted(i).ravel() for i in range(len(self.x0))])
 
-    def _misfit(self, r: ScaledTrajectory, states: Array) -> Array:
-        s = self.system
-        return r.weight[:, None] * (r.y - states @ s.c.T - r.u @ s.d.T - s.offset)
+    def misfit(self, i: int) -> Array:
+        """y minus output of a record (T, ny)."""
+        r, s = self.driven.records[i], self.system
+        return r.y - self.states[i] @ s.c.T - r.u @ s.d.T - s.offset
+
+    def _weighted(self, i: int) -> Array:
+        found = self.misfit(i)
+        if self.driven.weightings is not None:
+            found = self.driven.weightings[i](found[None])[0]
+        return self.driven.records[i].weight[:, None] * found
 
     @property
     def error(self) -> float:
@@ -153,6 +160,8 @@ class Response:
         by_b, by_d = through(self.driven.spectra[i]), eye * record.u[:, None, None, :]
         parts: Sequence[Any] = [*by_a, by_b, *by_c, by_d, eye, initial]
         full = np.concatenate([part.reshape(length, ny, -1) for part in parts], axis=2)
+        if self.driven.weightings is not None:
+            full = self.driven.weightings[i].jacobian(self.misfit(i)[None], full[None])[0]
         return (full * record.weight[:, None, None]).reshape(length * ny, -1)
 
 

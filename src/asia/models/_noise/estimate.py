@@ -9,10 +9,18 @@ from asia.models._data.cuts import spread
 from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.whitening import ResidualNoise, innovation_filter, innovations
 
+NOISE_ROUNDS = 3
+"""Estimates of the noise at most, each followed by a fit."""
+LEAST_DEVIATION = 1e-6
+"""Of the output's deviation: a residual smaller than that is rounding."""
+
 # Candidates: time constants, and the slow part over the white one, both even in the logarithm.
 _TIMES, _RATIOS = 9, 9
 _RATIO_LIMITS = (0.1, 100.0)
-_FASTEST = 3.0
+# In samples the shortest time constant, the longest one as a share of the longest segment, and how
+# long that may be in any case. A longer one would leave the level of the output without weight, and
+# the errors of a poor model ask for it.
+_FASTEST, _LONGEST_SHARE, _LEAST_LONGEST = 3.0, 0.25, 20.0
 # A grid around the best candidate, again and again with half the spacing.
 _ROUNDS, _WAYS = 4, np.array([-1.0, 0.0, 1.0])
 _MOST_SAMPLES = 20_000
@@ -36,8 +44,8 @@ def estimate_noise(
     white = ResidualNoise(still[0], np.zeros_like(floor), np.maximum(size[0], floor))
     if not choice.slow:
         return white
-    longest = sampling_time * max(float((mask > 0).sum(axis=1).max()), 2.0 * _FASTEST)
-    ranges = (_FASTEST * sampling_time, longest), _RATIO_LIMITS
+    longest = max(_LONGEST_SHARE * float((mask > 0).sum(axis=1).max()), _LEAST_LONGEST)
+    ranges = (_FASTEST * sampling_time, longest * sampling_time), _RATIO_LIMITS
     if choice.time is not None:
         ranges = (choice.time, choice.time), _RATIO_LIMITS
     at, likelihood, size = _best(search, [np.log(r) for r in ranges], residual.shape[-1])

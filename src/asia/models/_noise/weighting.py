@@ -42,3 +42,16 @@ class ErrorWeighting:
         if self.huber is not None:
             found = huber_root(found, self.huber)
         return self.unit * found
+
+    def jacobian(self, error: Array, derivatives: Array) -> Array:
+        """Derivatives (S, T, ny, P) of what is squared from those of the errors (S, T, ny)."""
+        # One column at a time: the filter's temporary arrays are then small.
+        columns = [innovations(self.through, column) for column in np.moveaxis(derivatives, -1, 0)]
+        found = self.unit * np.stack(columns, axis=-1)
+        if self.huber is None:
+            return found
+        white = innovations(self.through, error)
+        root = huber_root(white, self.huber)
+        tail = np.abs(white) > self.huber
+        slope = np.where(tail, self.huber / np.maximum(np.abs(root), self.huber), 1.0)
+        return slope[..., None] * found

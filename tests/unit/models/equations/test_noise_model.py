@@ -11,6 +11,7 @@ from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import greybox, hybrid
 from asia.models.methods import LevenbergMarquardt
+from tests.unit.models.noise.drawn import slow_disturbance
 from tests.unit.models.systems.equations import (
     DUFFING,
     DUFFING_TRUTH,
@@ -27,9 +28,7 @@ SLOW = replace(PLAIN, noise_model="slow")
 def disturbed(seed: int, time: float, slow: float, white: float) -> Trajectory:
     """A record with a slow disturbance and white noise on its output."""
     record, rng = duffing_record(250, seed), np.random.default_rng(seed + 50)
-    keep, drift = np.exp(-DT / time), slow * rng.standard_normal(len(record))
-    for k in range(1, len(drift)):
-        drift[k] = keep * drift[k - 1] + np.sqrt(1 - keep**2) * drift[k]
+    drift = slow * slow_disturbance(len(record), float(np.exp(-DT / time)), rng)
     noise = drift + white * rng.standard_normal(len(record))
     return replace(record, y=record.y + noise[:, None])
 

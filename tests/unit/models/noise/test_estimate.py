@@ -11,6 +11,7 @@ from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import estimate_noise, settled
 from asia.models._noise.whitening import ResidualNoise
 from asia.models.methods import LevenbergMarquardt
+from tests.unit.models.noise.drawn import slow_disturbance
 
 DT = 2.0
 FLOOR = np.full(1, 1e-9)
@@ -18,10 +19,8 @@ FLOOR = np.full(1, 1e-9)
 
 def drawn(samples: int, time: float, slow: float, white: float, seed: int = 0) -> Array:
     """A slow disturbance and white noise (1, T, 1)."""
-    rng, keep = np.random.default_rng(seed), np.exp(-DT / time)
-    x = slow * rng.standard_normal(samples)
-    for k in range(1, samples):
-        x[k] = keep * x[k - 1] + np.sqrt(1 - keep**2) * x[k]
+    rng = np.random.default_rng(seed)
+    x = slow * slow_disturbance(samples, float(np.exp(-DT / time)), rng)
     return (x + white * rng.standard_normal(samples))[None, :, None]
 
 
