@@ -40,6 +40,12 @@ ALIKE = replace(
     },
 )
 """The same, and that the tanks are alike."""
+UNLIKE = replace(
+    TANKS, priors={"k2/k1": Prior(1.5, 0.1, "a mistake"), "k3/k1": Prior(0.7, 0.1, "a mistake")}
+)
+"""The same, with priors that are wrong."""
+LEVELS = replace(TANKS, observation={"upper": "x1", "lower": "x2"})
+"""The same, both levels measured."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +86,7 @@ class TankEffects:
     noise: float = 0.01
     """Standard deviation of white noise, relative to that of the output."""
     samples: int = 500
-    """Of each record."""
+    """Of the record to train on."""
     past: int = 10
     """Samples of a past window."""
 
@@ -103,16 +109,18 @@ def tanks(effects: TankEffects, seed: int, physics: Physics = TANKS) -> System:
         pump = k4 * max(u[0] - e.threshold, 0.0)
         return np.array([pump - out1 - over, entering - out2, late])
 
+    outputs = [Signal(name) for name in physics.observation]
+
     def respond(u: Array) -> Array:
-        level = integrated(slope, np.array([2.0, 2.0, k2 * 2.0**0.5]), u, 1.0)[:, 1:2]
-        return FULL * (np.maximum(level, 0.0) / FULL) ** e.sensor
+        levels = integrated(slope, np.array([2.0, 2.0, k2 * 2.0**0.5]), u, 1.0)[:, :2]
+        levels = levels[:, 2 - len(outputs) :]
+        return FULL * (np.maximum(levels, 0.0) / FULL) ** e.sensor
 
     def excite(numbers: np.random.Generator, length: int) -> Array:
         return 1.8 + 1.2 * steps(numbers, length, 8, round(40 * e.slowness))
 
-    context = Context(
-        (Signal("u"),), (Signal("y"),), 1.0, e.past, e.past, physics=physics, seed=seed
-    )
+    signals = (Signal("u"),), tuple(outputs)
+    context = Context(*signals, 1.0, e.past, e.past, physics=physics, seed=seed)
     return recorded(respond, excite, effects, context, rng)
 
 
@@ -168,11 +176,11 @@ def recorded(
     context: Context,
     rng: np.random.Generator,
 ) -> System:
-    """Two measured records of a system, the second with its truth."""
+    """Two measured records of a system, the second, of 500 samples or more, with its truth."""
     found: list[Trajectory] = []
     clean: Array = np.zeros((0, context.ny))
-    for name in ("train", "fresh"):
-        u = excite(rng, effects.samples + SETTLE)
+    for name, length in (("train", effects.samples), ("fresh", max(effects.samples, 500))):
+        u = excite(rng, length + SETTLE)
         clean, u = respond(u)[SETTLE:], u[SETTLE:]
         size, dt = clean.std(axis=0), context.sampling_time
         drift = effects.drift * wander(rng, clean.shape, effects.drift_time / dt)
