@@ -22,6 +22,7 @@ from asia.models._data.lags import History, Lags, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import segments, simulation_error
+from asia.models._noise.choice import refuse_noise
 from asia.models._one_step.free_model import (
     FreeRunModel,
     LagChoice,
@@ -84,6 +85,8 @@ def train(
         raise UserError(
             "arx.train: structure oe minimises the simulation error, give LevenbergMarquardt"
         )
+    if isinstance(method, LevenbergMarquardt):
+        refuse_noise(method, "arx")
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)

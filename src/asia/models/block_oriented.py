@@ -143,8 +143,9 @@ def _wiener_hammerstein(
             "x0": ridge,
         }
         one = fit_states(
-            start.structure, [start.params], of_records(late, x0), weights, method, silent
-        )[0]
+            start.structure, [start.params], of_records(late, x0), weights, method, silent,
+            context.sampling_time,
+        )[0]  # fmt: skip
         fits.append((start.structure, one))
     structure, best = min(fits, key=lambda f: f[1].cost)
     for i, loss in enumerate(best.history):

@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias, get_args
 
 from asia.errors import UserError
 from asia.models._config import check_at_least, check_choice, demand, owner
+from asia.models._noise.choice import NoiseChoice, NoiseKind, check_noise
 from asia.models._solvers.least_squares import (
     LeastSquares,
     LevenbergMarquardt,
@@ -51,6 +52,16 @@ class _NetworkFit:
     symmetry: bool = False
     """Whether the fit sees the records under every symmetry of the problem that takes inputs to
     inputs and outputs to outputs, and simulations are averaged over these."""
+    noise_model: NoiseKind = "white"
+    """What the residual of a simulation is taken for: "white", or "slow" for a slow disturbance
+    plus white noise, see `LevenbergMarquardt`. The first half of the steps is fitted without it;
+    from there the sizes of both parts are estimated. Simulated chunks are whitened each by itself.
+    Not for `MultipleShooting`."""
+    slow_time: float | None = None
+    """Time constant of the slow disturbance in s; None estimates it."""
+    huber: float | None = None
+    """Threshold, in deviations of the innovations, beyond which their loss grows in proportion to
+    them; None is least squares. Beside it or a noise model `loss` must be "mse"."""
 
 
 @dataclass(frozen=True)
@@ -205,6 +216,11 @@ class MultipleShooting(_NetworkFit):
         _check_optimiser(self)
         _check_fit(self)
         _check_loss(self, None, 0)
+        if NoiseChoice.of(self) is not None:
+            raise UserError(
+                "MultipleShooting: free starts of segments take up a slow disturbance; give "
+                "noise_model or huber to Adam or LBFGS"
+            )
         demand(self, "length", self.length >= 2, "at least 2 samples")
         demand(self, "penalty", self.penalty > 0, "a positive weight")
         demand(self, "penalty_start", self.penalty_start > 0, "a positive weight")
@@ -235,6 +251,12 @@ def _check_optimiser(m: Adam | MultipleShooting) -> None:
 
 def _check_fit(m: NetworkMethod) -> None:
     check_at_least(1, m, "steps", "members", "every", "patience")
+    check_noise(m)
+    if NoiseChoice.of(m) is not None and m.loss != "mse":
+        raise UserError(
+            f"{owner(m)}: loss is {m.loss!r} beside a noise model, expected 'mse'; huber makes the "
+            "loss of innovations robust"
+        )
     demand(m, "holdout", 0 <= m.holdout < 0.9, "a fraction in [0, 0.9)")
     demand(m, "stop", m.stop in (None, "validation"), "None or 'validation'")
 

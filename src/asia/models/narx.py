@@ -25,6 +25,7 @@ from asia.models._data.lags import Lags, OutputRange, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import left_out_error, segments, simulation_error
+from asia.models._noise.choice import refuse_noise
 from asia.models._one_step.free_model import (
     RIDGES,
     FreeRunModel,
@@ -97,6 +98,8 @@ def train(
     """Lags, terms and coefficients by least squares; with Levenberg-Marquardt the coefficients
     are refined. Raises UserError for records too short or mis-shaped."""
     c = model.config
+    if isinstance(method, LevenbergMarquardt):
+        refuse_noise(method, "narx")
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)

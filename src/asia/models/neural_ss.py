@@ -252,7 +252,8 @@ def _train_windowed(
         samples = StateSamples(encoder(w.features), w.u, w.y, np.ones(w.y.shape[:2]), known=True)
         # What held the linear model to its training windows has to hold this one as well.
         ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
-        fits = fit_states(structure, starts, samples, ridges, method, context.log)
+        time = context.sampling_time
+        fits = fit_states(structure, starts, samples, ridges, method, context.log, time)
         members = [one.params for one in fits[: c.members]]
     each = tuple((p, encoder) for p in members)
     return replace(model, fitted=FittedStateSpace(structure, each, 0, data.scaling, data.turns))
@@ -294,7 +295,8 @@ def _by_lm(
     starts = [structure.start(found.system, rng) for _ in range(method.starts)]
     ridge = {**_ridges(config), "x0": found.error / sum(len(r) for r in records)}
     samples = of_records(records, found.x0)
-    fits = fit_states(structure, starts, samples, ridge, method, context.log)
+    time = context.sampling_time
+    fits = fit_states(structure, starts, samples, ridge, method, context.log, time)
     return [
         (one.params, state_encoder(structure, one, records, context, config.encoder))
         for one in fits[: config.members]

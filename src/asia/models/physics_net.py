@@ -34,6 +34,7 @@ from asia.models._equations.ode import Equations, equations
 from asia.models._networks.layers import dense, zeros
 from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.structure import Params
+from asia.models._noise.choice import refuse_noise
 from asia.models.methods import LevenbergMarquardt, NetworkMethod
 from asia.problem import Bounds
 from asia.problem.physics.expressions import Name
@@ -136,6 +137,8 @@ def train(
             "physics_net: LevenbergMarquardt fits the equations alone; train the network by Adam "
             "or leave network at None"
         )
+    if isinstance(method, LevenbergMarquardt):
+        refuse_noise(method, "physics_net without a network method")
     scaling = Scaling.of(trajectories)
     start: Params = {**model.network.params, "fixed": _fixed(cell, trajectories, scaling, context)}
     network = replace(model.network, params=start, scaling=scaling)

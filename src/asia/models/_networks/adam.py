@@ -14,7 +14,7 @@ from asia.models._arrays import AnyArray
 from asia.models._data.chunks import Places, Simulations, laid, places, random_chunks, tracks, whole
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.objective import check_structure, forward, objective
+from asia.models._networks.objective import NoiseWeighting, check_structure, forward, objective
 from asia.models._networks.program import AdamNumbers, AdamProgram, all_finite, either, started
 from asia.models._networks.structure import Cell, NetworkStructure, Params
 from asia.models._solvers.packing import Packing, packed
@@ -47,6 +47,7 @@ def run(
     seed: int,
     steps: int,
     monitor: Monitor,
+    whiten: NoiseWeighting | None = None,
 ) -> Params:
     """The parameters after `steps` updates, or after those that `monitor` allows. A step whose
     gradient is not finite is skipped."""
@@ -70,7 +71,8 @@ def run(
     done = 0
     for mark in marks(method, steps):
         span, rate = (np.int32(done), np.int32(mark)), np.float32(monitor.rate)
-        state = _advance(cell, program, packing, numbers, data, fixed, state, span, rate, seed)
+        args = numbers, data, fixed, state, span, rate, seed, whiten
+        state = _advance(cell, program, packing, *args)
         taken, done = float(state.taken), mark
         monitor(mark, current, float(state.loss) / taken if taken > 0 else float("inf"))
         if monitor.stopped:
@@ -113,6 +115,7 @@ def _advance(
     span: tuple[jax.Array, jax.Array],
     rate: jax.Array,
     seed: jax.Array,
+    whiten: NoiseWeighting | None,
 ) -> AdamState:
     rule, root, length = program.optimiser(numbers), jax.random.key(seed), program.length or 1
 
@@ -123,14 +126,14 @@ def _advance(
         if carried is not None and isinstance(cell, Cell) and isinstance(data, Simulations):
             part, fresh = _next_chunk(data, length, step)
             y, last = go(part, state=either(fresh, cell.initial(params, part.window), carried))
-            error = objective(program.loss, y - part.y, part.weight, 0, program.horizons)
+            error = objective(program.loss, y - part.y, part.weight, 0, program.horizons, whiten)
             return error, jax.lax.stop_gradient(last)
         part = data
         if isinstance(part, Places):
             part = random_chunks(part, length, program.batch, drawn)
         residual = go(part)[0] - part.y
         return objective(
-            program.loss, residual, part.weight, numbers.washout, program.horizons
+            program.loss, residual, part.weight, numbers.washout, program.horizons, whiten
         ), carried
 
     def update(step: jax.Array, state: AdamState) -> AdamState:

@@ -17,7 +17,7 @@ from asia.models._data.chunks import Simulations, laid, whole
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.objective import objective
+from asia.models._networks.objective import NoiseWeighting, objective
 from asia.models._networks.program import Number
 from asia.models._networks.structure import NetworkStructure, Params, rollout
 from asia.models._solvers.packing import Packing, packed
@@ -39,6 +39,7 @@ def run(
     horizon: int | None,
     steps: int,
     monitor: Monitor,
+    whiten: NoiseWeighting | None = None,
 ) -> Params:
     """The parameters after `steps` iterations, or after those that `monitor` allows, or where no
     step lowers the loss; a point where the loss is not finite is never taken."""
@@ -47,7 +48,8 @@ def run(
     packing = Packing.of(trained)
     data = _double(whole(batch) if length is None else laid(batch, length))
     numbers = LBFGSNumbers(method.ridge, method.washout)
-    value_of = partial(_value, cell, method.loss, packing, numbers, data, _double(fixed))
+    whiten = None if whiten is None else _double(whiten)
+    value_of = partial(_value, cell, method.loss, packing, numbers, data, _double(fixed), whiten)
     search = _BestPoint(value_of, packed(trained, np.float64))
 
     def current() -> Params:
@@ -113,6 +115,7 @@ def _value(
     numbers: LBFGSNumbers,
     data: Simulations,
     fixed: Any,
+    whiten: NoiseWeighting | None,
     flat: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     def loss_of(flat: jax.Array) -> jax.Array:
@@ -122,6 +125,7 @@ def _value(
         penalty = sum(
             (jnp.sum(v**2) for v in jax.tree.leaves(trained) if v.ndim >= 2), jnp.zeros(())
         )
-        return objective(loss, residual, data.weight, numbers.washout) + numbers.ridge * penalty
+        error = objective(loss, residual, data.weight, numbers.washout, None, whiten)
+        return error + numbers.ridge * penalty
 
     return jax.value_and_grad(loss_of)(flat)

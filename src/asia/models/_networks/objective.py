@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from asia.errors import UserError
 from asia.models._data.chunks import Simulations
@@ -19,6 +20,12 @@ from asia.models._networks.structure import (
     SequenceMap,
     rollout,
 )
+from asia.models._noise.whitening import (
+    ResidualNoise,
+    huber_root,
+    innovation_filter,
+    innovations,
+)
 from asia.models.methods import Adam, Loss
 
 
@@ -29,17 +36,47 @@ class Fed(NamedTuple):
     mask: jax.Array
 
 
+class NoiseWeighting(NamedTuple):
+    """Generalised least squares: what `objective` makes of residuals before their squares."""
+
+    noise: ResidualNoise
+    """In z-scores."""
+    sampling_time: Number
+    """In s."""
+    unit: Number
+    """Deviation of the residuals: the loss is then as large as that of least squares."""
+    huber: Number | None
+    """Threshold on the innovations in their deviations."""
+
+    @classmethod
+    def of(cls, noise: ResidualNoise, sampling_time: float, huber: float | None) -> NoiseWeighting:
+        """In single precision."""
+        single = ResidualNoise(*(np.asarray(value, np.float32) for value in noise))
+        unit = np.float32(np.sqrt(noise.variance.mean()))
+        threshold = None if huber is None else np.float32(huber)
+        return cls(single, np.float32(sampling_time), unit, threshold)
+
+    def __call__(self, residual: jax.Array, weight: jax.Array) -> jax.Array:
+        """Innovations (B, T, ny), where weight (B, T) is positive."""
+        through = innovation_filter(self.noise, self.sampling_time, weight)
+        found = innovations(jax.lax.stop_gradient(through), residual)
+        return self.unit * (found if self.huber is None else huber_root(found, self.huber))
+
+
 def objective(
     loss: Loss,
     residual: jax.Array,
     weight: jax.Array,
     washout: Number = 0,
     horizons: tuple[int, ...] | None = None,
+    whiten: NoiseWeighting | None = None,
 ) -> jax.Array:
     """residual (B, T, ny), weight (B, T) -> mean loss of the samples that count; with `horizons`
-    the mean over h of that of the first h samples."""
+    the mean over h of that of the first h samples, and with `whiten` that of innovations."""
     length = residual.shape[1]
     weight = weight * (jnp.arange(length) >= washout)
+    if whiten is not None:
+        residual = whiten(residual, weight)
     error = (weight[..., None] * pointwise(loss, residual)).mean(axis=-1).sum(axis=0)
     count = weight.sum(axis=0)
     ends = jnp.array([length if h is None else min(h, length) for h in horizons or (None,)]) - 1

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
+import numpy as np
 
 from asia.candidate import Context, Model
 from asia.models._data.chunks import laid, whole
@@ -20,12 +22,15 @@ from asia.models._data.records import (
 )
 from asia.models._networks import adam, lbfgs, shooting
 from asia.models._networks.monitor import Monitor, Scorer
-from asia.models._networks.objective import error_of
-from asia.models._networks.structure import NetworkStructure, Params
+from asia.models._networks.objective import NoiseWeighting, error_of
+from asia.models._networks.structure import NetworkStructure, Params, rollout
+from asia.models._noise.choice import NoiseChoice
+from asia.models._noise.estimate import LEAST_DEVIATION, estimate_noise
 from asia.models._solvers.progress import Progress
 from asia.models.methods import LBFGS, Adam, NetworkMethod
 
 _error = jax.jit(error_of, static_argnums=(0, 1))
+_rollout = jax.jit(rollout, static_argnums=0)
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,8 @@ class FitTask:
     """Told the progress."""
     score: Scorer | None = None
     """Of the protocol's early stopping; None where it has none."""
+    sampling_time: float = 1.0
+    """In s."""
 
 
 def fit(
@@ -78,7 +85,8 @@ def fit(
         samples = _split(records, context, method.holdout, copies)
     with jax.enable_x64(False):
         seed = context.seed % 2**31
-        task = FitTask(structure, samples, context.horizon, seed, context.log, score)
+        time = context.sampling_time
+        task = FitTask(structure, samples, context.horizon, seed, context.log, score, time)
         return train(task, params, method)
 
 
@@ -93,30 +101,57 @@ def train(task: FitTask, params: Params, method: NetworkMethod) -> Params:
     held-out samples, or those after all steps."""
     patience = method.patience if method.stop is not None else None
     if isinstance(task.samples, PaddedBatch):
+        start = _start(task, task.samples, params, method)
+        method = start.method
         monitor = Monitor(method, task.log, task.score, patience if task.score else None)
-        monitor.start(params)
-        last = _run(task, task.samples, params, method, method.steps, monitor)
+        monitor.start(start.params)
+        last = _run(task, task.samples, start, method.steps, monitor)
         return last if monitor.best is None else monitor.best
     split = task.samples
+    start = _start(task, split.fitted, params, method)
+    method = start.method
     monitor = Monitor(method, task.log, partial(_held_out_error, task, split, method), patience)
-    _run(task, split.fitted, params, method, method.steps, monitor)
+    _run(task, split.fitted, start, method.steps, monitor)
     again = Monitor(method, task.log, replay=monitor.rates)
-    return _run(task, split.full, params, method, monitor.best_step, again)
+    refit = start if start.whiten is None else _start(task, split.full, params, method)
+    return _run(task, split.full, refit, monitor.best_step, again)
+
+
+class _Start(NamedTuple):
+    """Where a fit starts, by which method, and how residuals are weighed."""
+
+    params: Params
+    method: NetworkMethod
+    whiten: NoiseWeighting | None = None
+
+
+def _start(task: FitTask, samples: PaddedBatch, params: Params, method: NetworkMethod) -> _Start:
+    """As given; with a noise model, the parameters after the first half of the steps without it,
+    and the noise of their residuals."""
+    choice = NoiseChoice.of(method)
+    if choice is None:
+        return _Start(params, method)
+    half = max(1, method.steps // 2)
+    plain = replace(method, steps=half, noise_model="white", slow_time=None, huber=None, stop=None)
+    params = _run(task, samples, _Start(params, plain), half, Monitor(plain, task.log))
+    data = whole(samples) if task.horizon is None else laid(samples, task.horizon)
+    y = np.asarray(_rollout(task.structure, params, data.window, data.u))
+    residual, floor = (y - data.y).astype(np.float64), np.full(y.shape[-1], LEAST_DEVIATION)
+    noise = estimate_noise(residual, data.weight, task.sampling_time, choice, floor)
+    whiten = NoiseWeighting.of(noise, task.sampling_time, choice.huber)
+    return _Start(params, replace(method, steps=max(1, method.steps - half)), whiten)
 
 
 def _run(
-    task: FitTask,
-    samples: PaddedBatch,
-    params: Params,
-    method: NetworkMethod,
-    steps: int,
-    monitor: Monitor,
+    task: FitTask, samples: PaddedBatch, start: _Start, steps: int, monitor: Monitor
 ) -> Params:
-    cell, horizon = task.structure, task.horizon
+    cell, horizon, method, params = task.structure, task.horizon, start.method, start.params
     if isinstance(method, LBFGS):
-        return lbfgs.run(cell, params, samples, method, horizon, steps, monitor)
+        return lbfgs.run(cell, params, samples, method, horizon, steps, monitor, start.whiten)
     if isinstance(method, Adam):
-        return adam.run(cell, params, samples, method, horizon, task.seed, steps, monitor)
+        return adam.run(
+            cell, params, samples, method, horizon, task.seed, steps, monitor, start.whiten
+        )
     return shooting.run(cell, params, samples, method, steps, monitor)
 
 

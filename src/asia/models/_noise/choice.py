@@ -62,3 +62,13 @@ def check_noise(method: NoiseSettings) -> None:
             f"{owner(method)}: slow_time is the time constant of a slow disturbance; set "
             'noise_model to "slow" with it, or leave it out'
         )
+
+
+def refuse_noise(method: NoiseSettings, place: str) -> None:
+    """Raises UserError where a noise model is asked for and `place`, a family with its settings,
+    cannot serve it."""
+    if NoiseChoice.of(method) is not None:
+        raise UserError(
+            f"{place}: cannot weigh errors by a noise model; leave noise_model, slow_time and "
+            f"huber out of {owner(method)}"
+        )

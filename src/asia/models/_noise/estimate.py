@@ -7,7 +7,12 @@ import numpy as np
 from asia.data import Array
 from asia.models._data.cuts import spread
 from asia.models._noise.choice import NoiseChoice
-from asia.models._noise.whitening import ResidualNoise, innovation_filter, innovations
+from asia.models._noise.whitening import (
+    ResidualNoise,
+    huber_root,
+    innovation_filter,
+    innovations,
+)
 
 NOISE_ROUNDS = 3
 """Estimates of the noise at most, each followed by a fit."""
@@ -117,14 +122,6 @@ class _Search:
             scaled = np.abs(error) / size[:, None, None]
             penalty = (0.5 * huber_root(scaled, self._huber) ** 2).sum(axis=axes)
         return samples * np.log(size) - np.log(weight).sum(axis=axes) + penalty, size
-
-
-def huber_root(error: Array, threshold: float) -> Array:
-    """Errors whose square is Huber's loss: that of the error up to the threshold, then growing in
-    proportion to it."""
-    size = np.abs(error)
-    tail = np.sqrt(np.maximum(2.0 * threshold * size - threshold**2, 1e-12))
-    return np.where(size <= threshold, error, np.sign(error) * tail)
 
 
 def settled(before: ResidualNoise | None, after: ResidualNoise) -> bool:

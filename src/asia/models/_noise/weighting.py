@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.data import Array
-from asia.models._noise.estimate import huber_root
 from asia.models._noise.whitening import (
     InnovationFilter,
     ResidualNoise,
+    huber_root,
     innovation_filter,
     innovations,
 )

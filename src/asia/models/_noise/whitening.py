@@ -88,3 +88,11 @@ def innovations(through: InnovationFilter, residual: AnyArray) -> AnyArray:
             break
     known = xp.concatenate([xp.zeros_like(predicted[..., :1, :]), predicted[..., :-1, :]], axis=-2)
     return (residual - known) * through.weight
+
+
+def huber_root(error: AnyArray, threshold: float) -> AnyArray:
+    """Errors whose square is Huber's loss: that of the error up to the threshold, then growing in
+    proportion to it."""
+    xp, size = namespace(error), abs(error)
+    tail = xp.sqrt(xp.maximum(2.0 * threshold * size - threshold**2, 1e-12))
+    return xp.where(size <= threshold, error, xp.sign(error) * tail)

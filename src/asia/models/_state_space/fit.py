@@ -21,6 +21,10 @@ from asia.data import Array
 from asia.models._data.cuts import padded, side_by_side
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, past_length, windows
+from asia.models._noise.choice import NoiseChoice
+from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
+from asia.models._noise.weighting import ErrorWeighting
+from asia.models._noise.whitening import InnovationFilter, huber_root
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.minimise import NormalEquations, minimise
 from asia.models._solvers.packing import Packing, packed
@@ -65,6 +69,10 @@ class SampleChunks(NamedTuple):
     """Ridge (P,) of each parameter towards `origin`."""
     origin: Any
     """(P,)."""
+    through: InnovationFilter | None = None
+    """Of the noise model, (K, c, R, ny) each; None without one."""
+    huber: Any = None
+    """Threshold on the innovations, in the unit of the errors; None without one."""
 
 
 class StateFit(NamedTuple):
@@ -95,27 +103,62 @@ def fit_states(
     ridge: dict[str, float],
     method: LevenbergMarquardt,
     log: Progress,
+    sampling_time: float = 1.0,
 ) -> list[StateFit]:
     """A fit from each start, the least cost first. `ridge` maps each top-level parameter name,
-    and "x0", to its ridge. log(iteration, root of the least cost so far) over all starts."""
-    lowest, results = np.inf, list[StateFit]()
-    for i, start in enumerate(starts):
-        tree = start if samples.known else {**start, "x0": samples.x0}
-        pull = {
-            name: jax.tree.map(lambda v, r=ridge[name]: np.full(np.shape(v), r), value)
-            for name, value in tree.items()
-        }
-        theta, packing = packed(tree, np.float64), Packing.of(tree)
-        data = _chunked(samples, structure, packed(pull, np.float64), theta)
-        watch = _logged(log, i * method.iterations, lowest)
-        equations = _CompiledEquations(structure, packing, data, watch)
-        found = minimise(equations.costs, equations.normal, theta[None], method)
-        best, cost, done = packing.unpack(found.theta[0]), float(found.cost[0]), equations.done
-        watch(done, cost)
-        lowest = min(lowest, cost)
-        x0 = best.pop("x0", samples.x0)
-        results.append(StateFit(x0, best, cost, np.sqrt(found.history[0, : done + 1])))
+    and "x0", to its ridge. log(iteration, root of the least cost so far) over all starts. With a
+    noise model all go on from where they are, after each estimate from the best fit's residuals."""
+    trees = [start if samples.known else {**start, "x0": samples.x0} for start in starts]
+    runs = _Runs(structure, trees, samples, ridge, method, log)
+    results = runs.fitted(trees, None)
+    choice, noise = NoiseChoice.of(method), None
+    for _ in range(0 if choice is None else NOISE_ROUNDS):
+        assert choice is not None
+        best = min(results, key=lambda r: r.cost)
+        y = structure.simulate(best.params, best.x0, samples.u)[1]
+        residual, floor = y - samples.y, np.full(structure.ny, LEAST_DEVIATION)
+        before = noise
+        noise = estimate_noise(residual, samples.weight, sampling_time, choice, floor)
+        if settled(before, noise):
+            break
+        weighting = ErrorWeighting.of(noise, sampling_time, samples.weight, choice.huber)
+        found = [r.params if samples.known else {**r.params, "x0": r.x0} for r in results]
+        results = runs.fitted(found, weighting)
     return sorted(results, key=lambda r: r.cost)
+
+
+class _Runs(NamedTuple):
+    """Fits from several starts, and what they have in common."""
+
+    structure: StateSpaceStructure
+    origins: Sequence[dict[str, Any]]
+    samples: StateSamples
+    ridge: dict[str, float]
+    method: LevenbergMarquardt
+    log: Progress
+
+    def fitted(
+        self, starts: Sequence[dict[str, Any]], weighting: ErrorWeighting | None
+    ) -> list[StateFit]:
+        """In the order of the starts."""
+        lowest, results = np.inf, list[StateFit]()
+        for i, (origin, start) in enumerate(zip(self.origins, starts, strict=True)):
+            pull = {
+                name: jax.tree.map(lambda v, r=self.ridge[name]: np.full(np.shape(v), r), value)
+                for name, value in origin.items()
+            }
+            rest, packing = packed(origin, np.float64), Packing.of(origin)
+            data = _chunked(self.samples, self.structure, packed(pull, np.float64), rest, weighting)
+            watch = _logged(self.log, i * self.method.iterations, lowest)
+            equations = _CompiledEquations(self.structure, packing, data, watch)
+            theta = packed(start, np.float64)
+            found = minimise(equations.costs, equations.normal, theta[None], self.method)
+            best, cost, done = packing.unpack(found.theta[0]), float(found.cost[0]), equations.done
+            watch(done, cost)
+            lowest = min(lowest, cost)
+            x0 = best.pop("x0", self.samples.x0)
+            results.append(StateFit(x0, best, cost, np.sqrt(found.history[0, : done + 1])))
+        return results
 
 
 def _logged(log: Progress, count: int, lowest: float) -> Watch:
@@ -146,7 +189,11 @@ def state_encoder(
 
 
 def _chunked(
-    samples: StateSamples, structure: StateSpaceStructure, pull: Array, origin: Array
+    samples: StateSamples,
+    structure: StateSpaceStructure,
+    pull: Array,
+    origin: Array,
+    weighting: ErrorWeighting | None,
 ) -> SampleChunks:
     count, length = samples.weight.shape
     values = count * (structure.order + structure.ny) * len(origin)
@@ -159,7 +206,13 @@ def _chunked(
         return padded(timed, chunks * size).reshape(chunks, size, *timed.shape[1:])
 
     u, y, weight = cut(samples.u), cut(samples.y), cut(samples.weight / np.sqrt(total))
-    return SampleChunks(u, y, weight, samples.x0, pull, origin)
+    plain = SampleChunks(u, y, weight, samples.x0, pull, origin)
+    if weighting is None:
+        return plain
+    decay, gain, scale = (cut(values) for values in weighting.through)
+    huber = None if weighting.huber is None else weighting.huber * weighting.unit
+    through = InnovationFilter(decay, gain, weighting.unit * scale)
+    return plain._replace(through=through, huber=huber)
 
 
 class _CompiledEquations:
@@ -210,9 +263,8 @@ class _Simulation:
         return jnp.concatenate([state, structure.output(p, w)])
 
     def chunk(self, theta: jax.Array, x: jax.Array, part: Any) -> Any:
-        """One chunk from x (R, n): the last state, all states (c, R, n), weighted errors
-        (c, R, ny)."""
-        u, y, weight = part
+        """One chunk from x (R, n): the last state, all states (c, R, n), errors (c, R, ny)."""
+        u, y = part[:2]
         n, many = self.structure.order, jax.vmap(self.step, (None, 0, 0))
 
         def move(x: jax.Array, u: jax.Array) -> Any:
@@ -220,12 +272,44 @@ class _Simulation:
             return both[:, :n], (x, both[:, n:])
 
         x, (states, outputs) = jax.lax.scan(move, x, u)
-        return x, states, weight[..., None] * (outputs - y)
+        return x, states, outputs - y
+
+    def predicted(self, columns: int) -> jax.Array | None:
+        """Of the noise model before the first sample, for so many columns of errors."""
+        if self.data.through is None:
+            return None
+        return jnp.zeros((*self.data.y.shape[2:], columns))
+
+    def weighed(self, predicted: Any, values: jax.Array, part: Any) -> tuple[Any, jax.Array]:
+        """Columns of errors (c, R, ny, P), whitened and weighted, and the filter's last state."""
+        weight, through = part[2], part[3]
+        if through is not None:
+
+            def move(predicted: jax.Array, at: Any) -> tuple[jax.Array, jax.Array]:
+                value, decay, gain = at
+                after = decay[..., None] * predicted + gain[..., None] * value
+                return after, value - predicted
+
+            known = values, through.decay, through.gain
+            predicted, values = jax.lax.scan(move, predicted, known)
+            values = through.weight[..., None] * values
+        return predicted, weight[..., None, None] * values
+
+    def bent(self, error: jax.Array, part: Any) -> tuple[jax.Array, jax.Array | None]:
+        """Weighted errors (c, R, ny) with Huber's loss as their square, and the derivatives;
+        without a threshold as they are, and None."""
+        if self.data.huber is None:
+            return error, None
+        threshold = jnp.maximum(self.data.huber * part[2][..., None], 1e-30)
+        scaled = error / threshold
+        root = huber_root(scaled, 1.0)
+        slope = jnp.where(abs(scaled) > 1.0, 1.0 / jnp.maximum(abs(root), 1.0), 1.0)
+        return threshold * root, slope
 
     @property
     def parts(self) -> Any:
         """The chunks, for `scan`."""
-        return self.data.u, self.data.y, self.data.weight
+        return self.data.u, self.data.y, self.data.weight, self.data.through
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -237,11 +321,14 @@ def _costs(
 
     def cost(theta: jax.Array) -> jax.Array:
         def chunk(carry: Any, part: Any) -> Any:
-            x, total = carry
+            x, total, predicted = carry
             x, _, error = run.chunk(theta, x, part)
-            return (x, total + jnp.sum(error**2)), None
+            predicted, error = run.weighed(predicted, error[..., None], part)
+            error, _ = run.bent(error[..., 0], part)
+            return (x, total + jnp.sum(error**2), predicted), None
 
-        (_, total), _ = jax.lax.scan(chunk, (run.initial(theta), jnp.zeros(())), run.parts)
+        start = run.initial(theta), jnp.zeros(()), run.predicted(1)
+        (_, total, _), _ = jax.lax.scan(chunk, start, run.parts)
         return total + jnp.sum(data.pull * (theta - data.origin) ** 2)
 
     return jax.vmap(cost)(thetas)
@@ -257,7 +344,7 @@ def _normal(
     derivatives = jax.vmap(jax.vmap(by_step, (None, 0, 0)), (None, 0, 0))
 
     def chunk(carry: Any, part: Any) -> Any:
-        x, s, total, gram, gradient = carry
+        x, s, predicted, total, gram, gradient = carry
         x, states, error = run.chunk(theta, x, part)
         by_theta, by_x = derivatives(theta, states, part[0])
 
@@ -266,13 +353,21 @@ def _normal(
             return both[:, :n], both[:, n:]
 
         s, sensitivity = jax.lax.scan(move, s, (by_x, by_theta))
-        rows = (part[2][..., None, None] * sensitivity).reshape(-1, p)
-        e = error.ravel()
-        return (x, s, total + e @ e, gram + rows.T @ rows, gradient + rows.T @ e), None
+        before = predicted if predicted is None else predicted[..., :1]
+        last, error = run.weighed(before, error[..., None], part)
+        error, slope = run.bent(error[..., 0], part)
+        after = predicted if predicted is None else predicted[..., 1:]
+        after, rows = run.weighed(after, sensitivity, part)
+        rows = rows if slope is None else slope[..., None] * rows
+        rows, e = rows.reshape(-1, p), error.ravel()
+        if predicted is not None:
+            predicted = jnp.concatenate([last, after], axis=-1)
+        sums = total + e @ e, gram + rows.T @ rows, gradient + rows.T @ e
+        return (x, s, predicted, *sums), None
 
     x0, s0 = run.initial(theta), jax.jacfwd(run.initial)(theta)
     away = theta - data.origin
     # The ridge is a residual of its own.
     ridge = jnp.sum(data.pull * away**2), jnp.diag(data.pull), data.pull * away
-    (_, _, *sums), _ = jax.lax.scan(chunk, (x0, s0, *ridge), run.parts)
+    (_, _, _, *sums), _ = jax.lax.scan(chunk, (x0, s0, run.predicted(1 + p), *ridge), run.parts)
     return sums
