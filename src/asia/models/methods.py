@@ -123,6 +123,11 @@ class Adam(_NetworkFit):
     coupled: bool = False
     """Whether the decay is part of the gradient (Adam with an L2 penalty) or apart from it
     (AdamW)."""
+    gentle: float = 0.0
+    """Chunks at random places are drawn in proportion to their amplitude to the power -gentle: the
+    root mean square, over a chunk, of the outputs' increments in standard deviations."""
+    offset: float = 0.0
+    """Standard deviation of a constant, drawn for each chunk, added to each z-scored input."""
 
     def __post_init__(self) -> None:
         _check_optimiser(self)
@@ -130,6 +135,8 @@ class Adam(_NetworkFit):
         _check_loss(self, self.truncation, self.washout)
         _check_horizons(self.horizons, self.washout)
         demand(self, "noise", self.noise >= 0, "0 or more")
+        demand(self, "gentle", self.gentle >= 0, "0 or more")
+        demand(self, "offset", self.offset >= 0, "0 or more")
         demand(self, "dropout", 0 <= self.dropout < 1, "a share in [0, 1)")
         demand(self, "average", 0 <= self.average < 1, "a decay in [0, 1)")
         demand(self, "teacher", 0 <= self.teacher <= 1, "a probability")

@@ -38,6 +38,7 @@ from asia.models._noise.choice import refuse_noise
 from asia.models.methods import LevenbergMarquardt, NetworkMethod
 from asia.problem import Bounds
 from asia.problem.physics.expressions import Name
+from asia.problem.symmetry import group
 
 __all__ = ["Config", "build", "train"]
 
@@ -80,12 +81,22 @@ class Config:
     """Iterations on the equations before a network method."""
     windows: int = 240
     """Training windows at most."""
+    delay: bool = False
+    """Whether known kinematics read the other states at a learned delay."""
+    symmetry: bool = False
+    """Whether the network sees its signals under the symmetries of the problem: a random one for
+    each window in training, the mean over all in simulation. It needs [physics.corrections]."""
+    blind: tuple[str, ...] = ()
+    """With [physics.corrections], signals that the network does not read."""
+    reach: float = 3.0
+    """Inputs of the network are bounded to this many standard deviations."""
 
     def __post_init__(self) -> None:
         check_choice(self, "network", (None, "mlp", "rnn", "gru", "lstm"))
         check_at_least(1, self, "hidden", "layers", "windows")
         check_at_least(0, self, "equations", "sparsity", "ridge")
         demand(self, "size", self.size > 0, "a positive share")
+        demand(self, "reach", self.reach > 0, "a positive number of standard deviations")
         demand(self, "robust", self.robust is None or self.robust > 0, "None or positive")
 
 
@@ -226,11 +237,22 @@ def _cell(
             f"physics_net: the past window must show every state as it is, and does not show "
             f"{', '.join(missing) or 'any'}; use greybox"
         )
+    places = tuple(context.physics.corrections) if context.physics else ()
+    given = system
+    system = replace(
+        system,
+        parameters=(*system.parameters, *places),
+        constants=tuple((k, v) for k, v in system.constants if k not in places),
+    )
     closures = [system.closure(e) for e in system.dynamics]
-    free = set(system.parameters)
+    free = set(given.parameters)
     dynamic = tuple(i for i, names in enumerate(closures) if names & free)
     used = frozenset[str]().union(*closures)
-    definitions = [n for n, e in system.definitions if not system.closure(e) & free]
+    definitions = [n for n, e in system.definitions if not system.closure(e) & {*free, *places}]
+    read = tuple(s for s in system.states if s in used) + tuple(definitions)
+    if places:
+        named = {n for generator in context.symmetry.values() for n in generator}
+        read = tuple(n for n in (*system.states, *system.inputs) if n in named) + tuple(definitions)
     inner = None
     if config.network is not None and config.network != "mlp":
         inner = recurrent.Config(cell=config.network, hidden=config.hidden, layers=config.layers)
@@ -240,7 +262,7 @@ def _cell(
         order=tuple(shown[s] for s in system.states),
         dynamic=dynamic,
         kinematic=tuple(i for i in range(len(closures)) if i not in dynamic) if config.gain else (),
-        read=tuple(s for s in system.states if s in used) + tuple(definitions),
+        read=read,
         sampling_time=context.sampling_time,
         past_inputs=context.n_past_u > 0,
         lag=config.lag,
@@ -249,13 +271,19 @@ def _cell(
         network=config.network,
         inner=inner,
         size=config.size,
+        reach=config.reach,
+        corrections=places,
+        watched=tuple(n for n in read if n not in config.blind) if places else (),
+        symmetric=config.symmetry,
+        ridge=config.ridge if places else 0.0,
+        delay=config.delay,
     )
 
 
 def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[str, Any]:
     """Untrained: the middle of the ranges, nothing learned."""
     rng = np.random.default_rng(context.seed)
-    nd, nr = cell.nd, len(cell.read)
+    nd, nr, nc = cell.nd, len(cell.read), cell.nc
     params: dict[str, Any] = {
         "physical": zeros(len(cell.ranges)),
         "gain": zeros(len(cell.kinematic)),
@@ -263,7 +291,9 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
     if config.lag:
         params["log_lag"] = np.float32(np.log(_LAG_SAMPLES * context.sampling_time))
     if config.linear:
-        params |= {"linear": zeros(nr, nd), "offset": zeros(nd)}
+        params |= {"linear": zeros(nr, nc), "offset": zeros(nc)}
+    if config.delay:
+        params["delay"] = zeros(nd)
     if config.disturbance:
         params |= {
             "d_start": np.full(nd, 0.7, np.float32),
@@ -282,7 +312,7 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
         like = replace(context, inputs=context.inputs[:1] * cell.net_inputs, n_past_u=0, n_past_y=1)
         params["net"] = {"layers": recurrent.RecurrentCell(cell.inner).parameters(like)["layers"]}
     if config.network is not None:
-        params |= {"out_w": zeros(config.hidden, nd), "out_b": zeros(nd)}
+        params |= {"out_w": zeros(config.hidden, nc), "out_b": zeros(nc)}
     return params
 
 
@@ -304,7 +334,7 @@ def _fixed(
     moved = np.concatenate([t.y[span:] - t.y[:-span] for t in trajectories])
     rate = moved[:, order].std(axis=0) / (span * context.sampling_time)
     rate = np.where(rate > 0, rate, 1.0)[list(cell.dynamic)]
-    mean, std = signal_sizes(cell, trajectories)
+    mean, std = signal_sizes(cell, cell.read, trajectories)
     values = {
         "y_mean": scaling.y_mean,
         "y_std": scaling.y_std,
@@ -316,4 +346,27 @@ def _fixed(
         "s_mean": mean,
         "s_std": std,
     }
+    if cell.corrections:
+        values |= _at_corrections(cell, trajectories, context)
     return {k: np.asarray(v, np.float32) for k, v in values.items()}
+
+
+def _at_corrections(
+    cell: MeasuredCell, trajectories: Sequence[Trajectory], context: Context
+) -> dict[str, Array]:
+    """Sizes of what the network reads and of the corrections, the same for signals that a symmetry
+    exchanges, and the symmetries as matrices."""
+    assert context.physics is not None
+    names = (*cell.watched, *cell.corrections)
+    turns = group(context.symmetry if cell.symmetric else {}, names)
+    n = len(cell.watched)
+    own, places = turns[:, :n, :n], turns[:, n:, n:]
+    mean, std = signal_sizes(cell, cell.watched, trajectories)
+    scale = np.array([c.scale for c in context.physics.corrections.values()])
+    return {
+        "w_mean": (own @ mean).mean(axis=0),
+        "w_std": np.sqrt((np.abs(own) @ std**2).mean(axis=0)),
+        "scale": (np.abs(places) @ scale).mean(axis=0),
+        "turns": own,
+        "turns_back": places.swapaxes(1, 2),
+    }

@@ -41,6 +41,8 @@ class Places(NamedTuple):
     """Past windows before the starts (S, d)."""
     starts: AnyArray
     """(trajectory, sample) of each start (S, 2)."""
+    share: AnyArray | None = None
+    """Probability (S,) that a chunk starts at one of the starts up to each; None: all alike."""
 
 
 def whole(batch: PaddedBatch) -> Simulations:
@@ -98,6 +100,19 @@ def places(batch: PaddedBatch, length: int) -> Places:
     return Places(u, y, weight, windows, starts[chosen])
 
 
+def gently(p: Places, length: int, power: float) -> Places:
+    """The places with chunks drawn in proportion to their amplitude to the power -`power`."""
+    moved = np.diff(p.y, axis=1) * (p.weight[:, 1:, None] > 0)
+    size = np.sqrt((moved**2).mean(axis=(0, 1)))
+    squares = ((moved / np.where(size > 0, size, 1.0)) ** 2).mean(axis=-1)
+    total = np.concatenate([np.zeros((len(squares), 1)), np.cumsum(squares, axis=1)], axis=1)
+    record, first = p.starts.T
+    last = np.minimum(first + length, total.shape[1]) - 1
+    amplitude = np.sqrt((total[record, last] - total[record, first]) / np.maximum(last - first, 1))
+    drawn = np.maximum(amplitude, 1e-3 * amplitude.max() + 1e-12) ** -power
+    return p._replace(share=np.asarray(np.cumsum(drawn / drawn.sum()), np.float32))
+
+
 def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> Simulations:
     """`count` chunks; None: as many as cover the records once, but at most 128. For JAX."""
     import jax
@@ -105,7 +120,11 @@ def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> S
     length = min(length, p.u.shape[1])
     if count is None:
         count = max(1, min(128, p.u.shape[0] * p.u.shape[1] // length))
-    picked = jax.random.randint(key, (count,), 0, p.starts.shape[0])
+    if p.share is None:
+        picked = jax.random.randint(key, (count,), 0, p.starts.shape[0])
+    else:
+        at = jax.numpy.searchsorted(p.share, jax.random.uniform(key, (count,)))
+        picked = jax.numpy.minimum(at, p.starts.shape[0] - 1)
 
     def cut(values: AnyArray) -> AnyArray:
         def one(start: AnyArray) -> AnyArray:

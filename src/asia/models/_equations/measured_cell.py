@@ -27,8 +27,8 @@ NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 
 # A simulation beyond so many deviations of a state has run away.
 _FAR = 30.0
-# Network inputs are bounded to this many deviations: beyond, its output stays that at the bound.
-_REACH = 3.0
+# Delays are learned in units of so many samples.
+_DELAY_SAMPLES = 5.0
 
 
 class MeasuredState(NamedTuple):
@@ -44,6 +44,9 @@ class MeasuredState(NamedTuple):
     """State of the network."""
     first: AnyArray
     """Whether no sample has been simulated yet (B, 1)."""
+    turn: Any = ()
+    """Number of the symmetry under which the network sees each row (B,); () is all of them,
+    averaged."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,25 @@ class MeasuredCell:
     inner: recurrent.Config | None
     """Its layers, where it is recurrent."""
     size: float
-    """Its largest effect, as a share of the rates measured."""
+    """Its largest effect, as a share of the rates measured, or of the scale of a correction."""
+    reach: float = 3.0
+    """Inputs of the network are bounded to this many deviations: beyond, its output stays that at
+    the bound."""
+    corrections: tuple[str, ...] = ()
+    """Places in the equations where the learned terms enter; none: on the rates."""
+    watched: tuple[str, ...] = ()
+    """With corrections, the signals that the network reads."""
+    symmetric: bool = False
+    """Whether the network sees its signals under the symmetries of the problem."""
+    ridge: float = 0.0
+    """Weight of the squared linear terms against the loss of a network method."""
+    delay: bool = False
+    """Whether known kinematics read the other states at a learned delay."""
+
+    @property
+    def nc(self) -> int:
+        """Number of places where learned terms enter."""
+        return len(self.corrections) or self.nd
 
     @property
     def nd(self) -> int:
@@ -86,7 +107,10 @@ class MeasuredCell:
 
     @property
     def net_inputs(self) -> int:
-        """Signals the network reads: those of `read`, the inputs and the equations' rates."""
+        """Signals the network reads: those `watched`, or those of `read`, the inputs and the
+        equations' rates."""
+        if self.corrections:
+            return len(self.watched)
         return len(self.read) + len(self.equations.inputs) + self.nd
 
     def physical(self, z: AnyArray) -> AnyArray:
@@ -109,7 +133,9 @@ class MeasuredCell:
             m = window[:, last : last + nu] * fixed["u_std"] + fixed["u_mean"]
         h: Any = ()
         if self.inner is not None:
-            h = [(zeros(self.inner.hidden),) * 2 for _ in range(self.inner.layers)]
+            rows = len(x) * (len(fixed["turns"]) if self.symmetric else 1)
+            blank = xp.zeros((rows, self.inner.hidden), x.dtype)
+            h = [(blank, blank) for _ in range(self.inner.layers)]
         return MeasuredState(x, m, zeros(self.nd), h, xp.ones((len(x), 1), bool))
 
     def step(
@@ -124,22 +150,34 @@ class MeasuredCell:
             m = before + (1.0 - xp.exp(-dt / xp.exp(params["log_lag"]))) * (u - before)
         p = self.physical(params["physical"])
         evaluate, inputs = self.equations.rates(xp, u.dtype), m.T
+        effects, h = None, state.h
+        if self.corrections:
+            effects, h = self._corrected(params, p, state, u)
 
         def rates(x: AnyArray) -> AnyArray:
-            return evaluate(p, x.T, inputs).T
+            free = p if effects is None else [*p, *effects.T]
+            return evaluate(free, x.T, inputs).T
 
         known = rates(state.x)
-        learned, d, h = self._learned(params, p, state, m, known)
+        if effects is None:
+            learned, d, h = self._learned(params, p, state, m, known)
+        else:
+            learned, d = self._opposed(params, state, known, xp.zeros_like(known[:, : self.nd]))
         extra = self._in_order(xp.zeros_like(known[:, self.nd :]), learned)
         gain: AnyArray = 1.0
         if self.kinematic:
             gain = self._in_order(1.0 + params["gain"], xp.ones_like(learned[0]))
         middle = state.x + 0.5 * dt * (gain * known + extra)
-        x = state.x + dt * (gain * rates(middle) + extra)
+        moved = rates(middle)
+        if self.delay:
+            ahead = _DELAY_SAMPLES * dt * params["delay"] * known[:, np.array(self.dynamic, int)]
+            others = rates(middle + self._in_order(xp.zeros_like(known[:, self.nd :]), ahead))
+            moved = xp.where(np.isin(np.arange(len(self.order)), self.dynamic), moved, others)
+        x = state.x + dt * (gain * moved + extra)
         x = xp.where(xp.isfinite(x), x, state.x)
         x = xp.minimum(xp.maximum(x, fixed["x_low"]), fixed["x_high"])
         y = (x[:, np.argsort(self.order)] - fixed["y_mean"]) / fixed["y_std"]
-        return MeasuredState(x, m, d, h, xp.zeros_like(state.first)), y
+        return MeasuredState(x, m, d, h, xp.zeros_like(state.first), state.turn), y
 
     def _in_order(self, others: AnyArray, dynamic: AnyArray) -> AnyArray:
         """Values (..., nx) in the order of the states, from those of the other equations (in their
@@ -163,8 +201,14 @@ class MeasuredCell:
 
     def signals(self, params: Any, p: AnyArray, x: AnyArray, m: AnyArray) -> AnyArray:
         """Normalised signals (B, len(read))."""
-        values = self.equations.named(self.read, p, x.T, m.T).T
+        values = self.equations.named(self.read, self._given(p), x.T, m.T).T
         return (values - params["fixed"]["s_mean"]) / params["fixed"]["s_std"]
+
+    def _given(self, p: AnyArray) -> AnyArray:
+        """What the equations as given depend on: the parameters, and corrections of 0."""
+        if not self.corrections:
+            return p
+        return namespace(p).concatenate([p, np.zeros(self.nc, p.dtype)])
 
     def _learned(
         self, params: Any, p: AnyArray, state: MeasuredState, m: AnyArray, known: AnyArray
@@ -176,25 +220,81 @@ class MeasuredCell:
         extra = xp.zeros_like(total)
         if self.linear:
             extra = extra + params["offset"] + signals @ params["linear"]
-        d, h = state.d, state.h
+        h = state.h
         if self.network is not None:
             inputs = (m - fixed["u_mean"]) / fixed["u_std"]
-            v = xp.concatenate([signals, inputs, total + extra], axis=-1)
-            v = _REACH * xp.tanh(v / _REACH)
-            if self.network == "mlp":
-                net = params["net"]
-                v = xp.tanh(xp.tanh(v @ net["w1"] + net["b1"]) @ net["w2"] + net["b2"])
-            else:
-                assert self.inner is not None
-                h, v = recurrent.RecurrentCell(self.inner).step(params["net"], h, v)
-            extra = extra + self.size * (v @ params["out_w"] + params["out_b"])
+            h, v = self._network(params, h, xp.concatenate([signals, inputs, total + extra], axis=-1))
+            extra = extra + v
+        rates, d = self._opposed(params, state, known, extra)
+        return rates, d, h
+
+    def _opposed(
+        self, params: Any, state: MeasuredState, known: AnyArray, extra: AnyArray
+    ) -> tuple[AnyArray, AnyArray]:
+        """Learned rates (B, nd) from those in units of the rates measured, and the next
+        disturbance."""
+        fixed, xp, d = params["fixed"], namespace(known), state.d
         if self.disturbance:
+            total = known[:, np.array(self.dynamic, int)] / fixed["rate"]
             bound = xp.exp(params["d_bound"])
             d = xp.where(state.first, -params["d_start"] * (total + extra), d)
             extra = extra + bound * xp.tanh(d / bound)
             pull = params["d_gain"] * (total + extra) + params["d_decay"] * d
             d = d - self.sampling_time * pull
-        return extra * fixed["rate"], d, h
+        return extra * fixed["rate"], d
+
+    def _network(self, params: Any, h: Any, v: AnyArray) -> tuple[Any, AnyArray]:
+        """Next state of the network, and what it adds."""
+        xp = namespace(v)
+        v = self.reach * xp.tanh(v / self.reach)
+        if self.network == "mlp":
+            net = params["net"]
+            v = xp.tanh(xp.tanh(v @ net["w1"] + net["b1"]) @ net["w2"] + net["b2"])
+        else:
+            assert self.inner is not None
+            h, v = recurrent.RecurrentCell(self.inner).step(params["net"], h, v)
+        return h, self.size * (v @ params["out_w"] + params["out_b"])
+
+    def _corrected(
+        self, params: Any, p: AnyArray, state: MeasuredState, u: AnyArray
+    ) -> tuple[AnyArray, Any]:
+        """Values of the corrections (B, nc), and the next state of the network."""
+        fixed, xp = params["fixed"], namespace(u)
+        extra = xp.zeros((len(u), self.nc), u.dtype)
+        if self.linear:
+            extra = extra + params["offset"] + self.signals(params, p, state.x, u) @ params["linear"]
+        h = state.h
+        if self.network is not None:
+            values = self.equations.named(self.watched, self._given(p), state.x.T, u.T).T
+            v = (values - fixed["w_mean"]) / fixed["w_std"]
+            if not self.symmetric:
+                h, v = self._network(params, h, v)
+            elif len(state.turn):
+                turned = (fixed["turns"][state.turn] * v[:, None]).sum(axis=-1)
+                h, v = self._network(params, h, turned)
+                v = (fixed["turns_back"][state.turn] * v[:, None]).sum(axis=-1)
+            else:
+                turned = v @ fixed["turns"].swapaxes(1, 2)
+                h, v = self._network(params, h, turned.reshape(-1, turned.shape[-1]))
+                v = (v.reshape(*turned.shape[:2], -1) @ fixed["turns_back"].swapaxes(1, 2)).mean(axis=0)
+            extra = extra + v
+        return extra * fixed["scale"], h
+
+    def drawn(self, params: Any, state: MeasuredState, key: AnyArray) -> MeasuredState:
+        """The state with one symmetry drawn for each row."""
+        if not self.symmetric:
+            return state
+        import jax
+
+        turns, rows = len(params["fixed"]["turns"]), len(state.x)
+        h = jax.tree.map(lambda v: v[:rows], state.h)
+        return state._replace(h=h, turn=jax.random.randint(key, (rows,), 0, turns))
+
+    def penalty(self, params: Any) -> AnyArray:
+        """Ridge of the linear terms."""
+        if not (self.ridge and self.linear):
+            return 0.0
+        return self.ridge * ((params["linear"] ** 2).sum() + (params["offset"] ** 2).sum())
 
 
 def limits(mean: Any, std: Any) -> tuple[Any, Any]:
@@ -202,12 +302,14 @@ def limits(mean: Any, std: Any) -> tuple[Any, Any]:
     return mean - _FAR * std, mean + _FAR * std
 
 
-def signal_sizes(cell: MeasuredCell, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
-    """Mean and standard deviation, (n,) each, of the signals that the equations read."""
+def signal_sizes(
+    cell: MeasuredCell, names: tuple[str, ...], trajectories: Sequence[Trajectory]
+) -> tuple[Array, Array]:
+    """Mean and standard deviation, (n,) each, of signals of the equations."""
     every = max(1, sum(len(t) for t in trajectories) // 2000)
     y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.order)]
     u = np.concatenate([t.u[::every] for t in trajectories])
-    p = cell.physical(np.zeros(len(cell.ranges)))
-    values = cell.equations.named(cell.read, p, y.T, u.T).T
+    p = np.append(cell.physical(np.zeros(len(cell.ranges))), np.zeros(len(cell.corrections)))
+    values = cell.equations.named(names, p, y.T, u.T).T
     std = values.std(axis=0)
     return values.mean(axis=0), np.where(std > 0, std, 1.0)

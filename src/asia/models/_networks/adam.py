@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.models._arrays import AnyArray
-from asia.models._data.chunks import Places, Simulations, laid, places, random_chunks, tracks, whole
+from asia.models._data.chunks import Places, Simulations, gently, laid, places, random_chunks, tracks, whole
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import NoiseWeighting, check_structure, forward, objective
 from asia.models._networks.program import AdamNumbers, AdamProgram, all_finite, either, started
-from asia.models._networks.structure import Cell, NetworkStructure, Params
+from asia.models._networks.structure import Cell, NetworkStructure, Params, Penalised
 from asia.models._solvers.packing import Packing, packed
 from asia.models.methods import Adam
 
@@ -54,6 +54,8 @@ def run(
     check_structure(cell, params, method)
     length = method.truncation or horizon
     data = _seen(batch, method, length)
+    if isinstance(data, Places) and method.gentle > 0:
+        data = gently(data, length or 1, method.gentle)
     program, numbers = AdamProgram.of(method, length), AdamNumbers.of(method)
     trained, fixed = split(params)
     packing, theta = Packing.of(trained), packed(trained, np.float32)
@@ -127,14 +129,16 @@ def _advance(
             part, fresh = _next_chunk(data, length, step)
             y, last = go(part, state=either(fresh, cell.initial(params, part.window), carried))
             error = objective(program.loss, y - part.y, part.weight, 0, program.horizons, whiten)
+            error = error + _penalty(cell, params)
             return error, jax.lax.stop_gradient(last)
         part = data
         if isinstance(part, Places):
             part = random_chunks(part, length, program.batch, drawn)
         residual = go(part)[0] - part.y
-        return objective(
+        error = objective(
             program.loss, residual, part.weight, numbers.washout, program.horizons, whiten
-        ), carried
+        )
+        return error + _penalty(cell, params), carried
 
     def update(step: jax.Array, state: AdamState) -> AdamState:
         gradient_of = jax.value_and_grad(loss_of, has_aux=True)
@@ -151,6 +155,10 @@ def _advance(
 
     blank = jnp.zeros((), jnp.float32)
     return jax.lax.fori_loop(*span, update, state._replace(loss=blank, taken=blank))
+
+
+def _penalty(cell: NetworkStructure, params: Params) -> jax.Array | float:
+    return cell.penalty(params) if isinstance(cell, Penalised) else 0.0
 
 
 def _next_chunk(data: Simulations, length: int, step: jax.Array) -> tuple[Simulations, jax.Array]:

@@ -12,6 +12,7 @@ from asia.errors import UserError
 from asia.models._data.chunks import Simulations
 from asia.models._networks.program import AdamNumbers, AdamProgram, Number
 from asia.models._networks.structure import (
+    Augmented,
     Cell,
     FeatureMap,
     NetworkStructure,
@@ -27,6 +28,9 @@ from asia.models._noise.whitening import (
     innovations,
 )
 from asia.models.methods import Adam, Loss
+
+# Their random numbers come from keys of their own, so that other fits keep theirs.
+_SHIFT, _DRAWN = 3, 4
 
 
 class Fed(NamedTuple):
@@ -133,6 +137,9 @@ def forward(
     u = data.u
     if program.noisy:
         u = u + numbers.noise * jax.random.normal(noisy, u.shape, u.dtype)
+    if program.shifted:
+        shift = jax.random.normal(jax.random.fold_in(key, _SHIFT), (len(u), 1, u.shape[2]), u.dtype)
+        u = u + numbers.offset * shift
     if program.dropped and _drops_weights(cell):
         weights = params["out_w"]
         params = {**params, "out_w": weights * _kept(numbers, (len(weights), 1), dropped)}
@@ -143,6 +150,9 @@ def forward(
         teacher = numbers.teacher_at(step)
         mask = jax.random.bernoulli(fed_by, teacher, data.weight.shape) & (data.weight > 0)
         fed = Fed(data.y, mask.astype(u.dtype))
+    if state is None and isinstance(cell, Augmented):
+        state = cell.initial(params, data.window)
+        state = cell.drawn(params, state, jax.random.fold_in(key, _DRAWN))
     features, state = _features(cell, params, data.window, u, fed, state)
     if program.dropped and not _drops_weights(cell):
         shape = (features.shape[0], 1, features.shape[2])

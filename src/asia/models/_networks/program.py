@@ -39,6 +39,8 @@ class AdamProgram:
     """Whether features are dropped."""
     fed: bool
     """Whether measured outputs are fed back."""
+    shifted: bool = False
+    """Whether a constant is added to the inputs."""
 
     @classmethod
     def of(cls, method: Adam, length: int | None) -> AdamProgram:
@@ -53,6 +55,7 @@ class AdamProgram:
             noisy=method.noise > 0,
             dropped=method.dropout > 0,
             fed=max(method.teacher, method.teacher_end) > 0,
+            shifted=method.offset > 0,
         )
 
     def optimiser(
@@ -85,6 +88,7 @@ class AdamNumbers(NamedTuple):
     teacher_end: Number
     average: Number
     washout: Number
+    offset: Number
 
     @classmethod
     def of(cls, method: Adam) -> AdamNumbers:

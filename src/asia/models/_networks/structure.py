@@ -93,6 +93,24 @@ class OutputFeedback(Protocol):
 
 
 @runtime_checkable
+class Augmented(Cell, Protocol):
+    """A cell that training shows each simulation in one of several equivalent ways."""
+
+    def drawn(self, params: Any, state: Any, key: AnyArray) -> Any:
+        """The state before the first sample, with a way drawn for each row."""
+        ...
+
+
+@runtime_checkable
+class Penalised(Protocol):
+    """A structure some of whose parameters have a penalty beside the loss."""
+
+    def penalty(self, params: Any) -> AnyArray:
+        """Added to the loss of a step."""
+        ...
+
+
+@runtime_checkable
 class Restartable(Protocol):
     """A structure that can draw its untrained parameters again."""
 
