@@ -29,22 +29,22 @@ from asia.models._data.records import check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
-from asia.models._equations.measured_cell import MeasuredCell, NetworkKind, limits, signal_sizes
+from asia.models._equations.measured_cell import MeasuredCell, NetworkKind
+from asia.models._equations.measured_sizes import measured_sizes, most_probable
 from asia.models._equations.ode import Equations, equations
 from asia.models._networks.layers import dense, zeros
 from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.structure import Params
 from asia.models._noise.choice import refuse_noise
 from asia.models.methods import LevenbergMarquardt, NetworkMethod
-from asia.problem import Bounds
-from asia.problem.physics.expressions import Name
-from asia.problem.symmetry import group
+from asia.problem.physics.expressions import Name, parse_expression
 
 __all__ = ["Config", "build", "train"]
 
 _LONGEST = 100
-_LAG_SAMPLES = 2.0
-_RATE_SAMPLES = 5
+# Time constant of the lag at the start; the second where the equations have corrections, beside
+# whose effects a lag is small.
+_LAG_SAMPLES, _LAG_SAMPLES_CORRECTED = 2.0, 0.6
 # Validation scores kept for the network.
 _RESERVED = 100
 
@@ -88,6 +88,12 @@ class Config:
     each window in training, the mean over all in simulation. It needs [physics.corrections]."""
     blind: tuple[str, ...] = ()
     """With [physics.corrections], signals that the network does not read."""
+    trim: tuple[str, ...] = ()
+    """States of equations with free parameters whose rates lose a learned share of their running
+    mean: what the equations find over a window, of a state that returns to its place, is mostly
+    their own error."""
+    prior: float = 0.01
+    """Weight of the squared deviations from [physics.priors] against the loss."""
     reach: float = 3.0
     """Inputs of the network are bounded to this many standard deviations."""
 
@@ -151,7 +157,10 @@ def train(
     if isinstance(method, LevenbergMarquardt):
         refuse_noise(method, "physics_net without a network method")
     scaling = Scaling.of(trajectories)
-    start: Params = {**model.network.params, "fixed": _fixed(cell, trajectories, scaling, context)}
+    start: Params = {
+        **model.network.params,
+        "fixed": measured_sizes(cell, trajectories, scaling, context),
+    }
     network = replace(model.network, params=start, scaling=scaling)
     judge = None
     if method.stop == "validation" and context.validation_score is not None:
@@ -238,21 +247,28 @@ def _cell(
             f"{', '.join(missing) or 'any'}; use greybox"
         )
     places = tuple(context.physics.corrections) if context.physics else ()
+    priors = context.physics.priors if context.physics else {}
     given = system
     system = replace(
         system,
         parameters=(*system.parameters, *places),
         constants=tuple((k, v) for k, v in system.constants if k not in places),
+        definitions=(
+            *system.definitions,
+            *((f"[physics.priors] {text}", parse_expression(text, "")) for text in priors),
+        ),
     )
     closures = [system.closure(e) for e in system.dynamics]
     free = set(given.parameters)
     dynamic = tuple(i for i, names in enumerate(closures) if names & free)
     used = frozenset[str]().union(*closures)
-    definitions = [n for n, e in system.definitions if not system.closure(e) & {*free, *places}]
+    definitions = [n for n, e in given.definitions if not system.closure(e) & {*free, *places}]
     read = tuple(s for s in system.states if s in used) + tuple(definitions)
     if places:
         named = {n for generator in context.symmetry.values() for n in generator}
         read = tuple(n for n in (*system.states, *system.inputs) if n in named) + tuple(definitions)
+    watched = tuple(n for n in read if n not in config.blind) if places else ()
+    _check_names(config, context, tuple(system.states[i] for i in dynamic), read)
     inner = None
     if config.network is not None and config.network != "mlp":
         inner = recurrent.Config(cell=config.network, hidden=config.hidden, layers=config.layers)
@@ -273,11 +289,46 @@ def _cell(
         size=config.size,
         reach=config.reach,
         corrections=places,
-        watched=tuple(n for n in read if n not in config.blind) if places else (),
+        watched=watched,
+        driving=tuple(n for n in watched if _by_inputs(system, n)),
         symmetric=config.symmetry,
         ridge=config.ridge if places else 0.0,
         delay=config.delay,
+        trim=tuple(system.states.index(name) for name in config.trim),
+        priors=tuple((f"[physics.priors] {t}", p.mean, p.deviation) for t, p in priors.items()),
+        prior_weight=config.prior,
     )
+
+
+def _by_inputs(system: Equations, name: str) -> bool:
+    """Whether a signal depends on inputs and on no state."""
+    found = {name}
+    for own, expression in system.definitions:
+        if own == name:
+            found = system.closure(expression)
+    return bool(set(found) & set(system.inputs)) and not set(found) & set(system.states)
+
+
+def _check_names(
+    config: Config, context: Context, driven: tuple[str, ...], read: tuple[str, ...]
+) -> None:
+    """Raises UserError for an option that the problem has nothing for."""
+    if not set(config.trim) <= set(driven):
+        raise UserError(
+            f"physics_net.Config: trim is {config.trim!r}, expected states whose equations have "
+            f"free parameters: {', '.join(driven)}"
+        )
+    places = bool(context.physics and context.physics.corrections)
+    if config.blind and not (places and set(config.blind) <= set(read)):
+        raise UserError(
+            f"physics_net.Config: blind is {config.blind!r}, expected signals that the network "
+            f"reads at [physics.corrections]: {', '.join(read) if places else 'there are none'}"
+        )
+    if config.symmetry and not (places and context.symmetry and config.network):
+        raise UserError(
+            "physics_net.Config: symmetry is for a network at [physics.corrections] of a problem "
+            "with [symmetry]; leave symmetry out"
+        )
 
 
 def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[str, Any]:
@@ -285,13 +336,19 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
     rng = np.random.default_rng(context.seed)
     nd, nr, nc = cell.nd, len(cell.read), cell.nc
     params: dict[str, Any] = {
-        "physical": zeros(len(cell.ranges)),
+        "physical": most_probable(cell),
         "gain": zeros(len(cell.kinematic)),
     }
     if config.lag:
-        params["log_lag"] = np.float32(np.log(_LAG_SAMPLES * context.sampling_time))
+        samples = _LAG_SAMPLES_CORRECTED if cell.corrections else _LAG_SAMPLES
+        params["log_lag"] = np.float32(np.log(samples * context.sampling_time))
     if config.linear:
         params |= {"linear": zeros(nr, nc), "offset": zeros(nc)}
+    if config.trim:
+        params |= {
+            "trim_share": np.full(len(cell.trim), -1.0, np.float32),
+            "trim_samples": np.full(len(cell.trim), 2.5, np.float32),
+        }
     if config.delay:
         params["delay"] = zeros(nd)
     if config.disturbance:
@@ -310,6 +367,8 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
         }
     elif cell.inner is not None:
         like = replace(context, inputs=context.inputs[:1] * cell.net_inputs, n_past_u=0, n_past_y=1)
+        if cell.corrections:
+            params["start_w"] = dense(rng, cell.net_inputs, config.hidden)
         params["net"] = {"layers": recurrent.RecurrentCell(cell.inner).parameters(like)["layers"]}
     if config.network is not None:
         params |= {"out_w": zeros(config.hidden, nc), "out_b": zeros(nc)}
@@ -318,55 +377,3 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
 
 def _window_seconds(context: Context) -> float:
     return (context.horizon or _LONGEST) * context.sampling_time
-
-
-def _fixed(
-    cell: MeasuredCell, trajectories: Sequence[Trajectory], scaling: Scaling, context: Context
-) -> dict[str, Any]:
-    """Sizes of all signals."""
-    order = list(cell.order)
-    low, high = limits(scaling.y_mean[order], scaling.y_std[order])
-    assert context.physics is not None
-    bounds = [context.physics.bounds.get(name, Bounds()) for name in cell.equations.states]
-    low = np.maximum(low, [-np.inf if b.min is None else b.min for b in bounds])
-    high = np.minimum(high, [np.inf if b.max is None else b.max for b in bounds])
-    span = _RATE_SAMPLES
-    moved = np.concatenate([t.y[span:] - t.y[:-span] for t in trajectories])
-    rate = moved[:, order].std(axis=0) / (span * context.sampling_time)
-    rate = np.where(rate > 0, rate, 1.0)[list(cell.dynamic)]
-    mean, std = signal_sizes(cell, cell.read, trajectories)
-    values = {
-        "y_mean": scaling.y_mean,
-        "y_std": scaling.y_std,
-        "u_mean": scaling.u_mean,
-        "u_std": scaling.u_std,
-        "x_low": low,
-        "x_high": high,
-        "rate": rate,
-        "s_mean": mean,
-        "s_std": std,
-    }
-    if cell.corrections:
-        values |= _at_corrections(cell, trajectories, context)
-    return {k: np.asarray(v, np.float32) for k, v in values.items()}
-
-
-def _at_corrections(
-    cell: MeasuredCell, trajectories: Sequence[Trajectory], context: Context
-) -> dict[str, Array]:
-    """Sizes of what the network reads and of the corrections, the same for signals that a symmetry
-    exchanges, and the symmetries as matrices."""
-    assert context.physics is not None
-    names = (*cell.watched, *cell.corrections)
-    turns = group(context.symmetry if cell.symmetric else {}, names)
-    n = len(cell.watched)
-    own, places = turns[:, :n, :n], turns[:, n:, n:]
-    mean, std = signal_sizes(cell, cell.watched, trajectories)
-    scale = np.array([c.scale for c in context.physics.corrections.values()])
-    return {
-        "w_mean": (own @ mean).mean(axis=0),
-        "w_std": np.sqrt((np.abs(own) @ std**2).mean(axis=0)),
-        "scale": (np.abs(places) @ scale).mean(axis=0),
-        "turns": own,
-        "turns_back": places.swapaxes(1, 2),
-    }

@@ -10,23 +10,23 @@ the mean acceleration; net is a network. Everything learned is without effect at
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from asia.data import Array, Trajectory
 from asia.models import recurrent
-from asia.models._arrays import AnyArray, namespace
+from asia.models._arrays import AnyArray, namespace, sigmoid
 from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations
 from asia.models._equations.simulate import physical_parameters
 
 NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 
-# A simulation beyond so many deviations of a state has run away.
-_FAR = 30.0
+# The network reads running means as if so many samples of 0 stood before the first, and changes and
+# means in these units of a deviation.
+_MEAN_SAMPLES = 10.0
+_CHANGE, _MEAN = 2.5, 2.0
 # Delays are learned in units of so many samples.
 _DELAY_SAMPLES = 5.0
 
@@ -47,6 +47,11 @@ class MeasuredState(NamedTuple):
     turn: Any = ()
     """Number of the symmetry under which the network sees each row (B,); () is all of them,
     averaged."""
+    mean: Any = ()
+    """Sum of the trimmed rates (B, n), and the number of its samples (B, 1)."""
+    seen: Any = ()
+    """Of the signals that the inputs alone make: the last (B, n), the sum and the number of its
+    samples."""
 
 
 @dataclass(frozen=True)
@@ -88,12 +93,20 @@ class MeasuredCell:
     """Places in the equations where the learned terms enter; none: on the rates."""
     watched: tuple[str, ...] = ()
     """With corrections, the signals that the network reads."""
+    driving: tuple[str, ...] = ()
+    """Those of them that the inputs alone make, whose change and running mean it reads too."""
     symmetric: bool = False
     """Whether the network sees its signals under the symmetries of the problem."""
     ridge: float = 0.0
     """Weight of the squared linear terms against the loss of a network method."""
     delay: bool = False
     """Whether known kinematics read the other states at a learned delay."""
+    trim: tuple[int, ...] = ()
+    """States whose rates lose a share of their running mean."""
+    priors: tuple[tuple[str, float, float], ...] = ()
+    """What is known of the parameters: definition of the equations, mean and deviation."""
+    prior_weight: float = 0.0
+    """Weight of the squared deviations against the loss."""
 
     @property
     def nc(self) -> int:
@@ -106,11 +119,21 @@ class MeasuredCell:
         return len(self.dynamic)
 
     @property
+    def _others(self) -> tuple[int, ...]:
+        """Equations without free parameters."""
+        return tuple(i for i in range(len(self.order)) if i not in self.dynamic)
+
+    @property
+    def semi_implicit(self) -> bool:
+        """Whether the driven states move first and the known kinematics read them halfway."""
+        return bool(self.corrections or self.delay) and len(self.dynamic) < len(self.order)
+
+    @property
     def net_inputs(self) -> int:
         """Signals the network reads: those `watched`, or those of `read`, the inputs and the
         equations' rates."""
         if self.corrections:
-            return len(self.watched)
+            return len(self.watched) + 2 * len(self.driving)
         return len(self.read) + len(self.equations.inputs) + self.nd
 
     def physical(self, z: AnyArray) -> AnyArray:
@@ -136,7 +159,11 @@ class MeasuredCell:
             rows = len(x) * (len(fixed["turns"]) if self.symmetric else 1)
             blank = xp.zeros((rows, self.inner.hidden), x.dtype)
             h = [(blank, blank) for _ in range(self.inner.layers)]
-        return MeasuredState(x, m, zeros(self.nd), h, xp.ones((len(x), 1), bool))
+        mean = (zeros(len(self.trim)), zeros(1)) if self.trim else ()
+        first, seen = xp.ones((len(x), 1), bool), ()
+        if self.driving and self.network is not None:
+            seen = (zeros(len(self.driving)), zeros(len(self.driving)), zeros(1))
+        return MeasuredState(x, m, zeros(self.nd), h, first, mean=mean, seen=seen)
 
     def step(
         self, params: Any, state: MeasuredState, u: AnyArray
@@ -150,9 +177,9 @@ class MeasuredCell:
             m = before + (1.0 - xp.exp(-dt / xp.exp(params["log_lag"]))) * (u - before)
         p = self.physical(params["physical"])
         evaluate, inputs = self.equations.rates(xp, u.dtype), m.T
-        effects, h = None, state.h
+        effects, h, seen = None, state.h, state.seen
         if self.corrections:
-            effects, h = self._corrected(params, p, state, u)
+            effects, h, seen = self._corrected(params, p, state, u)
 
         def rates(x: AnyArray) -> AnyArray:
             free = p if effects is None else [*p, *effects.T]
@@ -163,27 +190,33 @@ class MeasuredCell:
             learned, d, h = self._learned(params, p, state, m, known)
         else:
             learned, d = self._opposed(params, state, known, xp.zeros_like(known[:, : self.nd]))
-        extra = self._in_order(xp.zeros_like(known[:, self.nd :]), learned)
+        learned, mean = self._trimmed(params, state, known, learned)
         gain: AnyArray = 1.0
         if self.kinematic:
             gain = self._in_order(1.0 + params["gain"], xp.ones_like(learned[0]))
-        middle = state.x + 0.5 * dt * (gain * known + extra)
-        moved = rates(middle)
-        if self.delay:
-            ahead = _DELAY_SAMPLES * dt * params["delay"] * known[:, np.array(self.dynamic, int)]
-            others = rates(middle + self._in_order(xp.zeros_like(known[:, self.nd :]), ahead))
-            moved = xp.where(np.isin(np.arange(len(self.order)), self.dynamic), moved, others)
-        x = state.x + dt * (gain * moved + extra)
+        blank = xp.zeros_like(known[:, self.nd :])
+        if self.semi_implicit:
+            known = known[:, np.array(self.dynamic, int)]
+            moved = known + learned
+            ahead = 0.5 * dt * moved
+            if self.delay:
+                ahead = ahead + _DELAY_SAMPLES * dt * params["delay"] * known
+            others = rates(state.x + self._in_order(blank, ahead))
+            others = others[:, np.array(self._others, int)]
+            x = state.x + dt * gain * self._in_order(others, moved)
+        else:
+            extra = self._in_order(blank, learned)
+            middle = state.x + 0.5 * dt * (gain * known + extra)
+            x = state.x + dt * (gain * rates(middle) + extra)
         x = xp.where(xp.isfinite(x), x, state.x)
         x = xp.minimum(xp.maximum(x, fixed["x_low"]), fixed["x_high"])
         y = (x[:, np.argsort(self.order)] - fixed["y_mean"]) / fixed["y_std"]
-        return MeasuredState(x, m, d, h, xp.zeros_like(state.first), state.turn), y
+        return MeasuredState(x, m, d, h, xp.zeros_like(state.first), state.turn, mean, seen), y
 
     def _in_order(self, others: AnyArray, dynamic: AnyArray) -> AnyArray:
         """Values (..., nx) in the order of the states, from those of the other equations (in their
         order) and of the dynamic ones."""
-        nx = len(self.order)
-        places = [*(i for i in range(nx) if i not in self.dynamic), *self.dynamic]
+        places = [*self._others, *self.dynamic]
         together = namespace(others, dynamic).concatenate([others, dynamic], axis=-1)
         return together[..., np.argsort(places)]
 
@@ -223,7 +256,9 @@ class MeasuredCell:
         h = state.h
         if self.network is not None:
             inputs = (m - fixed["u_mean"]) / fixed["u_std"]
-            h, v = self._network(params, h, xp.concatenate([signals, inputs, total + extra], axis=-1))
+            h, v = self._network(
+                params, h, xp.concatenate([signals, inputs, total + extra], axis=-1)
+            )
             extra = extra + v
         rates, d = self._opposed(params, state, known, extra)
         return rates, d, h
@@ -243,10 +278,23 @@ class MeasuredCell:
             d = d - self.sampling_time * pull
         return extra * fixed["rate"], d
 
+    def _trimmed(
+        self, params: Any, state: MeasuredState, known: AnyArray, learned: AnyArray
+    ) -> tuple[AnyArray, Any]:
+        """Learned rates (B, nd) with the trim, and the next sum and count."""
+        if not self.trim:
+            return learned, ()
+        xp = namespace(known)
+        total, count = state.mean[0] + known[:, np.array(self.trim)], state.mean[1] + 1.0
+        share = sigmoid(params["trim_share"]) * total / (count + xp.exp(params["trim_samples"]))
+        # As a product with a constant: JAX and NumPy set columns in different ways.
+        place = np.equal.outer(self.trim, self.dynamic).astype(learned.dtype)
+        return learned - share @ place, (total, count)
+
     def _network(self, params: Any, h: Any, v: AnyArray) -> tuple[Any, AnyArray]:
         """Next state of the network, and what it adds."""
         xp = namespace(v)
-        v = self.reach * xp.tanh(v / self.reach)
+        v = self._bounded(v)
         if self.network == "mlp":
             net = params["net"]
             v = xp.tanh(xp.tanh(v @ net["w1"] + net["b1"]) @ net["w2"] + net["b2"])
@@ -257,28 +305,59 @@ class MeasuredCell:
 
     def _corrected(
         self, params: Any, p: AnyArray, state: MeasuredState, u: AnyArray
-    ) -> tuple[AnyArray, Any]:
-        """Values of the corrections (B, nc), and the next state of the network."""
+    ) -> tuple[AnyArray, Any, Any]:
+        """Values of the corrections (B, nc), the next state of the network, and what it has
+        seen."""
         fixed, xp = params["fixed"], namespace(u)
         extra = xp.zeros((len(u), self.nc), u.dtype)
         if self.linear:
-            extra = extra + params["offset"] + self.signals(params, p, state.x, u) @ params["linear"]
-        h = state.h
+            extra = (
+                extra + params["offset"] + self.signals(params, p, state.x, u) @ params["linear"]
+            )
+        h, seen = state.h, state.seen
         if self.network is not None:
             values = self.equations.named(self.watched, self._given(p), state.x.T, u.T).T
             v = (values - fixed["w_mean"]) / fixed["w_std"]
+            v, seen = self._remembered(state, v)
             if not self.symmetric:
-                h, v = self._network(params, h, v)
+                h, v = self._network(params, self._begun(params, state, h, v), v)
             elif len(state.turn):
                 turned = (fixed["turns"][state.turn] * v[:, None]).sum(axis=-1)
-                h, v = self._network(params, h, turned)
+                h, v = self._network(params, self._begun(params, state, h, turned), turned)
                 v = (fixed["turns_back"][state.turn] * v[:, None]).sum(axis=-1)
             else:
-                turned = v @ fixed["turns"].swapaxes(1, 2)
-                h, v = self._network(params, h, turned.reshape(-1, turned.shape[-1]))
-                v = (v.reshape(*turned.shape[:2], -1) @ fixed["turns_back"].swapaxes(1, 2)).mean(axis=0)
+                turned = (v @ fixed["turns"].swapaxes(1, 2)).reshape(-1, v.shape[-1])
+                h, v = self._network(params, self._begun(params, state, h, turned), turned)
+                v = (v.reshape(-1, len(u), self.nc) @ fixed["turns_back"].swapaxes(1, 2)).mean(
+                    axis=0
+                )
             extra = extra + v
-        return extra * fixed["scale"], h
+        return extra * fixed["scale"], h, seen
+
+    def _remembered(self, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any]:
+        """Inputs of the network: signals v (B, n), and of those that the inputs alone make the
+        change since the last sample and the running mean; and what is kept for the next sample."""
+        if not self.driving:
+            return v, ()
+        xp = namespace(v)
+        now = v[:, np.array([self.watched.index(name) for name in self.driving])]
+        before, total, count = state.seen
+        change = _CHANGE * (now - xp.where(state.first, now, before))
+        total, count = total + now, count + 1.0
+        mean = _MEAN * total / (count + _MEAN_SAMPLES)
+        return xp.concatenate([v, change, mean], axis=-1), (now, total, count)
+
+    def _begun(self, params: Any, state: MeasuredState, h: Any, v: AnyArray) -> Any:
+        """State of a recurrent network, before the first sample made from its inputs v."""
+        if self.inner is None:
+            return h
+        xp = namespace(v)
+        start = xp.tanh(self._bounded(v) @ params["start_w"])
+        first = xp.concatenate([state.first] * (len(v) // len(state.first)))
+        return [(xp.where(first, start, a), c) for a, c in h]
+
+    def _bounded(self, v: AnyArray) -> AnyArray:
+        return self.reach * namespace(v).tanh(v / self.reach)
 
     def drawn(self, params: Any, state: MeasuredState, key: AnyArray) -> MeasuredState:
         """The state with one symmetry drawn for each row."""
@@ -291,25 +370,20 @@ class MeasuredCell:
         return state._replace(h=h, turn=jax.random.randint(key, (rows,), 0, turns))
 
     def penalty(self, params: Any) -> AnyArray:
-        """Ridge of the linear terms."""
-        if not (self.ridge and self.linear):
-            return 0.0
-        return self.ridge * ((params["linear"] ** 2).sum() + (params["offset"] ** 2).sum())
+        """Ridge of the linear terms, and what speaks against the parameters."""
+        total: AnyArray = 0.0
+        if self.ridge and self.linear:
+            total = self.ridge * ((params["linear"] ** 2).sum() + (params["offset"] ** 2).sum())
+        if self.priors and self.prior_weight:
+            total = total + self.prior_weight * (self.deviations(params["physical"]) ** 2).sum()
+        return total
 
-
-def limits(mean: Any, std: Any) -> tuple[Any, Any]:
-    """Bounds (nx,) that keep a simulation finite."""
-    return mean - _FAR * std, mean + _FAR * std
-
-
-def signal_sizes(
-    cell: MeasuredCell, names: tuple[str, ...], trajectories: Sequence[Trajectory]
-) -> tuple[Array, Array]:
-    """Mean and standard deviation, (n,) each, of signals of the equations."""
-    every = max(1, sum(len(t) for t in trajectories) // 2000)
-    y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.order)]
-    u = np.concatenate([t.u[::every] for t in trajectories])
-    p = np.append(cell.physical(np.zeros(len(cell.ranges))), np.zeros(len(cell.corrections)))
-    values = cell.equations.named(names, p, y.T, u.T).T
-    std = values.std(axis=0)
-    return values.mean(axis=0), np.where(std > 0, std, 1.0)
+    def deviations(self, z: AnyArray) -> AnyArray:
+        """How far (n,) the parameters of coordinates z are from their priors, in standard
+        deviations."""
+        names = tuple(name for name, _, _ in self.priors)
+        mean, deviation = (np.array(v, z.dtype) for v in list(zip(*self.priors, strict=True))[1:])
+        nothing = namespace(z).zeros((0,), z.dtype)
+        # Of no states and inputs: only parameters and constants stand in a prior.
+        values = self.equations.named(names, self._given(self.physical(z)), nothing, nothing)
+        return (values - mean) / deviation

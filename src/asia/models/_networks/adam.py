@@ -11,7 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.models._arrays import AnyArray
-from asia.models._data.chunks import Places, Simulations, gently, laid, places, random_chunks, tracks, whole
+from asia.models._data.chunks import (
+    Places,
+    Simulations,
+    gently,
+    laid,
+    places,
+    random_chunks,
+    tracks,
+    whole,
+)
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import NoiseWeighting, check_structure, forward, objective

@@ -1,0 +1,109 @@
+"""What a cell of measured states takes from the records and from what is known of the problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from asia.candidate import Context
+from asia.data import Array, Trajectory
+from asia.models._data.scaling import Scaling
+from asia.models._equations.measured_cell import MeasuredCell
+from asia.models._networks.layers import Float32
+from asia.problem import Bounds
+from asia.problem.symmetry import group
+
+# A simulation beyond so many deviations of a state has run away.
+_FAR = 30.0
+_RATE_SAMPLES = 5
+# Pull of the parameters to the middle of their ranges, in half ranges over deviations of a prior.
+_WEAK = 0.01
+
+
+def measured_sizes(
+    cell: MeasuredCell, trajectories: Sequence[Trajectory], scaling: Scaling, context: Context
+) -> dict[str, Any]:
+    """Sizes of all signals, which no method changes: `params["fixed"]` of the cell."""
+    order = list(cell.order)
+    low, high = _limits(scaling.y_mean[order], scaling.y_std[order])
+    assert context.physics is not None
+    bounds = [context.physics.bounds.get(name, Bounds()) for name in cell.equations.states]
+    low = np.maximum(low, [-np.inf if b.min is None else b.min for b in bounds])
+    high = np.minimum(high, [np.inf if b.max is None else b.max for b in bounds])
+    span = _RATE_SAMPLES
+    moved = np.concatenate([t.y[span:] - t.y[:-span] for t in trajectories])
+    rate = moved[:, order].std(axis=0) / (span * context.sampling_time)
+    rate = np.where(rate > 0, rate, 1.0)[list(cell.dynamic)]
+    mean, std = _signal_sizes(cell, cell.read, trajectories)
+    values = {
+        "y_mean": scaling.y_mean,
+        "y_std": scaling.y_std,
+        "u_mean": scaling.u_mean,
+        "u_std": scaling.u_std,
+        "x_low": low,
+        "x_high": high,
+        "rate": rate,
+        "s_mean": mean,
+        "s_std": std,
+    }
+    if cell.corrections:
+        values |= _at_corrections(cell, trajectories, context)
+    return {k: np.asarray(v, np.float32) for k, v in values.items()}
+
+
+def _at_corrections(
+    cell: MeasuredCell, trajectories: Sequence[Trajectory], context: Context
+) -> dict[str, Array]:
+    """Sizes of what the network reads and of the corrections, the same for signals that a symmetry
+    exchanges, and the symmetries as matrices."""
+    assert context.physics is not None
+    names = (*cell.watched, *cell.corrections)
+    turns = group(context.symmetry if cell.symmetric else {}, names)
+    n = len(cell.watched)
+    seen = [*range(n), *(cell.watched.index(name) for name in cell.driving * 2)]
+    # Of the parts of what the network reads: no symmetry takes one to another.
+    part = np.repeat([0, 1, 2], [n, len(cell.driving), len(cell.driving)])
+    own, places = turns[:, :n, :n], turns[:, n:, n:]
+    together = turns[:, seen][:, :, seen] * np.equal.outer(part, part)
+
+    def alike(turned: Array, size: Array) -> Array:
+        return np.sqrt((np.abs(turned) @ size**2).mean(axis=0))
+
+    mean, std = _signal_sizes(cell, cell.watched, trajectories)
+    scale = np.array([c.scale for c in context.physics.corrections.values()])
+    return {
+        "w_mean": (own @ mean).mean(axis=0),
+        "w_std": alike(own, std),
+        "scale": alike(places, scale),
+        "turns": together,
+        "turns_back": places.swapaxes(1, 2),
+    }
+
+
+def most_probable(cell: MeasuredCell) -> Float32:
+    """Coordinates of the parameters, in the middle of the ranges but for what priors say."""
+    z = np.zeros(len(cell.ranges))
+    if cell.priors:
+        z = least_squares(lambda z: np.append(cell.deviations(z), _WEAK * z), z).x
+    return z.astype(np.float32)
+
+
+def _limits(mean: Any, std: Any) -> tuple[Any, Any]:
+    """Bounds (nx,) that keep a simulation finite."""
+    return mean - _FAR * std, mean + _FAR * std
+
+
+def _signal_sizes(
+    cell: MeasuredCell, names: tuple[str, ...], trajectories: Sequence[Trajectory]
+) -> tuple[Array, Array]:
+    """Mean and standard deviation, (n,) each, of signals of the equations."""
+    every = max(1, sum(len(t) for t in trajectories) // 2000)
+    y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.order)]
+    u = np.concatenate([t.u[::every] for t in trajectories])
+    p = np.append(cell.physical(np.zeros(len(cell.ranges))), np.zeros(len(cell.corrections)))
+    values = cell.equations.named(names, p, y.T, u.T).T
+    std = values.std(axis=0)
+    return values.mean(axis=0), np.where(std > 0, std, 1.0)

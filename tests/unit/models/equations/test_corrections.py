@@ -1,0 +1,195 @@
+"""Learned terms at places in the equations: a puck on a table, pushed by two forces, with a
+resistance that the equations do not have."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from asia.candidate import Context
+from asia.data import Array, Signal, Trajectory
+from asia.errors import UserError
+from asia.models import physics_net
+from asia.models._data.records import window
+from asia.models._data.scaling import Scaling
+from asia.models._equations.measured_cell import MeasuredCell
+from asia.models._equations.measured_sizes import measured_sizes
+from asia.models._networks import compiled
+from asia.models._networks.structure import rollout
+from asia.models.methods import Adam, LevenbergMarquardt
+from asia.problem import Correction, ParameterRange, Physics, Prior
+
+HORIZON, TS, PUSH = 20, 0.05, 3.0
+TURN = {
+    "v": "w", "w": "-v", "right": "up", "up": "-right", "a": "b", "b": "-a",
+}  # fmt: skip
+PHYSICS = Physics(
+    states=("p", "q", "v", "w"),
+    dynamics={"p": "v", "q": "w", "v": "push*right + a", "w": "push*up + b"},
+    parameters={"push": ParameterRange(0.3, 10.0)},
+    corrections={"a": Correction(1.0), "b": Correction(1.0)},
+)
+CONTEXT = Context(
+    inputs=(Signal("right"), Signal("up")),
+    outputs=tuple(Signal(name) for name in "pqvw"),
+    sampling_time=TS,
+    n_past_u=0,
+    n_past_y=1,
+    horizon=HORIZON,
+    metric="mae",
+    physics=PHYSICS,
+    symmetry={"quarter turn": TURN},
+    seed=1,
+)
+LM = LevenbergMarquardt(iterations=8)
+GRU = physics_net.Config(lag=False, gain=False, network="gru", hidden=6, equations=4, symmetry=True)
+PLAIN = physics_net.Config(lag=False, gain=False)
+ADAM = Adam(steps=60, learning_rate=2e-2, batch=32, loss="mae")
+
+
+def record(
+    seed: int,
+    up: float = 1.0,
+    late: float = 0.0,
+    drag: float = 1.5,
+    soft: int = 1,
+    wind: float = 0.0,
+) -> Trajectory:
+    """`up`: size of that force; `late`: the delay of the measured velocities in s; `soft`: samples
+    in which a force changes; `wind`: a push to the right that a controller works against."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.standard_normal((80, 2)), 5, axis=0) * [1.0, up]
+    u = np.stack([np.convolve(f, np.full(soft, 1 / soft), "same") for f in u.T], axis=1)
+    x, rows = np.zeros(4), []
+    for force in u:
+        if wind:
+            force[0] -= x[2] + 0.3 * x[0]
+        for _ in range(10):
+            rate = PUSH * force - drag * x[2:] * np.hypot(*x[2:]) + [wind, 0.0]
+            x = x + TS / 10 * np.concatenate([x[2:], rate])
+        rows.append(x - late * np.concatenate([np.zeros(2), rate]))
+    return Trajectory(u, np.array(rows), TS, f"r{seed}")
+
+
+def fitted(
+    config: physics_net.Config, method: Any, context: Context = CONTEXT, **system: Any
+) -> physics_net.PhysicsNet:
+    records = [record(1, **system), record(2, **system)]
+    return physics_net.train(physics_net.build(config, context), records, context, method)
+
+
+def requests(test: Trajectory) -> tuple[Array, Array, Array]:
+    starts = range(1, len(test) - HORIZON, HORIZON)
+    past_y = np.stack([test.y[k - 1 : k] for k in starts])
+    u = np.stack([test.u[k : k + HORIZON] for k in starts])
+    return past_y, u, np.stack([test.y[k : k + HORIZON] for k in starts])
+
+
+def simulated(model: physics_net.PhysicsNet, past_y: Array, u: Array) -> Array:
+    return model.simulate(np.zeros((len(u), 0, 2)), past_y, u)
+
+
+def error(model: physics_net.PhysicsNet, test: Trajectory) -> float:
+    past_y, u, y = requests(test)
+    return float((np.abs(simulated(model, past_y, u) - y) / test.y.std(axis=0)).mean())
+
+
+@pytest.fixture(scope="module")
+def symmetric() -> physics_net.PhysicsNet:
+    """Trained on pushes to the right alone."""
+    return fitted(GRU, ADAM, up=0.3)
+
+
+def test_a_turned_experiment_has_the_turned_simulation(symmetric: physics_net.PhysicsNet) -> None:
+    past_y, u, _ = requests(record(9))
+    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])  # of (right, up); the velocities, positions turn too
+    both = np.kron(np.eye(2), turn)
+    turned = simulated(symmetric, past_y @ both.T, u @ turn.T)
+    assert turned == pytest.approx(simulated(symmetric, past_y, u) @ both.T, abs=2e-4)
+
+
+@pytest.mark.slow
+def test_what_was_learned_to_the_right_holds_upwards(symmetric: physics_net.PhysicsNet) -> None:
+    test = record(9)
+    plain = fitted(replace(GRU, symmetry=False), ADAM, up=0.3)
+    assert error(symmetric, test) < 0.7 * error(plain, test)
+
+
+def test_numpy_simulates_what_jax_does() -> None:
+    import jax
+
+    config = replace(GRU, trim=("v", "w"), delay=True, linear=True, disturbance=True)
+    model = physics_net.build(config, CONTEXT)
+    records = [record(1)]
+    scaling = Scaling.of(records)
+    cell = model.network.cell
+    assert isinstance(cell, MeasuredCell)
+    rng = np.random.default_rng(0)
+    params: Any = jax.tree.map(
+        lambda v: (v + 0.2 * rng.standard_normal(np.shape(v))).astype(np.float32),
+        dict(model.network.params),
+    )
+    params["fixed"] = measured_sizes(cell, records, scaling, CONTEXT)
+    past_y, u, _ = requests(record(9))
+    arrays = (
+        window(np.zeros((len(u), 0, 2)), scaling.outputs(past_y)).astype(np.float32),
+        scaling.inputs(u).astype(np.float32),
+    )
+    by_jax = compiled.compiled(rollout, cell, params, *arrays)
+    assert rollout(cell, params, *arrays) == pytest.approx(np.asarray(by_jax), abs=1e-4)
+
+
+def test_the_ridge_holds_linear_terms_in_both_methods() -> None:
+    config = replace(PLAIN, linear=True, sparsity=0.0, equations=0)
+    method = replace(ADAM, steps=150)
+    for held, free in (
+        (fitted(replace(config, ridge=r), m) for r in (10.0, 1e-4)) for m in (LM, method)
+    ):
+        sizes = [np.abs(m.network.params["linear"]).max() for m in (held, free)]
+        assert sizes[0] < 0.1 * sizes[1]
+
+
+def test_a_trim_finds_a_constant_that_no_input_shows() -> None:
+    """Over a window the controller's mean force is that against the wind."""
+    trimmed, plain = (fitted(replace(PLAIN, trim=trim), LM, wind=2.0) for trim in (("v",), ()))
+    test = record(9, wind=2.0)
+    assert error(trimmed, test) < 0.8 * error(plain, test)
+
+
+def test_a_delay_of_the_velocities_is_found() -> None:
+    model = fitted(
+        replace(PLAIN, delay=True), replace(LM, iterations=30), late=0.1, drag=0.0, soft=40
+    )
+    delay = 5.0 * TS * np.asarray(model.network.params["delay"])
+    assert delay == pytest.approx([0.1, 0.1], abs=0.02)
+
+
+def test_parameters_start_where_the_priors_say_and_are_held_there() -> None:
+    physics = replace(PHYSICS, priors={"2*push": Prior(1.0, 0.01)})
+    context = replace(CONTEXT, physics=physics)
+    config = replace(PLAIN, network="mlp", hidden=4, equations=0)
+
+    def push(prior: float, steps: int) -> float:
+        method = replace(ADAM, steps=steps, learning_rate=2e-2 if steps > 1 else 1e-9)
+        model = fitted(replace(config, prior=prior), method, context)
+        cell = model.network.cell
+        assert isinstance(cell, MeasuredCell)
+        return float(cell.physical(np.asarray(model.network.params["physical"]))[0])
+
+    assert push(0.01, 1) == pytest.approx(0.5, abs=0.02)
+    assert push(1.0, 60) < 0.6 < push(0.0, 60)
+
+
+@pytest.mark.parametrize(
+    ("config", "words"),
+    [
+        (partial(physics_net.Config, trim=("p",)), "trim"),
+        (partial(physics_net.Config, blind=("x",)), "blind"),
+        (partial(physics_net.Config, symmetry=True), "symmetry"),
+    ],
+)
+def test_options_that_the_problem_has_nothing_for(config: Any, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        physics_net.build(config(), CONTEXT)
