@@ -49,27 +49,16 @@ PLAIN = physics_net.Config(lag=False, gain=False)
 ADAM = Adam(steps=60, learning_rate=2e-2, batch=32, loss="mae")
 
 
-def record(
-    seed: int,
-    up: float = 1.0,
-    late: float = 0.0,
-    drag: float = 1.5,
-    soft: int = 1,
-    wind: float = 0.0,
-) -> Trajectory:
-    """`up`: size of that force; `late`: the delay of the measured velocities in s; `soft`: samples
-    in which a force changes; `wind`: a push to the right that a controller works against."""
+def record(seed: int, up: float = 1.0) -> Trajectory:
+    """`up`: size of that force."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.standard_normal((80, 2)), 5, axis=0) * [1.0, up]
-    u = np.stack([np.convolve(f, np.full(soft, 1 / soft), "same") for f in u.T], axis=1)
     x, rows = np.zeros(4), []
     for force in u:
-        if wind:
-            force[0] -= x[2] + 0.3 * x[0]
         for _ in range(10):
-            rate = PUSH * force - drag * x[2:] * np.hypot(*x[2:]) + [wind, 0.0]
+            rate = PUSH * force - 1.5 * x[2:] * np.hypot(*x[2:])
             x = x + TS / 10 * np.concatenate([x[2:], rate])
-        rows.append(x - late * np.concatenate([np.zeros(2), rate]))
+        rows.append(x)
     return Trajectory(u, np.array(rows), TS, f"r{seed}")
 
 
@@ -151,19 +140,35 @@ def test_the_ridge_holds_linear_terms_in_both_methods() -> None:
         assert sizes[0] < 0.1 * sizes[1]
 
 
-def test_a_trim_finds_a_constant_that_no_input_shows() -> None:
-    """Over a window the controller's mean force is that against the wind."""
-    trimmed, plain = (fitted(replace(PLAIN, trim=trim), LM, wind=2.0) for trim in (("v",), ()))
-    test = record(9, wind=2.0)
-    assert error(trimmed, test) < 0.8 * error(plain, test)
+def pushed(config: physics_net.Config, **changes: Any) -> Array:
+    """Outputs p, q, v, w from rest under a push to the right of 1 m/s^2, with some parameters."""
+    model = physics_net.build(config, CONTEXT).network
+    scaling = Scaling.of([record(1)])
+    assert isinstance(model.cell, MeasuredCell)
+    fixed = measured_sizes(model.cell, [record(1)], scaling, CONTEXT)
+    gain = float(model.cell.physical(model.params["physical"])[0])
+    changed = {k: np.asarray(v, np.float32) for k, v in changes.items()}
+    params = {**model.params, **changed, "fixed": fixed}
+    u = np.tile([1.0 / gain, 0.0], (1, 10, 1))
+    trained = replace(model, params=params, scaling=scaling)
+    return trained.simulate(np.zeros((1, 0, 2)), np.zeros((1, 1, 4)), u)[0]
 
 
-def test_a_delay_of_the_velocities_is_found() -> None:
-    model = fitted(
-        replace(PLAIN, delay=True), replace(LM, iterations=30), late=0.1, drag=0.0, soft=40
-    )
-    delay = 5.0 * TS * np.asarray(model.network.params["delay"])
-    assert delay == pytest.approx([0.1, 0.1], abs=0.02)
+def test_a_trim_takes_a_share_of_the_mean_rate() -> None:
+    """A push that never changes is all mean; `trim_samples` delays the share."""
+    config, time = replace(PLAIN, trim=("v",)), TS * np.arange(1, 11)
+    whole = pushed(config, trim_share=[50.0], trim_samples=[-50.0])
+    assert whole[:, 2] == pytest.approx(np.zeros(10), abs=1e-5)
+    assert pushed(config, trim_share=[-50.0])[:, 2] == pytest.approx(time, rel=1e-4)
+    late = pushed(config, trim_share=[50.0], trim_samples=[np.log(10.0)])
+    assert late[:, 2] == pytest.approx(TS * np.cumsum(10.0 / (10.0 + np.arange(1, 11))), rel=1e-4)
+
+
+def test_kinematics_read_velocities_ahead_by_the_delay() -> None:
+    """The position follows the velocity that will be measured after the delay, here two samples."""
+    config, time = replace(PLAIN, delay=True), TS * np.arange(1, 11)
+    position = pushed(config, delay=[0.4, 0.0])[:, 0]
+    assert position == pytest.approx(0.5 * time**2 + 2 * TS * time, rel=1e-4)
 
 
 def test_parameters_start_where_the_priors_say_and_are_held_there() -> None:

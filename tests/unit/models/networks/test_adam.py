@@ -88,6 +88,22 @@ def test_records_shorter_than_a_chunk_are_learned_from() -> None:
     assert found["w"] == pytest.approx(1.7, abs=0.02)
 
 
+def test_a_constant_offset_of_the_inputs_is_seen() -> None:
+    """Errors in the input as large as the input halve the best gain."""
+    data = records_of(case(filtered, lengths=(300,)), 1.0)
+    method = Adam(400, 0.02, weight_decay=0.0, truncation=30, batch=64, offset=1.0)
+    assert trained(data, method)["w"] == pytest.approx(0.5, abs=0.12)
+
+
+def test_gentle_chunks_are_drawn_more_often() -> None:
+    both = records_of(case(filtered, lengths=(100, 100)), 1.0)
+    wild = np.array([1.0, 10.0])[:, None, None]
+    both = replace(both, u=wild * both.u, y=np.array([1.0, 30.0])[:, None, None] * both.y)
+    method = Adam(300, 0.05, weight_decay=0.0, truncation=30)
+    assert trained(both, method)["w"] > 2.5
+    assert trained(both, replace(method, gentle=6.0))["w"] == pytest.approx(1.0, abs=0.1)
+
+
 def test_samples_without_weight_do_not_count() -> None:
     data = case(filtered, lengths=(100, 60))
     clean = records_of(data, 1.0)
@@ -334,6 +350,8 @@ def test_average_trails_behind_the_weights() -> None:
         ({"weight_decay": -1.0}, "weight_decay"),
         ({"schedule": "linear"}, "cosine, constant or plateau"),
         ({"noise": -0.1}, "noise"),
+        ({"gentle": -0.5}, "gentle"),
+        ({"offset": -0.1}, "offset"),
         ({"dropout": 1.0}, "dropout is 1.0"),
         ({"average": 1.0}, "average"),
         ({"teacher": 1.5}, "teacher is 1.5"),
