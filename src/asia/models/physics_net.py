@@ -237,36 +237,24 @@ def _single(params: Params) -> dict[str, Any]:
 
 
 def _cell(
-    config: Config, context: Context, system: Equations, ranges: tuple[Range, ...]
+    config: Config, context: Context, given: Equations, ranges: tuple[Range, ...]
 ) -> MeasuredCell:
-    shown = {e.root.name: k for k, e in enumerate(system.observation) if isinstance(e.root, Name)}
-    missing = [s for s in system.states if s not in shown]
-    if missing or context.n_past_y < 1 or len(shown) != len(system.outputs):
-        raise UserError(
-            f"physics_net: the past window must show every state as it is, and does not show "
-            f"{', '.join(missing) or 'any'}; use greybox"
-        )
-    places = tuple(context.physics.corrections) if context.physics else ()
-    priors = context.physics.priors if context.physics else {}
-    given = system
+    assert context.physics is not None
+    shown = _outputs_of_states(given, context)
+    places = tuple(context.physics.corrections)
+    priors = {f"[physics.priors] {text}": p for text, p in context.physics.priors.items()}
     system = replace(
-        system,
-        parameters=(*system.parameters, *places),
-        constants=tuple((k, v) for k, v in system.constants if k not in places),
+        given,
+        parameters=(*given.parameters, *places),
+        constants=tuple((k, v) for k, v in given.constants if k not in places),
         definitions=(
-            *system.definitions,
-            *((f"[physics.priors] {text}", parse_expression(text, "")) for text in priors),
+            *given.definitions,
+            *((n, parse_expression(n.split("] ")[1], n)) for n in priors),
         ),
     )
     closures = [system.closure(e) for e in system.dynamics]
-    free = set(given.parameters)
-    dynamic = tuple(i for i, names in enumerate(closures) if names & free)
-    used = frozenset[str]().union(*closures)
-    definitions = [n for n, e in given.definitions if not system.closure(e) & {*free, *places}]
-    read = tuple(s for s in system.states if s in used) + tuple(definitions)
-    if places:
-        named = {n for generator in context.symmetry.values() for n in generator}
-        read = tuple(n for n in (*system.states, *system.inputs) if n in named) + tuple(definitions)
+    dynamic = tuple(i for i, names in enumerate(closures) if names & set(given.parameters))
+    read = _signals(given, system, context)
     watched = tuple(n for n in read if n not in config.blind) if places else ()
     _check_names(config, context, tuple(system.states[i] for i in dynamic), read)
     inner = None
@@ -295,9 +283,37 @@ def _cell(
         ridge=config.ridge if places else 0.0,
         delay=config.delay,
         trim=tuple(system.states.index(name) for name in config.trim),
-        priors=tuple((f"[physics.priors] {t}", p.mean, p.deviation) for t, p in priors.items()),
+        priors=tuple((name, p.mean, p.deviation) for name, p in priors.items()),
         prior_weight=config.prior,
     )
+
+
+def _outputs_of_states(system: Equations, context: Context) -> dict[str, int]:
+    """Number of the output that is each state. Raises UserError where there is not one."""
+    shown = {e.root.name: k for k, e in enumerate(system.observation) if isinstance(e.root, Name)}
+    missing = [s for s in system.states if s not in shown]
+    if missing or context.n_past_y < 1 or len(shown) != len(system.outputs):
+        raise UserError(
+            f"physics_net: the past window must show every state as it is, and does not show "
+            f"{', '.join(missing) or 'any'}; use greybox"
+        )
+    return shown
+
+
+def _signals(given: Equations, system: Equations, context: Context) -> tuple[str, ...]:
+    """What learned terms may read: definitions without anything that is fitted, and the states that
+    the equations read. Terms at corrections read inputs too, and where there are symmetries only
+    states and inputs that these name."""
+    used = frozenset[str]().union(*(system.closure(e) for e in system.dynamics))
+    fitted = set(system.parameters)
+    definitions = [n for n, e in given.definitions if not system.closure(e) & fitted]
+    plain = [s for s in system.states if s in used]
+    if system.parameters != given.parameters:
+        plain += system.inputs
+        if context.symmetry:
+            named = {n for generator in context.symmetry.values() for n in generator}
+            plain = [n for n in (*system.states, *system.inputs) if n in named]
+    return (*plain, *definitions)
 
 
 def _by_inputs(system: Equations, name: str) -> bool:
