@@ -60,3 +60,10 @@ def input_left(trial: Trial) -> bool:
 def curved(trial: Trial) -> bool:
     """The residual goes with the square of the output: a static nonlinearity is missing."""
     return worst(trial, lambda d: d.curvature) > 0.25
+
+
+def folds_disagree(trial: Trial) -> float:
+    """Largest over smallest V of the folds: far above 1 the folds differ in what they teach."""
+    if not trial.folds or min(trial.folds) <= 0:
+        return 1.0
+    return max(trial.folds) / min(trial.folds)

@@ -78,6 +78,10 @@ class Recipe:
         """With settings of the model changed."""
         return replace(self, config=_merge(self.config, changes))
 
+    def without(self, *names: str) -> Recipe:
+        """With the defaults of some settings of the model."""
+        return replace(self, config=tuple(s for s in self.config if s[0] not in names))
+
     def trained(self, **changes: Value) -> Recipe:
         """With settings of the method changed."""
         return replace(self, options=_merge(self.options, changes))

@@ -18,7 +18,8 @@ from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.ridge import less_ridge, more_ridge
-from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.written_in import WRITTEN_IN, names_of, output_offsets
 
 
 def _state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
@@ -28,15 +29,9 @@ def _state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
     return (*single, states) if len(states) > 1 else single
 
 
-def _output_offsets(facts: Facts) -> tuple[str, ...]:
-    """Outputs that are not states by name, whose offsets would be confused."""
-    states = facts.physics.states if facts.physics else ()
-    return tuple(s.name for s in facts.outputs if s.name not in states)
-
-
 def _offset_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
     """None, those of the outputs, those of the states, and both."""
-    outputs = _output_offsets(facts)
+    outputs = output_offsets(facts)
     states = facts.physics.states if facts.physics else ()
     return tuple(dict.fromkeys(((), outputs, states, (*outputs, *states))))
 
@@ -60,26 +55,49 @@ def _space(facts: Facts) -> Space:
             OneOf("input_delay", (0.0, 3.0)),
             OneOf("robust", (None, 0.1)),
             OneOf("residual", (0, 4)),
+            OneOf("sensor", (None, "power", "spline")),
+            OneOf("lag", ((), *_single(facts))),
+            OneOf("smooth", ((), *_single(facts))),
+            Span("smooth_width", 0.02, 0.3, needs="smooth"),
+            *_widths(facts),
             Span("ridge", 1e-5, 1e-1),
             Span("residual_ridge", 1e-4, 1e-1, needs="residual"),
         ),
-        options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8, 16))),
+        options=(
+            OneOf("iterations", (40, 80)),
+            OneOf("starts", (4, 8, 16)),
+            OneOf("noise_model", ("white", "slow")),
+        ),
     )
 
 
-def _names(at: Situation, setting: str) -> tuple[str, ...]:
-    value = at.recipe.get(setting)
-    return tuple(str(name) for name in value) if isinstance(value, tuple) else ()
+def _single(facts: Facts) -> tuple[tuple[str, ...], ...]:
+    """Each state and input by itself."""
+    states = facts.physics.states if facts.physics else ()
+    return tuple((name,) for name in (*states, *(s.name for s in facts.inputs)))
+
+
+def _widths(facts: Facts) -> tuple[Parameter, ...]:
+    known = facts.physics is not None and facts.physics.priors
+    return (Span("prior_width", 0.3, 3.0),) if known else ()
+
+
+def _settle(_: Facts, recipe: Recipe) -> Recipe:
+    """The noise model has a robust loss of its own, and windows of measured states no noise to
+    estimate at their start."""
+    if recipe.get("noise_model") != "slow":
+        return recipe
+    return recipe.without("robust").trained(huber=3.0)
 
 
 def _next_state(at: Situation) -> tuple[str, ...]:
     """The saturated states and one more, the physics' states taken in order."""
-    names = _names(at, "saturation")
+    names = names_of(at, "saturation")
     return (*names, *[s for s in at.states if s not in names][:1])
 
 
 def _saturation_weight(at: Situation) -> float:
-    full = _names(at, "saturation")
+    full = names_of(at, "saturation")
     if _next_state(at) == full:
         return 0.0
     evidence = fails_on_top(at.trial) or plateau_share(at.facts) > 0.02
@@ -91,25 +109,25 @@ def _saturation_weight(at: Situation) -> float:
 def _overflow_weight(at: Situation) -> float:
     """A little above saturation alone while a next state exists to take the spill."""
     chain = len(at.states) > len(_next_state(at))
-    fresh = not _names(at, "saturation")
+    fresh = not names_of(at, "saturation")
     return 1.02 * _saturation_weight(at) if chain and fresh else 0.0
 
 
 def _spill_weight(at: Situation) -> float:
     several = len(at.states) > 1
-    return 0.9 if several and _names(at, "saturation") and not at.recipe.get("spill") else 0.0
+    return 0.9 if several and names_of(at, "saturation") and not at.recipe.get("spill") else 0.0
 
 
 def _outputs(at: Situation) -> tuple[str, ...]:
-    return _output_offsets(at.facts)
+    return output_offsets(at.facts)
 
 
 def _lacks(at: Situation, names: tuple[str, ...]) -> bool:
-    return bool(names) and not set(names) & set(_names(at, "offset"))
+    return bool(names) and not set(names) & set(names_of(at, "offset"))
 
 
 def _with_offset(at: Situation, names: tuple[str, ...]) -> Recipe:
-    return at.recipe.configured(offset=(*_names(at, "offset"), *names))
+    return at.recipe.configured(offset=(*names_of(at, "offset"), *names))
 
 
 def _ridge(at: Situation, factor: float) -> Recipe:
@@ -142,7 +160,7 @@ _MOVES: tuple[Move, ...] = (
         name="a full {state} spills over",
         weight=_spill_weight,
         change=lambda c: c.recipe.configured(spill=True),
-        state=lambda c: _names(c, "saturation")[0],
+        state=lambda c: names_of(c, "saturation")[0],
         hypothesis="What a full state cannot hold is not lost: part of it enters the next state.",
         expected="Lower error just after the limit is reached, on every fold.",
     ),
@@ -210,6 +228,7 @@ _MOVES: tuple[Move, ...] = (
         hypothesis="The input acts later than the equations say.",
         expected="The input no longer explains the residual.",
     ),
+    *WRITTEN_IN,
 )
 
 CARD = Card(
@@ -225,6 +244,7 @@ CARD = Card(
             space=_space,
             small=(("iterations", 3), ("starts", 1)),
             timing=Timing(start=1.3, unit=1.7e-06),
+            settle=_settle,
             extendable=True,
         ),
     ),

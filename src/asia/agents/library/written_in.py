@@ -1,0 +1,211 @@
+"""Moves on what is written into the equations of a grey-box, and on how its residual counts."""
+
+from __future__ import annotations
+
+from asia.agents._view import Facts
+from asia.agents.library.evidence import (
+    biased,
+    coloured,
+    curved,
+    fails_on_top,
+    folds_disagree,
+    input_left,
+    overfit,
+)
+from asia.agents.library.methods import LM
+from asia.agents.library.move import Move, Situation
+from asia.agents.library.recipe import Recipe
+from asia.problem.physics.expressions import parse_expression
+
+# Of the output's deviation: a training error below it is near what a disturbance may explain.
+_NEAR = 0.15
+
+
+def names_of(at: Situation, setting: str) -> tuple[str, ...]:
+    """What a setting names."""
+    value = at.recipe.get(setting)
+    return tuple(str(name) for name in value) if isinstance(value, tuple) else ()
+
+
+def output_offsets(facts: Facts) -> tuple[str, ...]:
+    """Outputs that are not states by name, whose offsets would be confused."""
+    states = facts.physics.states if facts.physics else ()
+    return tuple(s.name for s in facts.outputs if s.name not in states)
+
+
+def _noise_weight(at: Situation) -> float:
+    """Where the equations explain nearly all: before that the residual is what they lack."""
+    if at.recipe.get("noise_model") == "slow" or at.recipe.method != LM:
+        return 0.0
+    if at.facts.horizon is not None:
+        return 0.2
+    near = (at.trial.train_error or 1.0) < _NEAR
+    return (0.93 if near else 0.3) if coloured(at.trial) else 0.1
+
+
+def _with_noise(at: Situation) -> Recipe:
+    """Its fits go on from each other: fewer starts are enough, and priors need less help."""
+    starts = round(at.recipe.number("starts", 8))
+    recipe = at.recipe.without("robust").trained(
+        noise_model="slow", huber=3.0, starts=min(starts, 4)
+    )
+    return recipe.times("ridge", 0.1, 1e-3)
+
+
+def _sensor_weight(at: Situation) -> float:
+    if at.recipe.get("sensor") or at.facts.horizon is not None:
+        return 0.0
+    if biased(at.trial) or curved(at.trial) or fails_on_top(at.trial):
+        return 0.91
+    return 0.6 if coloured(at.trial) else 0.2
+
+
+def _free_sensor_weight(at: Situation) -> float:
+    return 0.7 * (at.recipe.get("sensor") == "power")
+
+
+def _kept_offsets(at: Situation) -> dict[str, tuple[str, ...]]:
+    """Offsets but those of outputs, which a sensor's zero stands for."""
+    kept = tuple(name for name in names_of(at, "offset") if name not in output_offsets(at.facts))
+    return {"offset": kept} if kept else {}
+
+
+def _width(at: Situation) -> float:
+    return at.recipe.number("smooth_width", 0.05)
+
+
+def _read_by_others(at: Situation) -> tuple[str, ...]:
+    """States that stand in the equation of another state."""
+    physics = at.facts.physics
+    if physics is None:
+        return ()
+    texts = {state: parse_expression(text, state).names for state, text in physics.dynamics.items()}
+    return tuple(
+        name
+        for name in physics.states
+        if any(name in names for state, names in texts.items() if state != name)
+    )
+
+
+def _next(at: Situation, setting: str, names: tuple[str, ...]) -> str:
+    """The first name that the setting does not hold, "" where it holds all."""
+    return next((name for name in names if name not in names_of(at, setting)), "")
+
+
+def _with(at: Situation, setting: str, names: tuple[str, ...]) -> Recipe:
+    more = _next(at, setting, names)
+    return at.recipe.configured(**{setting: (*names_of(at, setting), more)})
+
+
+def _inputs(at: Situation) -> tuple[str, ...]:
+    return tuple(signal.name for signal in at.facts.inputs)
+
+
+def _lag_weight(at: Situation, names: tuple[str, ...], late: float, else_: float) -> float:
+    if at.facts.horizon is not None or not _next(at, "lag", names):
+        return 0.0
+    return (late if input_left(at.trial) else else_) * (0.5 if names_of(at, "lag") else 1.0)
+
+
+def _smooth_weight(at: Situation, names: tuple[str, ...], weight: float) -> float:
+    """Once what is known of the system is in."""
+    if at.facts.horizon is not None or not _next(at, "smooth", names):
+        return 0.0
+    return weight * (1.0 if coloured(at.trial) else 0.5) * (0.6 if names_of(at, "smooth") else 1.0)
+
+
+def _last_state(at: Situation) -> tuple[str, ...]:
+    return at.states[::-1]
+
+
+def _removal(setting: str, what: str) -> Move:
+    """An addition that the folds disagree about, or that the error does not miss, is taken away."""
+
+    def weight(at: Situation) -> float:
+        if not at.recipe.get(setting):
+            return 0.0
+        return 0.55 if folds_disagree(at.trial) > 1.5 else 0.4 if overfit(at.trial) > 1.5 else 0.3
+
+    return Move(
+        name=f"without {what}",
+        weight=weight,
+        change=lambda c: c.recipe.without(setting),
+        hypothesis="What was added may follow its own fold: V does not miss it if the effect is "
+        "not real, or if a later addition is the true one.",
+        expected="The same training error or a little more, and a lower V.",
+    )
+
+
+WRITTEN_IN: tuple[Move, ...] = (
+    Move(
+        name="slow disturbance",
+        weight=_noise_weight,
+        change=_with_noise,
+        hypothesis="The residual is slow: least squares takes it for many errors and bends the "
+        "parameters to them. With a slow disturbance and white noise it counts as what it is.",
+        expected="A higher training error, parameters that the folds agree on, and a lower V.",
+    ),
+    Move(
+        name="bent sensor",
+        weight=_sensor_weight,
+        change=lambda c: c.recipe.without("offset").configured(sensor="power", **_kept_offsets(c)),
+        hypothesis="The output is a rising curve of what the equations give: errors at low and "
+        "high outputs have one sign.",
+        expected="Parameters nearer what is known of them, and a lower V on every fold.",
+    ),
+    Move(
+        name="sensor of any shape",
+        weight=_free_sensor_weight,
+        change=lambda c: c.recipe.configured(sensor="spline"),
+        hypothesis="A bent sensor helped; a power law may not be its curve.",
+        expected="Lower error where the power law was off, on every fold.",
+    ),
+    Move(
+        name="{state} acts late",
+        weight=lambda c: _lag_weight(c, _read_by_others(c), 0.8, 0.62),
+        change=lambda c: _with(c, "lag", _read_by_others(c)),
+        state=lambda c: _next(c, "lag", _read_by_others(c)),
+        hypothesis="What one state gives to the next takes its way: the record turns later than "
+        "the simulation.",
+        expected="Lower error at turning points; the input explains less of the residual.",
+    ),
+    Move(
+        name="{state} follows its command late",
+        weight=lambda c: _lag_weight(c, _inputs(c), 0.6, 0.35),
+        change=lambda c: _with(c, "lag", _inputs(c)),
+        state=lambda c: _next(c, "lag", _inputs(c)),
+        hypothesis="An actuator follows its command with a lag of its own.",
+        expected="The input no longer explains the residual.",
+    ),
+    Move(
+        name="smooth correction of {state}",
+        weight=lambda c: _smooth_weight(c, _last_state(c), 0.64),
+        change=lambda c: _with(c, "smooth", _last_state(c)),
+        state=lambda c: _next(c, "smooth", _last_state(c)),
+        hypothesis="The law of a state is nearly right: a smooth factor, held near 1 by its "
+        "prior, stands for what it lacks.",
+        expected="Lower error at the levels where the law is off.",
+    ),
+    Move(
+        name="smooth correction of {state}, an input",
+        weight=lambda c: _smooth_weight(c, _inputs(c), 0.45),
+        change=lambda c: _with(c, "smooth", _inputs(c)),
+        state=lambda c: _next(c, "smooth", _inputs(c)),
+        hypothesis="An actuator is not quite linear: a smooth factor stands for its curve.",
+        expected="Lower error at the commands where the line is off.",
+    ),
+    Move(
+        name="wider smooth corrections",
+        weight=lambda c: 0.6 * bool(names_of(c, "smooth")) * (_width(c) < 0.3),
+        change=lambda c: c.recipe.configured(smooth_width=float(f"{3.0 * _width(c):.2g}")),
+        hypothesis="Smooth corrections helped, and their prior may hold them back.",
+        expected="Lower training error, V follows.",
+    ),
+    _removal("linear", "the linear term"),
+    _removal("residual", "the network"),
+    _removal("offset", "offsets"),
+    _removal("lag", "lags"),
+    _removal("smooth", "smooth corrections"),
+    _removal("input_delay", "the delay"),
+    _removal("sensor", "the bent sensor"),
+)
