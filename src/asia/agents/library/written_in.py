@@ -55,9 +55,9 @@ def _with_noise(at: Situation) -> Recipe:
 def _sensor_weight(at: Situation) -> float:
     if at.recipe.get("sensor") or at.facts.horizon is not None:
         return 0.0
-    if biased(at.trial) or curved(at.trial) or fails_on_top(at.trial):
+    if curved(at.trial) or fails_on_top(at.trial):
         return 0.91
-    return 0.6 if coloured(at.trial) else 0.2
+    return 0.65 if biased(at.trial) or coloured(at.trial) else 0.2
 
 
 def _free_sensor_weight(at: Situation) -> float:

@@ -67,6 +67,7 @@ def _space(facts: Facts) -> Space:
             OneOf("iterations", (40, 80)),
             OneOf("starts", (4, 8, 16)),
             OneOf("noise_model", ("white", "slow")),
+            OneOf("huber", (None, 3.0), needs="noise_model", being="slow"),
         ),
     )
 
@@ -83,11 +84,8 @@ def _widths(facts: Facts) -> tuple[Parameter, ...]:
 
 
 def _settle(_: Facts, recipe: Recipe) -> Recipe:
-    """The noise model has a robust loss of its own, and windows of measured states no noise to
-    estimate at their start."""
-    if recipe.get("noise_model") != "slow":
-        return recipe
-    return recipe.without("robust").trained(huber=3.0)
+    """The noise model has a robust loss of its own."""
+    return recipe.without("robust") if recipe.get("noise_model") == "slow" else recipe
 
 
 def _next_state(at: Situation) -> tuple[str, ...]:
