@@ -72,6 +72,7 @@ def test_the_equations_have_the_signs_of_the_flights(problem: Problem) -> None:
     values = {s.name: u[:, i] for i, s in enumerate(problem.inputs)}
     values |= {s.name: y[:, i] for i, s in enumerate(problem.outputs)}
     values |= {name: np.float64(value) for name, value in physics.constants.items()}
+    values |= dict.fromkeys(physics.corrections, np.float64(0.0))
     for name, span in physics.parameters.items():
         values[name] = np.float64(np.sqrt(span.min * span.max) if span.min > 0 else 0.0)
     functions = {"sin": np.sin, "cos": np.cos, "tan": np.tan}
