@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.problem import Bounds, ParameterRange, Physics, Prior
+from asia.problem import Bounds, Correction, ParameterRange, Physics, Prior
 
 Array = NDArray[np.float64]
 Slope = Callable[[Array, Array], Array]
@@ -46,6 +46,15 @@ UNLIKE = replace(
 """The same, with priors that are wrong."""
 LEVELS = replace(TANKS, observation={"upper": "x1", "lower": "x2"})
 """The same, both levels measured."""
+
+PLANAR = Physics(
+    states=("v", "roll", "w"),
+    parameters={"gain": ParameterRange(0.5, 20.0)},
+    corrections={"force": Correction(1.0), "torque": Correction(5.0)},
+    definitions={"difference": "left**2 - right**2"},
+    dynamics={"v": "-9.81*roll + force", "roll": "w", "w": "gain*difference + torque"},
+)
+"""What the person knows of a planar vehicle."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +176,33 @@ def vehicle(seed: int, uneven: float = 0.0, samples: int = 300) -> System:
     signals = (Signal("left"), Signal("right")), (Signal("w"), Signal("v"))
     context = Context(*signals, 0.1, 10, 10, symmetry=mirror, seed=seed)
     return recorded(respond, excite, TankEffects(samples=samples), context, rng)
+
+
+def body(seed: int, uneven: float = 0.0) -> System:
+    """A planar vehicle under its parachute, every state measured, in windows; the equations know
+    its rotors and gravity alone. `uneven`: a torque that always acts, rad/s^2."""
+    rng = np.random.default_rng([seed, 4])
+    gain, swing, drag = rng.uniform([4.0, 5.0, 0.3], [6.0, 8.0, 0.6])
+
+    def slope(x: Array, u: Array) -> Array:
+        v, roll, w = x
+        across = -9.81 * np.sin(roll) - drag * v - 0.2 * v * abs(v)
+        turn = gain * (u[0] ** 2 - u[1] ** 2) - 2.0 * w - w * abs(w) - swing * np.sin(roll)
+        return np.array([across, w, turn + uneven])
+
+    def respond(u: Array) -> Array:
+        return integrated(slope, np.zeros(3), u, 0.05)
+
+    def excite(numbers: np.random.Generator, length: int) -> Array:
+        return 1.0 + 0.5 * np.hstack([steps(numbers, length, 3, 20) for _ in range(2)])
+
+    mirror = {name: f"-{name}" for name in ("v", "roll", "w", "force", "torque", "difference")}
+    outputs = Signal("v"), Signal("roll"), Signal("w")
+    context = Context(
+        (Signal("left"), Signal("right")), outputs, 0.05, 0, 1, 25,
+        physics=PLANAR, symmetry={"mirror": mirror}, seed=seed,
+    )  # fmt: skip
+    return recorded(respond, excite, TankEffects(samples=300), context, rng)
 
 
 def recorded(

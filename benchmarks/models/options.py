@@ -32,6 +32,7 @@ from option_systems import (
     UNLIKE,
     System,
     TankEffects,
+    body,
     duffing,
     tanks,
     vehicle,
@@ -40,7 +41,7 @@ from option_systems import (
 from asia.candidate import Context
 from asia.evaluation import Evaluator
 from asia.executor import LocalExecutor
-from asia.models import greybox, neural_ss, recurrent
+from asia.models import greybox, neural_ss, physics_net, recurrent
 from asia.models.methods import Adam, LevenbergMarquardt
 from asia.problem import Budget
 from asia.problem.load import load_problem
@@ -101,6 +102,9 @@ class Row:
 
 PLAIN = Fit(greybox, {}, LM)
 SMALL = Fit(neural_ss, {"order": 2, "hidden": 6}, LevenbergMarquardt(iterations=40, starts=2))
+CORRECTED = Fit(
+    physics_net, {"network": "mlp", "hidden": 16}, Adam(steps=600, learning_rate=5e-3, batch=16)
+)
 GATED = Fit(
     recurrent,
     {"cell": "gru", "hidden": 8},
@@ -190,6 +194,14 @@ ROWS = (
         GATED,
         GATED.with_method(symmetry=True),
     ),
+    Row(
+        "physics_net: symmetry",
+        "mirror image at corrections; absent: a torque to one side",
+        body,
+        partial(body, uneven=3.0),
+        CORRECTED,
+        CORRECTED.with_config(symmetry=True),
+    ),
 )
 
 
@@ -256,13 +268,16 @@ def without_each_setting(source: str) -> list[tuple[str, str]]:
             continue
         text = without(source, keyword)
         found.append((f"{name.removesuffix('.Config')} {keyword.arg}", text))
+    if "greybox.Config(" in source:
+        text = source.replace("greybox.Config(", "greybox.Config(prior_width=None,", 1)
+        found.append(("priors of the problem", text))
     return found
 
 
 METHODS = ("LevenbergMarquardt", "Adam", "LBFGS", "MultipleShooting")
 SIZES = (
-    "iterations", "starts", "damping", "tolerance", "steps", "learning_rate", "batch", "truncation",
-    "hidden", "layers", "network", "substeps", "members",
+    "iterations", "starts", "damping", "tolerance", "steps", "learning_rate", "weight_decay", "batch",
+    "truncation", "loss", "hidden", "layers", "network", "substeps", "members", "equations", "sparsity",
 )  # fmt: skip
 """Settings that are no options."""
 
