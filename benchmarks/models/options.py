@@ -276,8 +276,9 @@ def without_each_setting(source: str) -> list[tuple[str, str]]:
 
 METHODS = ("LevenbergMarquardt", "Adam", "LBFGS", "MultipleShooting")
 SIZES = (
-    "iterations", "starts", "damping", "tolerance", "steps", "learning_rate", "weight_decay", "batch",
-    "truncation", "loss", "hidden", "layers", "network", "substeps", "members", "equations", "sparsity",
+    "iterations", "starts", "damping", "tolerance", "steps", "learning_rate", "weight_decay",
+    "batch", "truncation", "loss", "hidden", "layers", "network", "substeps", "members",
+    "equations", "sparsity",
 )  # fmt: skip
 """Settings that are no options."""
 
