@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from asia.agents.library.evidence import input_left, overfit
 from asia.agents.library.methods import (
     GRADIENT,
@@ -14,6 +16,7 @@ from asia.agents.library.methods import (
     several_horizons,
 )
 from asia.agents.library.move import Move, Situation
+from asia.agents.library.noise import has_noise_model, slow_noise
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.traits import traits
 
@@ -75,7 +78,19 @@ def _given_symmetry(at: Situation) -> bool:
     return any(p.name == "symmetry" for p in at.row.space(at.facts).options)
 
 
+def _huber_weight(at: Situation) -> float:
+    other = at.recipe.get("loss", "mse") != "huber" and not has_noise_model(at.recipe)
+    return 0.2 * _adam(at) * other
+
+
+def _slow_noise() -> Move:
+    """On networks; cards of other families have the move themselves."""
+    move = slow_noise()
+    return replace(move, weight=lambda c: move.weight(c) * (c.recipe.method in ("Adam", "LBFGS")))
+
+
 NETWORK_MOVES: tuple[Move, ...] = (
+    _slow_noise(),
     Move(
         name="symmetries of the signals",
         weight=lambda c: (
@@ -239,7 +254,7 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="Huber loss",
-        weight=lambda c: 0.2 * _adam(c) * (c.recipe.get("loss", "mse") != "huber"),
+        weight=_huber_weight,
         change=lambda c: c.recipe.trained(loss="huber"),
         hypothesis="Small errors should count as squares and large ones by their size.",
         expected="About the same training error; less is given to a few bad samples.",

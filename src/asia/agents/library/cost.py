@@ -31,6 +31,8 @@ _BATCH = 128
 _REPEATS = ("starts", "members")
 _SIZES = ("hidden", "width", "units", "states", "slow", "residual")
 _USUAL_SIZE = 16.0
+# Fits of few parameters with a noise model are repeated after each estimate, from where they were.
+_NOISE_ROUNDS = 2.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,8 @@ def work(facts: Facts, recipe: Recipe) -> float:
     """Samples that a fit simulates, all its steps and repetitions together, times the size of the
     model over the usual one; at least half of it counts whatever the size."""
     rounds = recipe.number("steps", 1.0) * recipe.number("iterations", 1.0)
+    if recipe.get("noise_model") == "slow" and not recipe.has("steps"):
+        rounds *= _NOISE_ROUNDS
     samples = float(facts.fit_samples)
     if recipe.method == "Adam":
         length = recipe.number("truncation", facts.horizon or facts.fit_samples)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from asia.agents._view import Facts
 from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
+from asia.agents.library.noise import noise_space
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
@@ -65,6 +66,7 @@ def adam_space(facts: Facts, needs: str = "") -> tuple[Parameter, ...]:
         OneOf("average", (0.0, 0.99), needs=needs),
         OneOf("loss", (facts.loss, "mse" if facts.loss == "huber" else "huber"), needs=needs),
     ]
+    found.extend(noise_space(facts, with_loss=True))
     if facts.early_stopping == "inner":
         found.append(OneOf("holdout", (0.0, 0.2), needs=needs))
     if facts.fit_samples > MANY_SAMPLES:

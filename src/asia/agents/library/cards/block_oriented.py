@@ -8,6 +8,7 @@ from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move
+from asia.agents.library.noise import noise_space, slow_noise
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.space import OneOf, Space, Span
@@ -20,7 +21,7 @@ def _block_oriented(_: Facts) -> Recipe:
     return Recipe("block_oriented", config, LM, (("iterations", 60), ("starts", 2)))
 
 
-def _space(_: Facts) -> Space:
+def _space(facts: Facts) -> Space:
     return Space(
         config=(
             OneOf("structure", _STRUCTURES),
@@ -29,7 +30,11 @@ def _space(_: Facts) -> Space:
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
         ),
-        options=(OneOf("iterations", (40, 80)), OneOf("starts", (1, 2, 4))),
+        options=(
+            OneOf("iterations", (40, 80)),
+            OneOf("starts", (1, 2, 4)),
+            *noise_space(facts),
+        ),
     )
 
 
@@ -58,6 +63,7 @@ CARD = Card(
         ),
     ),
     (
+        slow_noise(),
         more_ridge(),
         much_more_ridge(),
         less_ridge(),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
+from asia.agents.library.noise import noise_space, slow_noise
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space
 
@@ -15,10 +18,10 @@ def _linear(_: Facts) -> Recipe:
     return Recipe("linear", (("order", None), ("delay", None)), LM, (("iterations", 30),))
 
 
-def _linear_space(_: Facts) -> Space:
+def _linear_space(facts: Facts) -> Space:
     return Space(
         config=(OneOf("order", (None, 1, 2, 3, 4, 5, 6)), OneOf("delay", (0, None))),
-        options=(OneOf("iterations", (15, 30, 60)),),
+        options=(OneOf("iterations", (15, 30, 60)), *noise_space(facts)),
     )
 
 
@@ -61,4 +64,4 @@ CARD = Card((
         small=(("iterations", 3),),
         timing=Timing(start=0.0, unit=1.4e-06),
     ),
-))  # fmt: skip
+), (replace(slow_noise(), families=("linear",)),))  # fmt: skip

@@ -9,6 +9,7 @@ from asia.agents.library.evidence import curved
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, symmetry_space
 from asia.agents.library.move import Move, Situation
+from asia.agents.library.noise import noise_space, slow_noise
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.space import OneOf, Space, Span
@@ -31,7 +32,11 @@ def _neural_ss_space(facts: Facts) -> Space:
             OneOf("members", (1, 3)),
             *symmetry_space(facts),
         ),
-        options=(OneOf("iterations", (40, 80)), OneOf("starts", (1, 2, 4))),
+        options=(
+            OneOf("iterations", (40, 80)),
+            OneOf("starts", (1, 2, 4)),
+            *noise_space(facts),
+        ),
     )
 
 
@@ -63,6 +68,7 @@ CARD = Card(
         more_ridge(),
         much_more_ridge(),
         less_ridge(),
+        slow_noise(),
         Move(
             name="median of several fits",
             weight=lambda c: 0 if c.recipe.get("members") else 0.55,
