@@ -13,10 +13,11 @@ from asia.agents.library.methods import (
     TRANSIENT,
     by_lbfgs,
     by_multiple_shooting,
+    has_noise_model,
     several_horizons,
+    slow_noise,
 )
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.noise import has_noise_model, slow_noise
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.traits import traits
 

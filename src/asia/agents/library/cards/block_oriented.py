@@ -6,9 +6,8 @@ from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
-from asia.agents.library.methods import LM
+from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Move
-from asia.agents.library.noise import noise_space, slow_noise
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.space import OneOf, Space, Span

@@ -7,9 +7,8 @@ from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import curved
 from asia.agents.library.family import Family
-from asia.agents.library.methods import LM, symmetry_space
+from asia.agents.library.methods import LM, noise_space, slow_noise, symmetry_space
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.noise import noise_space, slow_noise
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.space import OneOf, Space, Span
