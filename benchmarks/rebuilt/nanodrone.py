@@ -14,11 +14,9 @@ CONFIG = physics_net.Config(
     ridge=1.0,
     equations=0,
     delay=True,
-    trim=("wx", "wy", "wz"),
     network="gru",
     symmetry=True,
     reach=1.5,
-    blind=("forward", "leftward", "upward"),
 )
 METHOD = Adam(
     steps=400, learning_rate=4e-3, weight_decay=1e-3, batch=256, loss="mae",
