@@ -86,12 +86,6 @@ class Config:
     symmetry: bool = False
     """Whether the network sees its signals under the symmetries of the problem: a random one for
     each window in training, the mean over all in simulation. It needs [physics.corrections]."""
-    blind: tuple[str, ...] = ()
-    """With [physics.corrections], signals that the network does not read."""
-    trim: tuple[str, ...] = ()
-    """States of equations with free parameters whose rates lose a learned share of their running
-    mean: what the equations find over a window, of a state that returns to its place, is mostly
-    their own error."""
     prior: float = 0.01
     """Weight of the squared deviations from [physics.priors] against the loss."""
     reach: float = 3.0
@@ -143,10 +137,13 @@ def train(
 ) -> PhysicsNet:
     """The equations fitted to windows; with a network method, everything trained from there.
 
-    Raises UserError for records too short or mis-shaped, and for a network without a network
-    method.
+    Members differ in the seed of the network and of the windows drawn. Raises UserError for records
+    too short or mis-shaped, for a network without a network method, and for several members that
+    would share the validation scores of a fit.
     """
     check(trajectories, context)
+    if not isinstance(method, LevenbergMarquardt) and method.members > 1:
+        return _average(model, trajectories, context, method)
     cell, config = model.network.cell, model.config
     assert isinstance(cell, MeasuredCell)
     if isinstance(method, LevenbergMarquardt) and config.network is not None:
@@ -176,6 +173,26 @@ def train(
             method = replace(method, every=max(method.every, -(-method.steps // left)))
         network = train_network(network, trajectories, context, method, as_built)
     return replace(model, network=network)
+
+
+def _average(
+    model: PhysicsNet, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
+) -> PhysicsNet:
+    """Members fitted one by one, whose simulations are averaged."""
+    if method.stop == "validation" and context.validation_score is not None:
+        raise UserError(
+            f"physics_net: members is {method.members} and stop is 'validation', but there are "
+            f"{VALIDATION_SCORES} validation scores a fit; leave one of them out"
+        )
+    cell, fitted = model.network.cell, list[NetworkModel]()
+    assert isinstance(cell, MeasuredCell)
+    for i in range(method.members):
+        own = replace(context, seed=context.seed + i)
+        network = replace(model.network, params=_parameters(cell, model.config, own))
+        member = replace(model, network=network)
+        fitted.append(train(member, trajectories, own, replace(method, members=1)).network)
+    others = tuple(member.params for member in fitted[1:])
+    return replace(model, network=replace(fitted[0], others=others))
 
 
 class _LimitedScore:
@@ -255,8 +272,7 @@ def _cell(
     closures = [system.closure(e) for e in system.dynamics]
     dynamic = tuple(i for i, names in enumerate(closures) if names & set(given.parameters))
     read = _signals(given, system, context)
-    watched = tuple(n for n in read if n not in config.blind) if places else ()
-    _check_names(config, context, tuple(system.states[i] for i in dynamic), read)
+    _check_symmetry(config, context)
     inner = None
     if config.network is not None and config.network != "mlp":
         inner = recurrent.Config(cell=config.network, hidden=config.hidden, layers=config.layers)
@@ -277,12 +293,10 @@ def _cell(
         size=config.size,
         reach=config.reach,
         corrections=places,
-        watched=watched,
-        driving=tuple(n for n in watched if _by_inputs(system, n)),
+        driving=tuple(n for n in read if places and _by_inputs(system, n)),
         symmetric=config.symmetry,
         ridge=config.ridge if places else 0.0,
         delay=config.delay,
-        trim=tuple(system.states.index(name) for name in config.trim),
         priors=tuple((name, p.mean, p.deviation) for name, p in priors.items()),
         prior_weight=config.prior,
     )
@@ -325,21 +339,9 @@ def _by_inputs(system: Equations, name: str) -> bool:
     return bool(set(found) & set(system.inputs)) and not set(found) & set(system.states)
 
 
-def _check_names(
-    config: Config, context: Context, driven: tuple[str, ...], read: tuple[str, ...]
-) -> None:
-    """Raises UserError for an option that the problem has nothing for."""
-    if not set(config.trim) <= set(driven):
-        raise UserError(
-            f"physics_net.Config: trim is {config.trim!r}, expected states whose equations have "
-            f"free parameters: {', '.join(driven)}"
-        )
+def _check_symmetry(config: Config, context: Context) -> None:
+    """Raises UserError where the problem has nothing for it."""
     places = bool(context.physics and context.physics.corrections)
-    if config.blind and not (places and set(config.blind) <= set(read)):
-        raise UserError(
-            f"physics_net.Config: blind is {config.blind!r}, expected signals that the network "
-            f"reads at [physics.corrections]: {', '.join(read) if places else 'there are none'}"
-        )
     if config.symmetry and not (places and context.symmetry and config.network):
         raise UserError(
             "physics_net.Config: symmetry is for a network at [physics.corrections] of a problem "
@@ -360,11 +362,6 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
         params["log_lag"] = np.float32(np.log(samples * context.sampling_time))
     if config.linear:
         params |= {"linear": zeros(nr, nc), "offset": zeros(nc)}
-    if config.trim:
-        params |= {
-            "trim_share": np.full(len(cell.trim), -1.0, np.float32),
-            "trim_samples": np.full(len(cell.trim), 2.5, np.float32),
-        }
     if config.delay:
         params["delay"] = zeros(nd)
     if config.disturbance:

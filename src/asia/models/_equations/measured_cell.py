@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from asia.models import recurrent
-from asia.models._arrays import AnyArray, namespace, sigmoid
+from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations
 from asia.models._equations.simulate import physical_parameters
@@ -47,8 +47,6 @@ class MeasuredState(NamedTuple):
     turn: Any = ()
     """Number of the symmetry under which the network sees each row (B,); () is all of them,
     averaged."""
-    mean: Any = ()
-    """Sum of the trimmed rates (B, n), and the number of its samples (B, 1)."""
     seen: Any = ()
     """Of the signals that the inputs alone make: the last (B, n), the sum and the number of its
     samples."""
@@ -91,18 +89,15 @@ class MeasuredCell:
     the bound."""
     corrections: tuple[str, ...] = ()
     """Places in the equations where the learned terms enter; none: on the rates."""
-    watched: tuple[str, ...] = ()
-    """With corrections, the signals that the network reads."""
     driving: tuple[str, ...] = ()
-    """Those of them that the inputs alone make, whose change and running mean it reads too."""
+    """With corrections, those of `read` that the inputs alone make, whose change and running mean
+    the network reads too."""
     symmetric: bool = False
     """Whether the network sees its signals under the symmetries of the problem."""
     ridge: float = 0.0
     """Weight of the squared linear terms against the loss of a network method."""
     delay: bool = False
     """Whether known kinematics read the other states at a learned delay."""
-    trim: tuple[int, ...] = ()
-    """States whose rates lose a share of their running mean."""
     priors: tuple[tuple[str, float, float], ...] = ()
     """What is known of the parameters: definition of the equations, mean and deviation."""
     prior_weight: float = 0.0
@@ -130,10 +125,10 @@ class MeasuredCell:
 
     @property
     def net_inputs(self) -> int:
-        """Signals the network reads: those `watched`, or those of `read`, the inputs and the
-        equations' rates."""
+        """Signals the network reads: those of `read`, and with corrections changes and means of
+        some, else the inputs and the equations' rates."""
         if self.corrections:
-            return len(self.watched) + 2 * len(self.driving)
+            return len(self.read) + 2 * len(self.driving)
         return len(self.read) + len(self.equations.inputs) + self.nd
 
     def physical(self, z: AnyArray) -> AnyArray:
@@ -159,11 +154,10 @@ class MeasuredCell:
             rows = len(x) * (len(fixed["turns"]) if self.symmetric else 1)
             blank = xp.zeros((rows, self.inner.hidden), x.dtype)
             h = [(blank, blank) for _ in range(self.inner.layers)]
-        mean = (zeros(len(self.trim)), zeros(1)) if self.trim else ()
         first, seen = xp.ones((len(x), 1), bool), ()
         if self.driving and self.network is not None:
             seen = (zeros(len(self.driving)), zeros(len(self.driving)), zeros(1))
-        return MeasuredState(x, m, zeros(self.nd), h, first, mean=mean, seen=seen)
+        return MeasuredState(x, m, zeros(self.nd), h, first, seen=seen)
 
     def step(
         self, params: Any, state: MeasuredState, u: AnyArray
@@ -190,7 +184,6 @@ class MeasuredCell:
             learned, d, h = self._learned(params, p, state, m, known)
         else:
             learned, d = self._opposed(params, state, known, xp.zeros_like(known[:, : self.nd]))
-        learned, mean = self._trimmed(params, state, known, learned)
         gain: AnyArray = 1.0
         if self.kinematic:
             gain = self._in_order(1.0 + params["gain"], xp.ones_like(learned[0]))
@@ -211,7 +204,7 @@ class MeasuredCell:
         x = xp.where(xp.isfinite(x), x, state.x)
         x = xp.minimum(xp.maximum(x, fixed["x_low"]), fixed["x_high"])
         y = (x[:, np.argsort(self.order)] - fixed["y_mean"]) / fixed["y_std"]
-        return MeasuredState(x, m, d, h, xp.zeros_like(state.first), state.turn, mean, seen), y
+        return MeasuredState(x, m, d, h, xp.zeros_like(state.first), state.turn, seen), y
 
     def _in_order(self, others: AnyArray, dynamic: AnyArray) -> AnyArray:
         """Values (..., nx) in the order of the states, from those of the other equations (in their
@@ -278,19 +271,6 @@ class MeasuredCell:
             d = d - self.sampling_time * pull
         return extra * fixed["rate"], d
 
-    def _trimmed(
-        self, params: Any, state: MeasuredState, known: AnyArray, learned: AnyArray
-    ) -> tuple[AnyArray, Any]:
-        """Learned rates (B, nd) with the trim, and the next sum and count."""
-        if not self.trim:
-            return learned, ()
-        xp = namespace(known)
-        total, count = state.mean[0] + known[:, np.array(self.trim)], state.mean[1] + 1.0
-        share = sigmoid(params["trim_share"]) * total / (count + xp.exp(params["trim_samples"]))
-        # As a product with a constant: JAX and NumPy set columns in different ways.
-        place = np.equal.outer(self.trim, self.dynamic).astype(learned.dtype)
-        return learned - share @ place, (total, count)
-
     def _network(self, params: Any, h: Any, v: AnyArray) -> tuple[Any, AnyArray]:
         """Next state of the network, and what it adds."""
         xp = namespace(v)
@@ -316,7 +296,7 @@ class MeasuredCell:
             )
         h, seen = state.h, state.seen
         if self.network is not None:
-            values = self.equations.named(self.watched, self._given(p), state.x.T, u.T).T
+            values = self.equations.named(self.read, self._given(p), state.x.T, u.T).T
             v = (values - fixed["w_mean"]) / fixed["w_std"]
             v, seen = self._remembered(state, v)
             if not self.symmetric:
@@ -340,7 +320,7 @@ class MeasuredCell:
         if not self.driving:
             return v, ()
         xp = namespace(v)
-        now = v[:, np.array([self.watched.index(name) for name in self.driving])]
+        now = v[:, np.array([self.read.index(name) for name in self.driving])]
         before, total, count = state.seen
         change = _CHANGE * (now - xp.where(state.first, now, before))
         total, count = total + now, count + 1.0

@@ -50,20 +50,20 @@ def measured_sizes(
         "s_std": std,
     }
     if cell.corrections:
-        values |= _at_corrections(cell, trajectories, context)
+        values |= _at_corrections(cell, mean, std, context)
     return {k: np.asarray(v, np.float32) for k, v in values.items()}
 
 
 def _at_corrections(
-    cell: MeasuredCell, trajectories: Sequence[Trajectory], context: Context
+    cell: MeasuredCell, mean: Array, std: Array, context: Context
 ) -> dict[str, Array]:
-    """Sizes of what the network reads and of the corrections, the same for signals that a symmetry
-    exchanges, and the symmetries as matrices."""
+    """Sizes, from those of the signals, of what the network reads and of the corrections, the same
+    for signals that a symmetry exchanges, and the symmetries as matrices."""
     assert context.physics is not None
-    names = (*cell.watched, *cell.corrections)
+    names = (*cell.read, *cell.corrections)
     turns = group(context.symmetry if cell.symmetric else {}, names)
-    n = len(cell.watched)
-    seen = [*range(n), *(cell.watched.index(name) for name in cell.driving * 2)]
+    n = len(cell.read)
+    seen = [*range(n), *(cell.read.index(name) for name in cell.driving * 2)]
     # Of the parts of what the network reads: no symmetry takes one to another.
     part = np.repeat([0, 1, 2], [n, len(cell.driving), len(cell.driving)])
     own, places = turns[:, :n, :n], turns[:, n:, n:]
@@ -72,7 +72,6 @@ def _at_corrections(
     def alike(turned: Array, size: Array) -> Array:
         return np.sqrt((np.abs(turned) @ size**2).mean(axis=0))
 
-    mean, std = _signal_sizes(cell, cell.watched, trajectories)
     scale = np.array([c.scale for c in context.physics.corrections.values()])
     return {
         "w_mean": (own @ mean).mean(axis=0),

@@ -109,7 +109,7 @@ def test_what_was_learned_to_the_right_holds_upwards(symmetric: physics_net.Phys
 def test_numpy_simulates_what_jax_does() -> None:
     import jax
 
-    config = replace(GRU, trim=("v", "w"), delay=True, linear=True, disturbance=True)
+    config = replace(GRU, delay=True, linear=True, disturbance=True)
     model = physics_net.build(config, CONTEXT)
     records = [record(1)]
     scaling = Scaling.of(records)
@@ -154,16 +154,6 @@ def pushed(config: physics_net.Config, **changes: Any) -> Array:
     return trained.simulate(np.zeros((1, 0, 2)), np.zeros((1, 1, 4)), u)[0]
 
 
-def test_a_trim_takes_a_share_of_the_mean_rate() -> None:
-    """A push that never changes is all mean; `trim_samples` delays the share."""
-    config, time = replace(PLAIN, trim=("v",)), TS * np.arange(1, 11)
-    whole = pushed(config, trim_share=[50.0], trim_samples=[-50.0])
-    assert whole[:, 2] == pytest.approx(np.zeros(10), abs=1e-5)
-    assert pushed(config, trim_share=[-50.0])[:, 2] == pytest.approx(time, rel=1e-4)
-    late = pushed(config, trim_share=[50.0], trim_samples=[np.log(10.0)])
-    assert late[:, 2] == pytest.approx(TS * np.cumsum(10.0 / (10.0 + np.arange(1, 11))), rel=1e-4)
-
-
 def test_kinematics_read_velocities_ahead_by_the_delay() -> None:
     """The position follows the velocity that will be measured after the delay, here two samples."""
     config, time = replace(PLAIN, delay=True), TS * np.arange(1, 11)
@@ -187,11 +177,24 @@ def test_parameters_start_where_the_priors_say_and_are_held_there() -> None:
     assert push(1.0, 60) < 0.6 < push(0.0, 60)
 
 
+def test_members_are_averaged() -> None:
+    config, method = replace(GRU, equations=0), replace(ADAM, steps=3)
+    past_y, u, _ = requests(record(9))
+    single = [
+        simulated(fitted(config, method, replace(CONTEXT, seed=CONTEXT.seed + i)), past_y, u)
+        for i in range(2)
+    ]
+    assert not np.allclose(single[0], single[1])
+    both = simulated(fitted(config, replace(method, members=2)), past_y, u)
+    assert both == pytest.approx((single[0] + single[1]) / 2, abs=1e-6)
+    watched = replace(CONTEXT, validation_score=lambda model: 1.0)
+    with pytest.raises(UserError, match="validation scores a fit"):
+        fitted(config, replace(method, members=2, stop="validation"), watched)
+
+
 @pytest.mark.parametrize(
     ("config", "words"),
     [
-        (partial(physics_net.Config, trim=("p",)), "trim"),
-        (partial(physics_net.Config, blind=("x",)), "blind"),
         (partial(physics_net.Config, symmetry=True), "symmetry"),
     ],
 )

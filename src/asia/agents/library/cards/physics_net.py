@@ -106,7 +106,7 @@ def _alone(at: Situation) -> Recipe:
     """The equations and their linear terms, by Levenberg-Marquardt."""
     config = {**dict(at.recipe.config), "linear": True}
     network = (
-        "network", "hidden", "layers", "size", "symmetry", "reach", "blind", "equations",
+        "network", "hidden", "layers", "size", "symmetry", "reach", "equations",
     )  # fmt: skip
     kept = tuple((k, v) for k, v in config.items() if k not in network)
     return replace(at.recipe, config=kept).fitted_by(LM, (("iterations", 15),))
@@ -181,6 +181,19 @@ _MOVES: tuple[Move, ...] = (
         change=lambda c: c.recipe.times("learning_rate", 0.6, 4e-3),
         hypothesis="The physics have arrived; the network moves too fast for what is left.",
         expected="A less noisy V of the folds.",
+    ),
+    Move(
+        name="average of several seeds",
+        weight=lambda c: (
+            (0.6 if overfit(c.trial) > 1.5 else 0.4)
+            * bool(c.recipe.get("network"))
+            * (not _watched(c))
+            * (c.recipe.number("members", 1) < 2)
+        ),
+        change=lambda c: c.recipe.trained(members=2),
+        hypothesis="What a network learned by chance differs from seed to seed, and the mean has "
+        "less of it.",
+        expected="A lower V at the same training error.",
     ),
     Move(
         name="more windows",
