@@ -112,6 +112,11 @@ def _alone(at: Situation) -> Recipe:
     return replace(at.recipe, config=kept).fitted_by(LM, (("iterations", 15),))
 
 
+def _fitted_first(at: Situation) -> bool:
+    """Whether the equations are fitted by Levenberg-Marquardt, alone or before a network."""
+    return at.recipe.number("equations", 15) > 0
+
+
 def _watched(at: Situation) -> bool:
     """Whether a fit may see its validation score, and stops a network by it."""
     return at.facts.early_stopping == "validation"
@@ -197,7 +202,9 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="more windows",
-        weight=lambda c: 0.75 * (c.recipe.number("windows", 240) < _MOST_WINDOWS),
+        weight=lambda c: (
+            0.75 * (c.recipe.number("windows", 240) < _MOST_WINDOWS) * _fitted_first(c)
+        ),
         change=lambda c: c.recipe.configured(windows=round(2 * c.recipe.number("windows", 240))),
         hypothesis="The equations were fitted to some of the training windows: more of them leave "
         "less to chance.",
@@ -263,7 +270,7 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="loss on every error alike",
-        weight=lambda c: 0.25 * (c.recipe.get("robust", 0.3) is not None),
+        weight=lambda c: 0.25 * _fitted_first(c) * (c.recipe.get("robust", 0.3) is not None),
         change=lambda c: c.recipe.configured(robust=None),
         hypothesis="Large errors are not outliers but what the equations have still to learn.",
         expected="A lower error at the end of the window.",
