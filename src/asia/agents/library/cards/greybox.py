@@ -214,7 +214,9 @@ _MOVES: tuple[Move, ...] = (
     less_ridge(_ridge),
     Move(
         name="robust loss",
-        weight=lambda c: 0 if c.recipe.get("robust") else 0.3,
+        weight=lambda c: (
+            0.3 * (c.recipe.get("noise_model") != "slow" and not c.recipe.get("robust"))
+        ),
         change=lambda c: c.recipe.configured(robust=0.1),
         hypothesis="A few samples that no parameter can explain pull the rest away.",
         expected="About the same training error, steadier parameters over the folds.",
