@@ -74,7 +74,7 @@ ROWS = {
     ),
     "linear": Row(linear, linear.Config(order=2), LevenbergMarquardt(50), hardening=0.0),
     "hybrid": Row(
-        hybrid, hybrid.Config(units=3, ridge=1e-3), LevenbergMarquardt(30, starts=2),
+        hybrid, hybrid.Config(units=3, ridge=1e-5), LevenbergMarquardt(30, starts=2),
         physics=equations(False),
     ),
     "neural_ss": Row(
