@@ -34,6 +34,9 @@ def _space(facts: Facts) -> Space:
         places = (Span("reach", 1.0, 4.0, needs="network"),)
         if facts.symmetry:
             places = (*places, OneOf("symmetry", (False, True), needs="network"))
+    # Members would share the validation scores of a fit.
+    watched = facts.early_stopping == "validation"
+    members = () if watched else (OneOf("members", (1, 2), needs="network"),)
     return Space(
         config=(
             OneOf("delay", (False, True)),
@@ -53,6 +56,7 @@ def _space(facts: Facts) -> Space:
         options=(
             OneOf("iterations", (10, 15, 30)),
             Span("steps", GENTLE_STEPS // 2, 2 * GENTLE_STEPS, whole=True, needs="network"),
+            *members,
             OneOf("gentle", (0.0, 0.5, 1.0), needs="network"),
             OneOf("offset", (0.0, 0.1, 0.2), needs="network"),
             *adam_space(facts, needs="network"),
