@@ -305,7 +305,8 @@ def evaluated(name: str, source: str, seed: int) -> Outcome:
     rule = problem.protocol
     known = Context(
         problem.inputs, problem.outputs, problem.sampling_time, rule.past_inputs,
-        rule.past_outputs, rule.horizon, rule.metric, problem.physics, problem.symmetry, seed,
+        rule.past_outputs, rule.horizon, rule.metric, problem.physics, seed,
+        symmetry=problem.symmetry,
     )  # fmt: skip
     budget = Budget(fit_seconds=3600.0, memory_mb=problem.budget.memory_mb)
     folds = make_folds(problem.train, rule)

@@ -37,9 +37,6 @@ class Context:
     """Name of the metric that V is computed with."""
     physics: Physics | None = None
     """The person's equations."""
-    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
-    """Changes of the signals that leave the system's laws as they are, by name: for each signal
-    that changes, the one that takes its place, with a minus where its sign changes."""
     seed: int = 0
     """One per search, fold and repeat, the same for every candidate."""
     deadline: float = float("inf")
@@ -53,6 +50,9 @@ class Context:
     for a simulation that is not finite. There are VALIDATION_SCORES calls a fit, then it raises
     RuntimeError; its time counts as fit time. None unless the protocol's early_stopping is
     "validation", and None then too where nothing is held out: in the refit on all data."""
+    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
+    """Changes of the signals that leave the system's laws as they are, by name: for each signal
+    that changes, the one that takes its place, with a minus where its sign changes."""
 
     @property
     def nu(self) -> int:

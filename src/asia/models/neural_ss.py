@@ -233,7 +233,8 @@ def _train_windowed(
     method: LevenbergMarquardt | Adam,
 ) -> NeuralStateSpace:
     """The state is the past window, so that nothing need be learned of where a window starts."""
-    from asia.models._state_space.fit import StateSamples, fit_states
+    from asia.models._state_space.fit import fit_states
+    from asia.models._state_space.programs import StateSamples
 
     c, lags = model.config, predictor.lags
     structure = StateSpaceStructure(

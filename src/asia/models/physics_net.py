@@ -30,14 +30,21 @@ from asia.models._data.scaling import Scaling
 from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
 from asia.models._equations.measured_cell import MeasuredCell, NetworkKind
-from asia.models._equations.measured_sizes import measured_sizes, most_probable
+from asia.models._equations.measured_sizes import (
+    made_by_inputs,
+    measured_sizes,
+    most_probable,
+    outputs_of_states,
+    readable_signals,
+    single_precision,
+)
 from asia.models._equations.ode import Equations, equations
 from asia.models._networks.layers import dense, zeros
 from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.structure import Params
 from asia.models._noise.choice import refuse_noise
 from asia.models.methods import LevenbergMarquardt, NetworkMethod
-from asia.problem.physics.expressions import Name, parse_expression
+from asia.problem.physics.expressions import parse_expression
 
 __all__ = ["Config", "build", "train"]
 
@@ -206,7 +213,7 @@ class _LimitedScore:
         if self.asked >= self._most:
             return float("inf")
         self.asked += 1
-        own = _single({**self._network.params, **params})
+        own = single_precision({**self._network.params, **params})
         return self._oracle(replace(self._network, params=own))
 
 
@@ -237,27 +244,14 @@ def _fit_equations(
         context.log,
         judge,
     )
-    return replace(network, params=_single(params))
-
-
-def _single(params: Params) -> dict[str, Any]:
-    """float32, as all that networks are made of."""
-
-    def single(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {name: single(part) for name, part in value.items()}
-        if isinstance(value, list | tuple):
-            return [single(part) for part in value]
-        return np.asarray(value, np.float32)
-
-    return single(dict(params))
+    return replace(network, params=single_precision(params))
 
 
 def _cell(
     config: Config, context: Context, given: Equations, ranges: tuple[Range, ...]
 ) -> MeasuredCell:
     assert context.physics is not None
-    shown = _outputs_of_states(given, context)
+    shown = outputs_of_states(given, context)
     places = tuple(context.physics.corrections)
     priors = {f"[physics.priors] {text}": p for text, p in context.physics.priors.items()}
     system = replace(
@@ -271,7 +265,7 @@ def _cell(
     )
     closures = [system.closure(e) for e in system.dynamics]
     dynamic = tuple(i for i, names in enumerate(closures) if names & set(given.parameters))
-    read = _signals(given, system, context)
+    read = readable_signals(given, system, context)
     _check_symmetry(config, context)
     inner = None
     if config.network is not None and config.network != "mlp":
@@ -293,50 +287,13 @@ def _cell(
         size=config.size,
         reach=config.reach,
         corrections=places,
-        driving=tuple(n for n in read if places and _by_inputs(system, n)),
+        driving=tuple(n for n in read if places and made_by_inputs(system, n)),
         symmetric=config.symmetry,
         ridge=config.ridge if places else 0.0,
         delay=config.delay,
         priors=tuple((name, p.mean, p.deviation) for name, p in priors.items()),
         prior_weight=config.prior,
     )
-
-
-def _outputs_of_states(system: Equations, context: Context) -> dict[str, int]:
-    """Number of the output that is each state. Raises UserError where there is not one."""
-    shown = {e.root.name: k for k, e in enumerate(system.observation) if isinstance(e.root, Name)}
-    missing = [s for s in system.states if s not in shown]
-    if missing or context.n_past_y < 1 or len(shown) != len(system.outputs):
-        raise UserError(
-            f"physics_net: the past window must show every state as it is, and does not show "
-            f"{', '.join(missing) or 'any'}; use greybox"
-        )
-    return shown
-
-
-def _signals(given: Equations, system: Equations, context: Context) -> tuple[str, ...]:
-    """What learned terms may read: definitions without anything that is fitted, and the states that
-    the equations read. Terms at corrections read inputs too, and where there are symmetries only
-    states and inputs that these name."""
-    used = frozenset[str]().union(*(system.closure(e) for e in system.dynamics))
-    fitted = set(system.parameters)
-    definitions = [n for n, e in given.definitions if not system.closure(e) & fitted]
-    plain = [s for s in system.states if s in used]
-    if system.parameters != given.parameters:
-        plain += system.inputs
-        if context.symmetry:
-            named = {n for generator in context.symmetry.values() for n in generator}
-            plain = [n for n in (*system.states, *system.inputs) if n in named]
-    return (*plain, *definitions)
-
-
-def _by_inputs(system: Equations, name: str) -> bool:
-    """Whether a signal depends on inputs and on no state."""
-    found = {name}
-    for own, expression in system.definitions:
-        if own == name:
-            found = system.closure(expression)
-    return bool(set(found) & set(system.inputs)) and not set(found) & set(system.states)
 
 
 def _check_symmetry(config: Config, context: Context) -> None:

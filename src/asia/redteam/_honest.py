@@ -57,8 +57,8 @@ class HonestProblem:
             facts.horizon,
             facts.metric,
             facts.physics,
-            facts.symmetry,
             seed=1,
+            symmetry=facts.symmetry,
         )
 
     @property

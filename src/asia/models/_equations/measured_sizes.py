@@ -10,10 +10,14 @@ from scipy.optimize import least_squares
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
+from asia.errors import UserError
 from asia.models._data.scaling import Scaling
 from asia.models._equations.measured_cell import MeasuredCell
+from asia.models._equations.ode import Equations
 from asia.models._networks.layers import Float32
+from asia.models._networks.structure import Params
 from asia.problem import Bounds
+from asia.problem.physics.expressions import Name
 from asia.problem.symmetry import group
 
 # A simulation beyond so many deviations of a state has run away.
@@ -82,6 +86,43 @@ def _at_corrections(
     }
 
 
+def outputs_of_states(system: Equations, context: Context) -> dict[str, int]:
+    """Number of the output that is each state. Raises UserError where there is not one."""
+    shown = {e.root.name: k for k, e in enumerate(system.observation) if isinstance(e.root, Name)}
+    missing = [s for s in system.states if s not in shown]
+    if missing or context.n_past_y < 1 or len(shown) != len(system.outputs):
+        raise UserError(
+            f"physics_net: the past window must show every state as it is, and does not show "
+            f"{', '.join(missing) or 'any'}; use greybox"
+        )
+    return shown
+
+
+def readable_signals(given: Equations, system: Equations, context: Context) -> tuple[str, ...]:
+    """What learned terms may read: definitions without anything that is fitted, and the states that
+    the equations read. Terms at corrections read inputs too, and where there are symmetries only
+    states and inputs that these name."""
+    used = frozenset[str]().union(*(system.closure(e) for e in system.dynamics))
+    fitted = set(system.parameters)
+    definitions = [n for n, e in given.definitions if not system.closure(e) & fitted]
+    plain = [s for s in system.states if s in used]
+    if system.parameters != given.parameters:
+        plain += system.inputs
+        if context.symmetry:
+            named = {n for generator in context.symmetry.values() for n in generator}
+            plain = [n for n in (*system.states, *system.inputs) if n in named]
+    return (*plain, *definitions)
+
+
+def made_by_inputs(system: Equations, name: str) -> bool:
+    """Whether a signal depends on inputs and on no state."""
+    found = {name}
+    for own, expression in system.definitions:
+        if own == name:
+            found = system.closure(expression)
+    return bool(set(found) & set(system.inputs)) and not set(found) & set(system.states)
+
+
 def most_probable(cell: MeasuredCell) -> Float32:
     """Coordinates of the parameters, in the middle of the ranges but for what priors say."""
     z = np.zeros(len(cell.ranges))
@@ -106,3 +147,16 @@ def _signal_sizes(
     values = cell.equations.named(names, p, y.T, u.T).T
     std = values.std(axis=0)
     return values.mean(axis=0), np.where(std > 0, std, 1.0)
+
+
+def single_precision(params: Params) -> dict[str, Any]:
+    """float32, as all that networks are made of."""
+
+    def single(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: single(part) for name, part in value.items()}
+        if isinstance(value, list | tuple):
+            return [single(part) for part in value]
+        return np.asarray(value, np.float32)
+
+    return single(dict(params))

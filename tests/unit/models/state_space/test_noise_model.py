@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from asia.models import arx, narx, neural_ss
 from asia.models._noise.weighting import ErrorWeighting
 from asia.models._noise.whitening import ResidualNoise
 from asia.models._solvers.packing import Packing, packed
-from asia.models._state_space import fit
+from asia.models._state_space import programs
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import LevenbergMarquardt
 from tests.unit.models.noise.drawn import slow_disturbance
@@ -48,12 +48,12 @@ def test_a_slow_disturbance_costs_less_with_its_model() -> None:
 
 @pytest.mark.parametrize("huber", [None, 0.7])
 def test_normal_equations_of_innovations(huber: float | None, monkeypatch: Any) -> None:
-    monkeypatch.setattr(fit, "_CHUNK_VALUES", 200)
+    monkeypatch.setattr(programs, "_CHUNK_VALUES", 200)
     structure = StateSpaceStructure(2, 1, 2, "state", "tanh", 2, 3, None)
     rng = np.random.default_rng(0)
     u, y, weight = rng.normal(size=(2, 30, 1)), rng.normal(size=(2, 30, 2)), np.ones((2, 30))
     weight[1, 22:] = 0.0
-    samples = fit.StateSamples(rng.normal(size=(2, 2)), u, y, weight, known=False)
+    samples = programs.StateSamples(rng.normal(size=(2, 2)), u, y, weight, known=False)
     tree: dict[str, Any] = {
         "a": np.array([[0.8, 0.1], [-0.1, 0.6]]),
         "b": rng.normal(size=(1, 2)),
@@ -66,7 +66,7 @@ def test_normal_equations_of_innovations(huber: float | None, monkeypatch: Any) 
     weighting = ErrorWeighting.of(noise, 1.0, weight, huber)
     theta, packing = packed(tree, np.float64), Packing.of(tree)
     none = np.zeros_like(theta)
-    chunks = cast(Any, fit)._chunked(samples, structure, none, theta, weighting)
+    chunks = programs.chunked(samples, structure, none, theta, weighting)
     assert len(chunks.u) > 1
 
     def residual(theta: np.ndarray) -> np.ndarray:
@@ -74,7 +74,7 @@ def test_normal_equations_of_innovations(huber: float | None, monkeypatch: Any) 
         found = weighting(structure.simulate(p, p["x0"], u)[1] - y)
         return (found * weight[..., None]).ravel() / np.sqrt(2 * weight.sum())
 
-    equations = cast(Any, fit)._CompiledEquations(structure, packing, chunks, lambda *_: None)
+    equations = programs.CompiledEquations(structure, packing, chunks, lambda *_: None)
     found = equations.normal(theta[None])
     step = 1e-6 * np.eye(len(theta))
     jacobian = np.stack([(residual(theta + s) - residual(theta - s)) / 2e-6 for s in step], axis=1)
