@@ -15,9 +15,7 @@ CONFIG = greybox.Config(
     smooth=("x2",),
     smooth_width=0.15,
 )
-METHOD = LevenbergMarquardt(
-    iterations=60, starts=12, noise_model="slow", slow_time=120.0, huber=3.0
-)
+METHOD = LevenbergMarquardt(iterations=60, starts=12, noise_model="slow", huber=3.0)
 
 
 def build_model(context):
