@@ -47,6 +47,7 @@ LM = LevenbergMarquardt(iterations=8)
 GRU = physics_net.Config(lag=False, gain=False, network="gru", hidden=6, equations=4, symmetry=True)
 PLAIN = physics_net.Config(lag=False, gain=False)
 ADAM = Adam(steps=60, learning_rate=2e-2, batch=32, loss="mae")
+LONG = replace(ADAM, steps=1000)
 
 
 def record(seed: int, up: float = 1.0) -> Trajectory:
@@ -87,8 +88,8 @@ def error(model: physics_net.PhysicsNet, test: Trajectory) -> float:
 
 @pytest.fixture(scope="module")
 def symmetric() -> physics_net.PhysicsNet:
-    """Trained on pushes to the right alone."""
-    return fitted(GRU, ADAM, up=0.3)
+    """Trained on pushes to the right, with small ones upwards."""
+    return fitted(GRU, LONG, up=0.3)
 
 
 def test_a_turned_experiment_has_the_turned_simulation(symmetric: physics_net.PhysicsNet) -> None:
@@ -102,8 +103,8 @@ def test_a_turned_experiment_has_the_turned_simulation(symmetric: physics_net.Ph
 @pytest.mark.slow
 def test_what_was_learned_to_the_right_holds_upwards(symmetric: physics_net.PhysicsNet) -> None:
     test = record(9)
-    plain = fitted(replace(GRU, symmetry=False), ADAM, up=0.3)
-    assert error(symmetric, test) < 0.95 * error(plain, test)
+    plain = fitted(replace(GRU, symmetry=False), LONG, up=0.3)
+    assert error(symmetric, test) < 0.7 * error(plain, test)
 
 
 def test_numpy_simulates_what_jax_does() -> None:
