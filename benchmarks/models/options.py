@@ -118,17 +118,14 @@ def tank_row(name: str, effect: str, own: TankEffects, given: Fit) -> Row:
 
 
 ROWS = (
-    tank_row(
-        'sensor="power"',
-        "level to the power 0.7",
-        TankEffects(sensor=0.7),
-        PLAIN.with_config(sensor="power"),
-    ),
-    tank_row(
-        'sensor="spline"',
-        "level to the power 0.7",
-        TankEffects(sensor=0.7),
-        PLAIN.with_config(sensor="spline"),
+    *(
+        tank_row(
+            f'sensor="{sensor}"',
+            "level to the power 0.7",
+            TankEffects(sensor=0.7),
+            PLAIN.with_config(sensor=sensor),
+        )
+        for sensor in ("power", "spline")
     ),
     tank_row(
         "lag",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from asia.agents._view import Facts
 from asia.agents.library.evidence import (
     biased,
@@ -115,6 +117,25 @@ def _last_state(at: Situation) -> tuple[str, ...]:
     return at.states[::-1]
 
 
+def _addition(
+    name: str,
+    setting: str,
+    names: Callable[[Situation], tuple[str, ...]],
+    weight: Callable[[Situation], float],
+    hypothesis: str,
+    expected: str,
+) -> Move:
+    """The next of the names goes into the setting."""
+    return Move(
+        name=name,
+        weight=weight,
+        change=lambda c: _with(c, setting, names(c)),
+        state=lambda c: _next(c, setting, names(c)),
+        hypothesis=hypothesis,
+        expected=expected,
+    )
+
+
 def _removal(setting: str, what: str) -> Move:
     """An addition that the folds disagree about, or that the error does not miss, is taken away."""
 
@@ -157,39 +178,39 @@ WRITTEN_IN: tuple[Move, ...] = (
         hypothesis="A bent sensor helped; a power law may not be its curve.",
         expected="Lower error where the power law was off, on every fold.",
     ),
-    Move(
-        name="{state} acts late",
-        weight=lambda c: _lag_weight(c, _read_by_others(c), 0.8, 0.62),
-        change=lambda c: _with(c, "lag", _read_by_others(c)),
-        state=lambda c: _next(c, "lag", _read_by_others(c)),
-        hypothesis="What one state gives to the next takes its way: the record turns later than "
-        "the simulation.",
-        expected="Lower error at turning points; the input explains less of the residual.",
+    _addition(
+        "{state} acts late",
+        "lag",
+        _read_by_others,
+        lambda c: _lag_weight(c, _read_by_others(c), 0.8, 0.62),
+        "What one state gives to the next takes its way: the record turns later than the "
+        "simulation.",
+        "Lower error at turning points; the input explains less of the residual.",
     ),
-    Move(
-        name="{state} follows its command late",
-        weight=lambda c: _lag_weight(c, _inputs(c), 0.6, 0.35),
-        change=lambda c: _with(c, "lag", _inputs(c)),
-        state=lambda c: _next(c, "lag", _inputs(c)),
-        hypothesis="An actuator follows its command with a lag of its own.",
-        expected="The input no longer explains the residual.",
+    _addition(
+        "{state} follows its command late",
+        "lag",
+        _inputs,
+        lambda c: _lag_weight(c, _inputs(c), 0.6, 0.35),
+        "An actuator follows its command with a lag of its own.",
+        "The input no longer explains the residual.",
     ),
-    Move(
-        name="smooth correction of {state}",
-        weight=lambda c: _smooth_weight(c, _last_state(c), 0.64),
-        change=lambda c: _with(c, "smooth", _last_state(c)),
-        state=lambda c: _next(c, "smooth", _last_state(c)),
-        hypothesis="The law of a state is nearly right: a smooth factor, held near 1 by its "
-        "prior, stands for what it lacks.",
-        expected="Lower error at the levels where the law is off.",
+    _addition(
+        "smooth correction of {state}",
+        "smooth",
+        _last_state,
+        lambda c: _smooth_weight(c, _last_state(c), 0.64),
+        "The law of a state is nearly right: a smooth factor, held near 1 by its prior, stands "
+        "for what it lacks.",
+        "Lower error at the levels where the law is off.",
     ),
-    Move(
-        name="smooth correction of {state}, an input",
-        weight=lambda c: _smooth_weight(c, _inputs(c), 0.45),
-        change=lambda c: _with(c, "smooth", _inputs(c)),
-        state=lambda c: _next(c, "smooth", _inputs(c)),
-        hypothesis="An actuator is not quite linear: a smooth factor stands for its curve.",
-        expected="Lower error at the commands where the line is off.",
+    _addition(
+        "smooth correction of {state}, an input",
+        "smooth",
+        _inputs,
+        lambda c: _smooth_weight(c, _inputs(c), 0.45),
+        "An actuator is not quite linear: a smooth factor stands for its curve.",
+        "Lower error at the commands where the line is off.",
     ),
     Move(
         name="wider smooth corrections",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from asia.models._equations.starts import (
 from asia.models._noise.estimate import NOISE_ROUNDS
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.minimise import TRIALS, Minimum, minimise
+
+if TYPE_CHECKING:
+    from asia.models._equations.programs import CompiledSimulator
 
 
 @dataclass(frozen=True)
@@ -59,39 +63,57 @@ def fit(
     layout, count = structure.layout, method.starts
     simulate = CompiledSimulator(structure, segments.u, TRIALS * count)
     noise = NoiseRounds(structure, segments, simulate, method)
-    curve: list[Array] = []
-
-    def best_fits(starts: Starts, active: Array) -> Minimum:
-        error = SimulationError(structure, segments, starts, active, simulate, noise.weighting)
-        found = minimise(error.cost, error.linearise, error.theta0, method)
-        curve.append(found.history[np.argmin(found.cost)])
-        return found
-
-    def under_noise(starts: Starts, active: Array, found: Minimum) -> Minimum:
-        for _ in range(NOISE_ROUNDS):
-            if not noise.estimate(starts, found):
-                break
-            error = SimulationError(structure, segments, starts, active, simulate, noise.weighting)
-            found = minimise(error.cost, error.linearise, found.theta, method)
-            curve.append(found.history[np.argmin(found.cost)])
-        return found
-
+    stages = _Stages(structure, segments, method, simulate, noise, [])
     active = np.zeros(layout.size)
     active[layout.parameters] = 1.0
     starts = screen(structure, segments, simulate, count, rng)
-    found = best_fits(starts, active)
+    found = stages.best_fits(starts, active)
     if structure.config.augmented:
         active = np.ones(layout.size)
         active[layout.hidden] = active[layout.readout] = 0.0
         starts = augment(structure, segments, simulate, starts, found, rng)
-        found = best_fits(starts, active)
-    found = under_noise(starts, active, found)
+        found = stages.best_fits(starts, active)
+    found = stages.under_noise(starts, active, found)
     if structure.config.residual:
         starts, active = add_network(structure, starts, found, rng), np.ones(layout.size)
-        found = under_noise(starts, active, best_fits(starts, active))
+        found = stages.under_noise(starts, active, stages.best_fits(starts, active))
     if not np.isfinite(found.cost).any():
         raise FloatingPointError("grey-box: no starting point gives a finite simulation")
-    return _finish(structure, segments, simulate, starts, found, np.concatenate(curve))
+    return _finish(structure, segments, simulate, starts, found, np.concatenate(stages.curve))
+
+
+@dataclass(frozen=True)
+class _Stages:
+    """The fits of one model, from all starting points at once."""
+
+    structure: GreyBoxStructure
+    segments: RecordPieces
+    method: LevenbergMarquardt
+    simulate: CompiledSimulator
+    noise: NoiseRounds
+    curve: list[Array]
+    """Cost after each iteration, of the best start, one array a fit."""
+
+    def best_fits(self, starts: Starts, active: Array) -> Minimum:
+        """From the starting points; `active` (size,) is 1 where a coordinate is free."""
+        return self._minimum(starts, active, None)
+
+    def under_noise(self, starts: Starts, active: Array, found: Minimum) -> Minimum:
+        """`found`, fitted again under each estimate of the noise."""
+        for _ in range(NOISE_ROUNDS):
+            if not self.noise.estimate(starts, found):
+                break
+            found = self._minimum(starts, active, found.theta)
+        return found
+
+    def _minimum(self, starts: Starts, active: Array, theta: Array | None) -> Minimum:
+        error = SimulationError(
+            self.structure, self.segments, starts, active, self.simulate, self.noise.weighting
+        )
+        begin = error.theta0 if theta is None else theta
+        found = minimise(error.cost, error.linearise, begin, self.method)
+        self.curve.append(found.history[np.argmin(found.cost)])
+        return found
 
 
 def _finish(
