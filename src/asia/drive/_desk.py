@@ -7,100 +7,29 @@ process of its own, started when it is not there. Whoever asks may die at any ti
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 from asia._text import one_line
 from asia.agents import Proposal
 from asia.candidate import check_source
+from asia.drive._answers import (
+    ExperimentSummary,
+    SearchProgress,
+    Submission,
+    SubmissionState,
+    progress_of,
+    summary_of,
+)
 from asia.drive._detached import SearchRequest, attended, has_begun, runs
 from asia.drive._queue import TEXT, TITLE, Queue
 from asia.errors import CandidateError, UserError
-from asia.ledger import Diagnostics, Experiment, Run, Stopped, error_line, open_run, published
+from asia.ledger import Experiment, Run, Stopped, open_run, published
 from asia.search._agent_view import digest
 
-SubmissionState = Literal["queued", "running", "done", "withdrawn", "unknown"]
-
 _POLL = 0.1
-
-
-@dataclass(frozen=True)
-class Submission:
-    """Where a candidate stands that was handed in."""
-
-    ticket: str
-    """What it is called until it is an experiment, and afterwards."""
-    state: SubmissionState
-    """`withdrawn` only in the answer to taking it back; afterwards, as for a ticket never given,
-    it is `unknown`."""
-    ahead: int = 0
-    """How many others wait before it."""
-    experiment: int | None = None
-    """Its number, once it is an experiment."""
-
-
-@dataclass(frozen=True)
-class ExperimentSummary:
-    """An experiment in few words, safe to show to anyone: no output of the candidate but one
-    bounded line of its own error."""
-
-    experiment: int
-    """Its number, from 1."""
-    status: str
-    """Keep, discard, or how it failed."""
-    value: float | None
-    """V; None without a score."""
-    folds: tuple[float, ...]
-    """V of each fold."""
-    reason: str | None
-    """Why there is no score, one word."""
-    advice: str | None
-    """What to do about that."""
-    detail: str | None
-    """The last line of the candidate's own error."""
-    title: str
-    """The candidate's title, one line."""
-    parent: int | None
-    """The experiment it was made from."""
-    seconds: float
-    """How long its evaluation took."""
-    duplicate_of: int | None
-    """The experiment with the same source, whose outcome stands."""
-    training: Diagnostics | None
-    """Residual analysis of the training side, in each figure the worst of the folds."""
-
-
-@dataclass(frozen=True)
-class SearchProgress:
-    """Where the search stands."""
-
-    run: str
-    """Name of the run."""
-    problem: str
-    """Name of the problem."""
-    state: str
-    """As `asia status` names it: running, interrupted, finished or unsealed."""
-    experiments: int
-    """Experiments finished."""
-    budget: int
-    """Experiments in all."""
-    v_name: str
-    """What V is called in this search."""
-    best: int | None
-    """Number of the incumbent."""
-    best_value: float | None
-    """V of the incumbent."""
-    rungs: dict[str, float | None]
-    """V of each trivial reference; None where it has none."""
-    notes: tuple[str, ...]
-    """Notes of a person to the agent."""
-
-    @property
-    def remaining(self) -> int:
-        """Experiments left."""
-        return max(0, self.budget - self.experiments)
 
 
 class Desk(Protocol):
@@ -322,52 +251,6 @@ def tidy(proposal: Proposal) -> Proposal:
         hypothesis=hypothesis,
         expected=one_line(proposal.expected, TEXT) or "not said",
         parent=proposal.parent,
-    )
-
-
-def summary_of(experiment: Experiment) -> ExperimentSummary:
-    """An evaluated experiment in few words."""
-    p, r, score, failure = (
-        experiment.proposed, experiment.result, experiment.score, experiment.failure,
-    )  # fmt: skip
-    assert r is not None
-    return ExperimentSummary(
-        experiment=experiment.number,
-        status=r.status,
-        value=score.value if score else None,
-        folds=tuple(f.value for f in score.folds) if score else (),
-        reason=failure.reason.value if failure else None,
-        advice=failure.advice if failure else None,
-        detail=(error_line(failure.detail) or None) if failure else None,
-        title=one_line(p.title, TITLE),
-        parent=p.parent,
-        seconds=round(r.seconds, 1),
-        duplicate_of=r.duplicate_of,
-        training=_worst([f.diagnostics for f in r.folds]),
-    )
-
-
-def _worst(folds: Sequence[Diagnostics]) -> Diagnostics | None:
-    if not folds:
-        return None
-    return Diagnostics(*(max(values) for values in zip(*map(astuple, folds), strict=True)))
-
-
-def progress_of(run: Run) -> SearchProgress:
-    """Where a run stands."""
-    view = run.view
-    best = view.best
-    return SearchProgress(
-        run=view.started.run,
-        problem=view.started.problem,
-        state=run.state,
-        experiments=len(view.finished),
-        budget=view.budget,
-        v_name=view.v_name,
-        best=best.number if best else None,
-        best_value=best.score.value if best and best.score else None,
-        rungs={r.name: getattr(r.outcome, "value", None) for r in view.rungs},
-        notes=tuple(note.text for note in view.notes),
     )
 
 

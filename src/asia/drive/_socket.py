@@ -18,7 +18,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from asia.agents import Proposal
-from asia.drive._desk import Desk, ExperimentSummary, SearchProgress, Submission
+from asia.drive._answers import ExperimentSummary, SearchProgress, Submission
+from asia.drive._desk import Desk
 from asia.errors import UserError
 
 MOST_BYTES = 1_000_000

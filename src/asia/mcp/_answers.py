@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, astuple, dataclass
 
 from asia.drive import ExperimentSummary, SearchProgress, Submission
-from asia.drive._desk import summary_of
+from asia.drive._answers import summary_of
 from asia.ledger import Diagnostics, Run
 
 _DIGITS = 6

@@ -7,7 +7,7 @@ import pytest
 from asia._text import one_line
 from asia.agents import Proposal
 from asia.drive import RunDesk, SearchRequest, prepare_request, wait
-from asia.drive._desk import Submission
+from asia.drive._answers import Submission
 from asia.drive._queue import Queue
 from asia.drive._serve import clear_known, serve
 from asia.errors import Reason, UserError

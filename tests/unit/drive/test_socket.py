@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from asia.drive._desk import RunDesk, SearchProgress
+from asia.drive._answers import SearchProgress
+from asia.drive._desk import RunDesk
 from asia.drive._socket import DeskServer, SocketDesk
 from asia.errors import UserError
 
