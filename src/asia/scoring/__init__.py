@@ -14,15 +14,25 @@ from asia.scoring._outcome import (
     score_fold,
     score_test,
 )
+from asia.scoring._signed import (
+    Along,
+    Ranges,
+    SignedResidual,
+    ranges_of,
+    signed_residuals,
+)
 
 __all__ = [
+    "Along",
     "Diagnostics",
     "Failure",
     "FoldScore",
     "GroupError",
     "MeeTable",
     "Outcome",
+    "Ranges",
     "Score",
+    "SignedResidual",
     "TestScore",
     "check_reply",
     "combine",
@@ -30,6 +40,8 @@ __all__ = [
     "fit_index",
     "mee_table",
     "r2",
+    "ranges_of",
     "score_fold",
     "score_test",
+    "signed_residuals",
 ]

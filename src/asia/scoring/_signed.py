@@ -1,0 +1,276 @@
+"""Where a model is too high and where too low: means of its residual over parts of the data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data import Array, Signal
+
+BINS = 5
+"""Parts of equal width into which the range of a signal is cut."""
+_TIME_PARTS = ("first", "middle", "last")
+_LONGEST_MEMORY = 200
+_FEWEST_SAMPLES = 10
+_STANDARD_ERRORS = 3.0
+_SMALLEST_MEAN = 0.3
+_MOST_OF_IT = 0.8
+_STEP = 0.25
+_MOST_STEPS = 0.1
+_TURN = 0.1
+
+Mask = NDArray[np.bool_]
+
+
+class Along(StrEnum):
+    """What the samples of a part have in common."""
+
+    OUTPUT = "output"
+    """The simulated output lies in one part of its range."""
+    INPUT = "input"
+    """An input lies in one part of its range."""
+    TIME = "time"
+    """They lie in the first, middle or last third of their record or window."""
+    CHANGE = "change"
+    """The simulated output falls (part 0) or rises (part 1) fast."""
+    STEP = "step"
+    """They follow a step of an input down (part 0) or up (part 1)."""
+    TURN = "turn"
+    """They follow a minimum (part 0) or a maximum (part 1) of the simulated output."""
+
+
+@dataclass(frozen=True)
+class SignedResidual:
+    """The mean residual of one output over one part of the data."""
+
+    output: int
+    """Index of the output."""
+    along: Along
+    """What the samples of this part have in common."""
+    signal: int
+    """Index of the input for INPUT and STEP, else of the output."""
+    part: int
+    """Number of the part, from 0."""
+    low: float | None
+    """Where this part of the range begins, in the unit of the signal; None for the lowest part,
+    and where there is no range."""
+    high: float | None
+    """Where it ends; None for the highest part, and where there is no range."""
+    mean: float
+    """Mean of measured minus simulated output in the given standard deviations: above 0 the model
+    is too low."""
+    error: float
+    """Standard error of `mean`; samples that follow each other are not counted as independent."""
+    samples: int
+    """How many samples the part has."""
+    share: float
+    """The share of the squared residual of this output that would be gone without `mean`."""
+    notable: bool
+    """Whether `mean` is more than three standard errors and three tenths of the RMS residual; along
+    time eight tenths are enough."""
+
+    def words(self, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> str:
+        """`tank2_level above 8 V: the model is too low by 0.21 s.d.`"""
+        signals = inputs if self.along in (Along.INPUT, Along.STEP) else outputs
+        name, own = signals[self.signal].name, outputs[self.output].name
+        where = _where(self, name, signals[self.signal].unit)
+        whose = "the model" if name == own and self.along is not Along.TIME else own
+        return f"{where}: {whose} is too {'low' if self.mean > 0 else 'high'} by {self.size}"
+
+    @property
+    def size(self) -> str:
+        """`0.21 s.d.`"""
+        return f"{abs(self.mean):.2g} s.d."
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """The edges between the parts of each signal's range, so that folds share their parts."""
+
+    inputs: tuple[tuple[float, ...], ...]
+    """BINS - 1 edges an input."""
+    outputs: tuple[tuple[float, ...], ...]
+    """BINS - 1 edges an output."""
+
+
+def ranges_of(u: Sequence[Array], y: Sequence[Array]) -> Ranges:
+    """The ranges of signals in records of (H, nu) and (H, ny), their outermost hundredths left
+    out."""
+    return Ranges(_edges(np.concatenate(list(u))), _edges(np.concatenate(list(y))))
+
+
+def signed_residuals(
+    u: Sequence[Array],
+    y: Sequence[Array],
+    y_hat: Sequence[Array],
+    scale: Array,
+    ranges: Ranges | None = None,
+) -> tuple[SignedResidual, ...]:
+    """The mean residual of each output along its simulated value, along each input, along time,
+    where it rises or falls, after steps of the inputs and after its turning points.
+
+    u, y, y_hat: inputs, measured and simulated outputs, one (H, n) array a record or window; scale:
+    (ny,), by which residuals are divided, such as the standard deviations of the outputs; ranges:
+    where the parts lie, None for those of `u` and `y`. An output's range is that of what the model
+    says, not of what was measured: with noise on it, the highest measured samples lie above the
+    best model there is. Parts without enough samples are left out. The largest `share` comes first.
+    """
+    ranges = ranges or ranges_of(u, y)
+    records = _Records(u, y, y_hat, scale)
+    found = [one for output in range(len(scale)) for one in _of_output(records, output, ranges)]
+    return tuple(sorted(found, key=lambda one: -one.share))
+
+
+class _Records:
+    """Samples of all records, one below the other."""
+
+    def __init__(
+        self, u: Sequence[Array], y: Sequence[Array], y_hat: Sequence[Array], scale: Array
+    ) -> None:
+        self.u, self.y_hat = np.concatenate(list(u)), np.concatenate(list(y_hat))
+        self.scale = np.asarray(scale, dtype=np.float64)
+        self.residual = (np.concatenate(list(y)) - self.y_hat) / self.scale
+        lengths = [len(one) for one in y]
+        self.place = np.concatenate([np.arange(n) for n in lengths])
+        """The number of each sample within its record."""
+        self.after = np.concatenate([np.arange(n)[::-1] for n in lengths])
+        """How many samples of its record follow it."""
+        self.third = np.concatenate([np.arange(n) * 3 // n for n in lengths])
+
+    def shifted(self, x: Array, lag: int) -> Array:
+        """x(t - lag) within the records; the nearest sample of the record beyond its ends."""
+        here = np.arange(len(x))
+        return x[here - np.clip(lag, -self.after, self.place)]
+
+    def follows(self, events: Mask, length: int) -> Mask:
+        """Whether one of the samples t, t - 1 ... t - length + 1 of the record is an event."""
+        last = np.maximum.accumulate(np.where(events, np.arange(len(events)), -1))
+        since = np.arange(len(events)) - last
+        return (last >= 0) & (since < length) & (since <= self.place)
+
+    def stretches(self, chosen: Mask, length: int) -> int:
+        """Into how many stretches of `length` samples the chosen ones fall, at least 1: as many of
+        them count as independent where the residual remembers `length` samples."""
+        record = np.cumsum(self.place == 0)
+        begins = record * len(self.place) + self.place // length
+        return max(1, len(np.unique(begins[chosen])))
+
+    def memory(self, x: Array, least: float) -> int:
+        """Samples until the autocorrelation of x falls below `least`, 1 .. 200."""
+        centred = x - x.mean()
+        power = float((centred**2).mean())
+        for lag in range(1, _LONGEST_MEMORY):
+            late = self.place >= lag
+            if power <= 0 or late.sum() < _FEWEST_SAMPLES:
+                return lag
+            early = centred[np.flatnonzero(late) - lag]
+            if float((centred[late] * early).mean()) < least * power:
+                return lag
+        return _LONGEST_MEMORY
+
+
+def _of_output(records: _Records, output: int, ranges: Ranges) -> Iterator[SignedResidual]:
+    residual = records.residual[:, output]
+    memory = records.memory(residual, 0.1)
+    square = float((residual**2).mean())
+    for along, signal, part, low, high, chosen in _parts(records, output, ranges):
+        samples = int(chosen.sum())
+        if samples < _FEWEST_SAMPLES or samples == len(residual) or square <= 0:
+            continue
+        mean = float(residual[chosen].mean())
+        error = float(np.sqrt(square / records.stretches(chosen, memory)))
+        notable = _notable(along, mean, error, float(np.sqrt(square)))
+        share = samples / len(residual) * mean**2 / square
+        yield SignedResidual(
+            output, along, signal, part, low, high, mean, error, samples, share, notable
+        )
+
+
+_Part = tuple[Along, int, int, float | None, float | None, Mask]
+
+
+def _parts(records: _Records, output: int, ranges: Ranges) -> Iterator[_Part]:
+    simulated = records.y_hat[:, output]
+    for part, low, high, chosen in _cut(simulated, ranges.outputs[output]):
+        yield Along.OUTPUT, output, part, low, high, chosen
+    for i, edges in enumerate(ranges.inputs):
+        for part, low, high, chosen in _cut(records.u[:, i], edges):
+            yield Along.INPUT, i, part, low, high, chosen
+    for part in range(len(_TIME_PARTS)):
+        yield Along.TIME, output, part, None, None, records.third == part
+    time = records.memory(simulated, 0.5)
+    change = simulated - records.shifted(simulated, 1)
+    fast = 0.5 * np.sqrt((change**2).mean())
+    near = max(1, time // 2)
+    before, after = (simulated - records.shifted(simulated, lag) for lag in (near, -near))
+    least = _TURN * records.scale[output]
+    for part, way in enumerate((-1.0, 1.0)):
+        yield Along.CHANGE, output, part, None, None, way * change > fast
+        turns = (way * before > least) & (way * after > least)
+        yield Along.TURN, output, part, None, None, records.follows(turns, near)
+    for i in range(records.u.shape[1]):
+        for part, steps in enumerate(_steps(records, i)):
+            yield Along.STEP, i, part, None, None, records.follows(steps, time)
+
+
+def _steps(records: _Records, i: int) -> tuple[Mask, Mask]:
+    """Where an input steps down and up; nowhere where it moves all the time."""
+    u = records.u[:, i]
+    change = u - records.shifted(u, 1)
+    large = np.abs(change) > _STEP * max(float(np.ptp(u)), 1e-300)
+    large &= large.mean() <= _MOST_STEPS
+    return large & (change < 0), large & (change > 0)
+
+
+def _cut(
+    x: Array, edges: Sequence[float]
+) -> Iterator[tuple[int, float | None, float | None, Mask]]:
+    part_of = np.searchsorted(np.asarray(edges), x, side="right")
+    for part, (low, high) in enumerate(zip((None, *edges), (*edges, None), strict=True)):
+        yield part, low, high, part_of == part
+
+
+def _edges(x: Array) -> tuple[tuple[float, ...], ...]:
+    """Inner edges of parts of equal width, rounded to two digits of that width. A range is that of
+    all but the outermost hundredths."""
+    low, high = np.quantile(x, 0.01, axis=0), np.quantile(x, 0.99, axis=0)
+    found: list[tuple[float, ...]] = []
+    for first, last in zip(low.tolist(), high.tolist(), strict=True):
+        width = (last - first) / BINS
+        if width <= 0:
+            found.append(())
+            continue
+        digits = 1 - int(np.floor(np.log10(width)))
+        found.append(tuple(round(first + k * width, digits) for k in range(1, BINS)))
+    return tuple(found)
+
+
+def _notable(along: Along, mean: float, error: float, rms: float) -> bool:
+    """A drift over a whole record looks like noise with a long memory: along time a mean that is
+    most of the residual counts too."""
+    least = _STANDARD_ERRORS * error
+    if along is Along.TIME:
+        least = min(least, _MOST_OF_IT * rms)
+    return abs(mean) > max(least, _SMALLEST_MEAN * rms)
+
+
+def _where(one: SignedResidual, name: str, unit: str) -> str:
+    if one.along is Along.TIME:
+        return f"{_TIME_PARTS[one.part]} third of the records"
+    words = {
+        Along.CHANGE: (f"while {name} falls fast", f"while {name} rises fast"),
+        Along.STEP: (f"after {name} steps down", f"after {name} steps up"),
+        Along.TURN: (f"after a minimum of {name}", f"after a maximum of {name}"),
+    }
+    if one.along in words:
+        return words[one.along][one.part]
+    unit = f" {unit}" if unit and unit != "-" else ""
+    if one.low is None:
+        return f"{name} below {one.high:g}{unit}"
+    if one.high is None:
+        return f"{name} above {one.low:g}{unit}"
+    return f"{name} {one.low:g} to {one.high:g}{unit}"
