@@ -15,7 +15,7 @@ from asia.scoring._outcome import (
     score_test,
 )
 from asia.scoring._signed import (
-    Along,
+    PartKind,
     Ranges,
     SignedResidual,
     ranges_of,
@@ -23,13 +23,13 @@ from asia.scoring._signed import (
 )
 
 __all__ = [
-    "Along",
     "Diagnostics",
     "Failure",
     "FoldScore",
     "GroupError",
     "MeeTable",
     "Outcome",
+    "PartKind",
     "Ranges",
     "Score",
     "SignedResidual",

@@ -26,7 +26,7 @@ _TURN = 0.1
 Mask = NDArray[np.bool_]
 
 
-class Along(StrEnum):
+class PartKind(StrEnum):
     """What the samples of a part have in common."""
 
     OUTPUT = "output"
@@ -49,7 +49,7 @@ class SignedResidual:
 
     output: int
     """Index of the output."""
-    along: Along
+    kind: PartKind
     """What the samples of this part have in common."""
     signal: int
     """Index of the input for INPUT and STEP, else of the output."""
@@ -75,10 +75,10 @@ class SignedResidual:
 
     def words(self, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> str:
         """`tank2_level above 8 V: the model is too low by 0.21 s.d.`"""
-        signals = inputs if self.along in (Along.INPUT, Along.STEP) else outputs
+        signals = inputs if self.kind in (PartKind.INPUT, PartKind.STEP) else outputs
         name, own = signals[self.signal].name, outputs[self.output].name
         where = _where(self, name, signals[self.signal].unit)
-        whose = "the model" if name == own and self.along is not Along.TIME else own
+        whose = "the model" if name == own and self.kind is not PartKind.TIME else own
         return f"{where}: {whose} is too {'low' if self.mean > 0 else 'high'} by {self.size}"
 
     @property
@@ -177,31 +177,31 @@ def _of_output(records: _Records, output: int, ranges: Ranges) -> Iterator[Signe
     residual = records.residual[:, output]
     memory = records.memory(residual, 0.1)
     square = float((residual**2).mean())
-    for along, signal, part, low, high, chosen in _parts(records, output, ranges):
+    for kind, signal, part, low, high, chosen in _parts(records, output, ranges):
         samples = int(chosen.sum())
         if samples < _FEWEST_SAMPLES or samples == len(residual) or square <= 0:
             continue
         mean = float(residual[chosen].mean())
         error = float(np.sqrt(square / records.stretches(chosen, memory)))
-        notable = _notable(along, mean, error, float(np.sqrt(square)))
+        notable = _notable(kind, mean, error, float(np.sqrt(square)))
         share = samples / len(residual) * mean**2 / square
         yield SignedResidual(
-            output, along, signal, part, low, high, mean, error, samples, share, notable
+            output, kind, signal, part, low, high, mean, error, samples, share, notable
         )
 
 
-_Part = tuple[Along, int, int, float | None, float | None, Mask]
+_Part = tuple[PartKind, int, int, float | None, float | None, Mask]
 
 
 def _parts(records: _Records, output: int, ranges: Ranges) -> Iterator[_Part]:
     simulated = records.y_hat[:, output]
     for part, low, high, chosen in _cut(simulated, ranges.outputs[output]):
-        yield Along.OUTPUT, output, part, low, high, chosen
+        yield PartKind.OUTPUT, output, part, low, high, chosen
     for i, edges in enumerate(ranges.inputs):
         for part, low, high, chosen in _cut(records.u[:, i], edges):
-            yield Along.INPUT, i, part, low, high, chosen
+            yield PartKind.INPUT, i, part, low, high, chosen
     for part in range(len(_TIME_PARTS)):
-        yield Along.TIME, output, part, None, None, records.third == part
+        yield PartKind.TIME, output, part, None, None, records.third == part
     time = records.memory(simulated, 0.5)
     change = simulated - records.shifted(simulated, 1)
     fast = 0.5 * np.sqrt((change**2).mean())
@@ -209,12 +209,12 @@ def _parts(records: _Records, output: int, ranges: Ranges) -> Iterator[_Part]:
     before, after = (simulated - records.shifted(simulated, lag) for lag in (near, -near))
     least = _TURN * records.scale[output]
     for part, way in enumerate((-1.0, 1.0)):
-        yield Along.CHANGE, output, part, None, None, way * change > fast
+        yield PartKind.CHANGE, output, part, None, None, way * change > fast
         turns = (way * before > least) & (way * after > least)
-        yield Along.TURN, output, part, None, None, records.follows(turns, near)
+        yield PartKind.TURN, output, part, None, None, records.follows(turns, near)
     for i in range(records.u.shape[1]):
         for part, steps in enumerate(_steps(records, i)):
-            yield Along.STEP, i, part, None, None, records.follows(steps, time)
+            yield PartKind.STEP, i, part, None, None, records.follows(steps, time)
 
 
 def _steps(records: _Records, i: int) -> tuple[Mask, Mask]:
@@ -249,25 +249,25 @@ def _edges(x: Array) -> tuple[tuple[float, ...], ...]:
     return tuple(found)
 
 
-def _notable(along: Along, mean: float, error: float, rms: float) -> bool:
+def _notable(kind: PartKind, mean: float, error: float, rms: float) -> bool:
     """A drift over a whole record looks like noise with a long memory: along time a mean that is
     most of the residual counts too."""
     least = _STANDARD_ERRORS * error
-    if along is Along.TIME:
+    if kind is PartKind.TIME:
         least = min(least, _MOST_OF_IT * rms)
     return abs(mean) > max(least, _SMALLEST_MEAN * rms)
 
 
 def _where(one: SignedResidual, name: str, unit: str) -> str:
-    if one.along is Along.TIME:
+    if one.kind is PartKind.TIME:
         return f"{_TIME_PARTS[one.part]} third of the records"
     words = {
-        Along.CHANGE: (f"while {name} falls fast", f"while {name} rises fast"),
-        Along.STEP: (f"after {name} steps down", f"after {name} steps up"),
-        Along.TURN: (f"after a minimum of {name}", f"after a maximum of {name}"),
+        PartKind.CHANGE: (f"while {name} falls fast", f"while {name} rises fast"),
+        PartKind.STEP: (f"after {name} steps down", f"after {name} steps up"),
+        PartKind.TURN: (f"after a minimum of {name}", f"after a maximum of {name}"),
     }
-    if one.along in words:
-        return words[one.along][one.part]
+    if one.kind in words:
+        return words[one.kind][one.part]
     unit = f" {unit}" if unit and unit != "-" else ""
     if one.low is None:
         return f"{name} below {one.high:g}{unit}"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from asia.data import Array, Signal
-from asia.scoring import Along, SignedResidual, ranges_of, signed_residuals
+from asia.scoring import PartKind, SignedResidual, ranges_of, signed_residuals
 
 INPUTS = (Signal("valve", "V"),)
 OUTPUTS = (Signal("level", "cm"),)
@@ -31,7 +31,7 @@ def test_a_planted_bend_is_the_first_thing_said() -> None:
     truth = slow(0)
     bent = np.minimum(truth, 1.2)
     found = notable(slow(1), bent + noise(2), truth)
-    assert found[0].along is Along.OUTPUT
+    assert found[0].kind is PartKind.OUTPUT
     assert found[0].high is None
     assert found[0].mean < 0
     assert found[0].words(INPUTS, OUTPUTS).startswith("level above 0.56 cm: the model is too high")
@@ -40,7 +40,7 @@ def test_a_planted_bend_is_the_first_thing_said() -> None:
 def test_a_planted_lag_is_seen_while_the_output_moves() -> None:
     truth = slow(0, pole=0.98)
     found = notable(slow(1), np.roll(truth, 2, axis=0) + 0.2 * noise(2), truth)
-    signs = {one.part: one.mean for one in found if one.along is Along.CHANGE}
+    signs = {one.part: one.mean for one in found if one.kind is PartKind.CHANGE}
     assert signs[0] > 0 > signs[1]
     assert "while level rises fast: the model is too high" in found[0].words(INPUTS, OUTPUTS) or (
         "while level falls fast: the model is too low" in found[0].words(INPUTS, OUTPUTS)
@@ -50,7 +50,7 @@ def test_a_planted_lag_is_seen_while_the_output_moves() -> None:
 def test_an_input_beyond_which_the_gain_changes_is_named() -> None:
     u, truth = slow(3), slow(4)
     found = notable(u, truth + 0.3 * np.maximum(u - 1.0, 0.0) + noise(5), truth)
-    assert (found[0].along, found[0].part) == (Along.INPUT, 4)
+    assert (found[0].kind, found[0].part) == (PartKind.INPUT, 4)
     assert found[0].words(INPUTS, OUTPUTS).startswith("valve above ")
     assert "level is too low by" in found[0].words(INPUTS, OUTPUTS)
 
@@ -59,8 +59,8 @@ def test_a_drift_is_named_along_time() -> None:
     truth = slow(6)
     drift = np.linspace(-0.3, 0.3, len(truth))[:, None]
     found = notable(slow(7), truth + drift + noise(8), truth)
-    assert {(one.along, one.part, one.mean > 0) for one in found} >= {
-        (Along.TIME, 0, False), (Along.TIME, 2, True),
+    assert {(one.kind, one.part, one.mean > 0) for one in found} >= {
+        (PartKind.TIME, 0, False), (PartKind.TIME, 2, True),
     }  # fmt: skip
 
 
@@ -71,7 +71,7 @@ def test_a_model_that_is_slow_after_steps_is_named() -> None:
     for k in range(100, len(u), 100):
         late[k : k + 20, 0] = 0.5 * (u[k, 0] - u[k - 1, 0])
     found = notable(u, truth + late + noise(10), truth)
-    steps = {one.part: one.mean for one in found if one.along is Along.STEP}
+    steps = {one.part: one.mean for one in found if one.kind is PartKind.STEP}
     assert steps[0] < 0 < steps[1]
 
 
@@ -89,7 +89,7 @@ def test_records_do_not_run_into_each_other() -> None:
     y = [slow(0, 100), slow(1, 100)]
     steps = [
         one for one in signed_residuals(u, y, [a + 1.0 for a in y], np.ones(1))
-        if one.along is Along.STEP
+        if one.kind is PartKind.STEP
     ]  # fmt: skip
     assert steps == []
 
@@ -106,5 +106,5 @@ def test_folds_share_the_parts_of_the_ranges_they_are_given() -> None:
     ranges = ranges_of([u], [y])
     half = slice(0, 2000)
     found = signed_residuals([u[half]], [y[half]], [y[half] + 0.1], np.ones(1), ranges)
-    edges = {one.high for one in found if one.along is Along.INPUT and one.high is not None}
+    edges = {one.high for one in found if one.kind is PartKind.INPUT and one.high is not None}
     assert edges == set(ranges.inputs[0])
