@@ -6,7 +6,7 @@ import json as jsonlib
 import sys
 from dataclasses import asdict, astuple, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
@@ -49,45 +49,42 @@ def try_(
     source = read_text(path, "write the candidate there, as Python source")
     desk = place.desk()
     submission = desk.submit(Proposal(source, family, message, message, expect, parent))
-    result = _waited(desk, submission)
+    # One stream, so that the lines keep their order where the output is captured.
+    result = _waited(desk, submission, sys.stderr if json else sys.stdout)
     progress = desk.progress()
     place.renew_views()
     if json:
-        say(jsonlib.dumps(_object(result, progress), allow_nan=False))
+        answer = {**_object(result, progress), "repeated": submission.repeated}
+        say(jsonlib.dumps(answer, allow_nan=False))
     else:
+        if submission.repeated:
+            say(_repeated_line(result))
         for line in result_lines(result, progress):
             say(line)
     if result.value is None:
         raise typer.Exit(NO_SCORE)
 
 
-def _waited(desk: Desk, submission: Submission) -> ExperimentSummary:
+def _repeated_line(result: ExperimentSummary) -> str:
+    return (
+        f"not judged again: comments apart, this is the source of #{result.experiment:02d}. Its "
+        "result stands, and no experiment was spent for it:"
+    )
+
+
+def _waited(desk: Desk, submission: Submission, stream: TextIO) -> ExperimentSummary:
+    from asia.cli._output.waiting import Waiting
     from asia.drive import wait
     from asia.errors import UserError
 
-    said = ""
-
-    def tick(now: Submission) -> None:
-        nonlocal said
-        words = _words(now, desk)
-        if words != said:
-            said = words
-            say(words, file=sys.stderr, flush=True)
-
-    while submission.state not in ("done", "unknown"):
-        submission = wait(desk, submission.ticket, 3600.0, tick)
+    if submission.state not in ("done", "unknown"):
+        waiting = Waiting(desk, lambda line: say(line, file=stream, flush=True))
+        while submission.state not in ("done", "unknown"):
+            submission = wait(desk, submission.ticket, 3600.0, waiting.look)
     found = [r for r in desk.results() if r.experiment == submission.experiment]
     if not found:
         raise UserError("the submission was withdrawn before it was evaluated")
     return found[0]
-
-
-def _words(submission: Submission, desk: Desk) -> str:
-    if submission.state == "running":
-        return f"#{submission.experiment:02d} is being evaluated"
-    if submission.state == "queued" and desk.progress().experiments == 0:
-        return "the rungs and the baseline are evaluated first"
-    return f"queued, {submission.ahead} before it" if submission.state == "queued" else ""
 
 
 def result_lines(result: ExperimentSummary, progress: SearchProgress) -> list[str]:

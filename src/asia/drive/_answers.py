@@ -26,6 +26,8 @@ class Submission:
     """How many others wait before it."""
     experiment: int | None = None
     """Its number, once it is an experiment."""
+    repeated: bool = False
+    """Whether the same source was handed in before, so that this answer costs no experiment."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,8 @@ class SearchProgress:
     """V of each trivial reference; None where it has none."""
     notes: tuple[str, ...]
     """Notes of a person to the agent."""
+    running: int | None = None
+    """Number of the experiment that is being evaluated."""
 
     @property
     def remaining(self) -> int:
@@ -133,4 +137,5 @@ def progress_of(run: Run) -> SearchProgress:
         best_value=best.score.value if best and best.score else None,
         rungs={r.name: getattr(r.outcome, "value", None) for r in view.rungs},
         notes=tuple(note.text for note in view.notes),
+        running=view.pending.number if view.pending is not None else None,
     )

@@ -25,11 +25,15 @@ from asia.drive._answers import (
 )
 from asia.drive._detached import SearchRequest, attended, has_begun, runs
 from asia.drive._queue import TEXT, TITLE, Queue
+from asia.drive._serve import requested_problem
 from asia.errors import CandidateError, UserError
+from asia.evaluation import LINEAR
 from asia.ledger import Experiment, Run, Stopped, open_run, published
 from asia.search._agent_view import digest
 
 _POLL = 0.1
+# The ticket of the experiment that nobody hands in, before the search has recorded it too.
+_BASELINE = "experiment-1"
 
 
 class Desk(Protocol):
@@ -114,8 +118,8 @@ class RunDesk:
         try:
             self.wake()
         except UserError as error:
-            raise UserError(f"submission {ticket} is stored, but {error}") from None
-        return self.submission(ticket)
+            raise UserError(f"submission {ticket} is stored and was not judged: {error}") from None
+        return replace(self.submission(ticket), repeated=known is not None)
 
     def _known(self, wanted: str) -> Submission | None:
         """Where a candidate with this digest stands, if it was handed in before. The queue is
@@ -123,11 +127,14 @@ class RunDesk:
         for ticket in self._queue.tickets():
             waiting = self._queue.get(ticket)
             if waiting is not None and digest(waiting.source) == wanted:
-                return Submission(ticket, "queued")
-        for experiment in self.run().view.experiments:
+                return Submission(ticket, "queued", repeated=True)
+        experiments = self.run().view.experiments
+        for experiment in experiments:
             settled = experiment.result is None or not experiment.result.deadline
             if settled and experiment.proposed.digest == wanted:
-                return _submission_of(experiment)
+                return replace(_submission_of(experiment), repeated=True)
+        if not experiments and wanted == _baseline_digest(self._directory):
+            return Submission(_BASELINE, "queued", repeated=True)
         return None
 
     def _put(self, proposal: Proposal) -> str:
@@ -136,14 +143,14 @@ class RunDesk:
         view, budget = run.view, _budget(self._directory, run)
         over = _over(self._directory, run)
         if over is not None:
-            raise UserError(over)
+            raise UserError(f"the candidate was not judged: {over}")
         in_ledger = {e.proposed.ticket for e in view.experiments}
         # The baseline is the first experiment, and nobody hands it in.
         spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
         if spent >= budget:
             raise UserError(
-                f"the budget of {budget} experiments is spent; a person can raise it with "
-                "asia workspace or asia mcp and a larger --experiments"
+                f"the candidate was not judged: the budget of {budget} experiments is spent; a "
+                "person can raise it with asia workspace or asia mcp and a larger --experiments"
             )
         numbers = {1, *(e.number for e in view.experiments)}
         if proposal.parent is not None and proposal.parent not in numbers:
@@ -154,7 +161,7 @@ class RunDesk:
         """Start the search where it has something to do and is not there. Raises UserError when it
         does not start, or is over."""
         run = self.run()
-        if not self._queue.tickets() and run.view.pending is None:
+        if not self._queue.tickets() and run.view.experiments and run.view.pending is None:
             return
         over = _over(self._directory, run)
         if over is not None:
@@ -178,6 +185,8 @@ class RunDesk:
                 return _submission_of(experiment)
         if ticket in waiting:
             return Submission(ticket, "queued", waiting.index(ticket))
+        if ticket == _BASELINE:
+            return Submission(ticket, "queued")
         return Submission(ticket, "unknown")
 
     def withdraw(self, ticket: str) -> Submission:
@@ -267,6 +276,12 @@ def _over(directory: Path, run: Run) -> str | None:
     if view.stopped.reason == "user" and not again:
         return "a person stopped this search; the command that started it continues it"
     return None
+
+
+def _baseline_digest(directory: Path) -> str | None:
+    """Of the candidate that the search begins with; None where no request says what it is for."""
+    request = SearchRequest.find(directory)
+    return None if request is None else digest(requested_problem(request).baseline or LINEAR)
 
 
 def _budget(directory: Path, run: Run) -> int:

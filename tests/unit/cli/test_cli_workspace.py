@@ -48,12 +48,25 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert answer["V"] < 0.05
     assert answer["best"] == {"experiment": 2, "V": answer["V"]}
     assert answer["remaining"] == 2
+    assert answer["repeated"] is False
+    # The search was started by this call: its rungs and its baseline are reported before the
+    # result, apart from the JSON.
+    told = good.err.splitlines()
+    assert any(line.startswith("rung linear model: V = ") for line in told)
+    assert any(line.startswith("#01 keep    V = ") for line in told)
     again = asia("try", "-m", "the same again", "--dir", folder / "data")
-    assert "#02" in again.out
+    assert again.out.startswith("not judged again: comments apart, this is the source of #02.")
+    assert "2 of 4 experiments left" in again.out
     (folder / "candidate.py").write_text(CRASH)
     crash = asia("try", "-m", "a crash", "--parent", 2, "--dir", folder)
     assert crash.code == 3
     assert "no such luck" in crash.out
+    # One stream keeps the order of progress and result.
+    lines = crash.out.splitlines()
+    assert lines.index("#03 is being evaluated") < lines.index(
+        next(line for line in lines if line.startswith("#03 crash"))
+    )
+    assert crash.err == ""
     assert "best #02" in crash.out
     (folder / "candidate.py").write_text(arx(3))
     last = asia("try", "-m", "three lags", "--dir", folder)
@@ -66,7 +79,11 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     (folder / "candidate.py").write_text(arx(4))
     spent = asia("try", "-m", "one too many", "--dir", folder)
     assert spent.code == 2
-    assert "budget" in spent.err
+    assert "the candidate was not judged: the budget of 4 experiments is spent" in spent.err
+    (folder / "candidate.py").write_text(arx(3))
+    known = asia("try", "-m", "as before", "--dir", folder)
+    assert (known.code, known.out.count("not judged again")) == (0, 1)
+    (folder / "candidate.py").write_text(arx(4))
     # The same command with more raises the budget and keeps the candidate.
     assert asia("workspace", problem, folder, "--experiments", 5, "--runs", runs).code == 0
     assert (folder / "candidate.py").read_text() == arx(4)
@@ -103,14 +120,17 @@ def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state:
         (problem / "baseline.py").write_text(SLOW)
     folder, runs = tmp_path / "work", tmp_path / "runs"
     assert asia("workspace", problem, folder, "--experiments", 3, "--runs", runs).code == 0
-    (folder / "candidate.py").write_text(SLOW)
+    (folder / "candidate.py").write_text(SLOW.replace("60", "61"))
     (run,) = runs.iterdir()
     command = [sys.executable, "-c", ASIA, "try", "-m", "a slow one", "--dir", str(folder)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as waiting:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes, text=True) as waiting:
         assert waiting.stderr is not None
-        said = "#02 is being evaluated" if state == "running" else "the rungs and the baseline"
-        lines = iter(waiting.stderr.readline, "")
-        assert any(said in line for line in lines)
+        assert waiting.stdout is not None
+        said = "#02 is being evaluated"
+        if state == "queued":
+            said = "#01, the baseline, is being evaluated; yours is next"
+        assert any(line.rstrip("\n") == said for line in waiting.stdout)
         end_searches(run)
         last = waiting.stderr.read()
     assert waiting.returncode == 2

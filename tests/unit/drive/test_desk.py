@@ -94,17 +94,18 @@ def test_words_are_bounded_and_stay_on_their_line(place: Place) -> None:
 def test_the_same_source_is_one_submission(served: tuple[Place, str]) -> None:
     place, ticket = served
     assert place.desk.submit(replace(candidate(2), source=arx(2) + "# a comment\n")) == Submission(
-        ticket, "done", experiment=2
+        ticket, "done", experiment=2, repeated=True
     )
     first = place.desk.submit(candidate(3))
-    assert place.desk.submit(candidate(3, hypothesis="another")) == first
+    again = place.desk.submit(candidate(3, hypothesis="another"))
+    assert again == replace(first, repeated=True)
     assert Queue(place.directory).tickets() == [first.ticket]
 
 
 def test_what_nobody_handed_in_can_be_asked_for_too(place: Place) -> None:
     submission = place.desk.submit(candidate(1))
-    assert submission == Submission("experiment-1", "done", experiment=1)
-    assert place.desk.submission(submission.ticket) == submission
+    assert submission == Submission("experiment-1", "done", experiment=1, repeated=True)
+    assert place.desk.submission(submission.ticket) == replace(submission, repeated=False)
 
 
 def test_a_result_that_hung_on_the_machine_can_be_asked_for_again(place: Place) -> None:
@@ -119,7 +120,7 @@ def test_a_result_that_hung_on_the_machine_can_be_asked_for_again(place: Place) 
 def test_the_queue_counts_towards_the_budget(place: Place) -> None:
     place.desk.submit(candidate(3))
     place.desk.submit(candidate(4))
-    with pytest.raises(UserError, match="budget of 4 experiments is spent; a person can raise"):
+    with pytest.raises(UserError, match="was not judged: the budget of 4 experiments is spent"):
         place.desk.submit(candidate(5))
     order(place.problem, 5).save(place.directory)
     assert place.desk.submit(candidate(5)).ahead == 2
@@ -131,6 +132,22 @@ def test_the_baseline_counts_before_it_is_judged(tmp_path: Path) -> None:
     place.append(prepare_request(wanted, place.directory.parent, None).started)
     with pytest.raises(UserError, match="budget of 1 experiments is spent"):
         place.desk.submit(candidate(2))
+
+
+def test_the_baseline_costs_nothing_before_it_is_judged(tmp_path: Path) -> None:
+    place = ordered(tmp_path)
+    prepared = prepare_request(SearchRequest.load(place.directory), place.directory.parent, None)
+    (place.directory / "problem.lock.toml").write_text(prepared.lock)
+    place.append(prepared.started)
+    called: list[Path] = []
+    desk = RunDesk(place.directory, called.append)
+    submission = desk.submit(candidate(1))
+    assert submission == Submission("experiment-1", "queued", repeated=True)
+    assert Queue(place.directory).tickets() == []
+    assert called
+    serve(place.directory, idle_seconds=0.0)
+    assert desk.submission(submission.ticket).state == "done"
+    assert [r.experiment for r in desk.results()] == [1]
 
 
 def test_a_parent_must_exist(place: Place) -> None:
@@ -188,7 +205,7 @@ def test_only_a_person_takes_up_what_a_person_stopped(place: Place) -> None:
     place.append(Stopped("user"))
     with pytest.raises(UserError, match="a person stopped this search"):
         place.desk.submit(candidate(4))
-    with pytest.raises(UserError, match=f"submission {waiting} is stored, but a person stopped"):
+    with pytest.raises(UserError, match=f"submission {waiting} is stored and was not judged: a person"):
         place.desk.submit(candidate(3))
     SearchRequest.load(place.directory).save(place.directory)
     assert place.desk.submit(candidate(4)).ahead == 1
