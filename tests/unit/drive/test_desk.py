@@ -205,7 +205,7 @@ def test_only_a_person_takes_up_what_a_person_stopped(place: Place) -> None:
     place.append(Stopped("user"))
     with pytest.raises(UserError, match="a person stopped this search"):
         place.desk.submit(candidate(4))
-    with pytest.raises(UserError, match=f"submission {waiting} is stored and was not judged: a person"):
+    with pytest.raises(UserError, match=f"submission {waiting} is stored and was not judged"):
         place.desk.submit(candidate(3))
     SearchRequest.load(place.directory).save(place.directory)
     assert place.desk.submit(candidate(4)).ahead == 1
