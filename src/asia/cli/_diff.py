@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from asia._text import say
+from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Runs
 from asia.cli._show import split_arguments
 
@@ -21,12 +22,12 @@ def diff(
 
     from asia.cli._output.experiment import wide_console
     from asia.errors import UserError
-    from asia.ledger import describe_result, find_run, open_run
+    from asia.ledger import describe_result, open_run
 
     name, numbers = split_arguments(words, 2)
     if len(numbers) != 2:
         raise UserError("diff needs two experiment numbers: asia diff [RUN] N M")
-    opened = open_run(find_run(runs, name))
+    opened = open_run(run_directory(runs, name))
     first, second = (opened.view.experiment(n) for n in numbers)
     console = wide_console()
     for e in (first, second):

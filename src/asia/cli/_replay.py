@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia._text import say
+from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 if TYPE_CHECKING:
@@ -35,10 +36,9 @@ def replay(
     Needs no network and no key, and writes nothing. Experiments that the deadline affected are
     not evaluated again. Exit code 1: something differs.
     """
-    from asia.ledger import find_run
     from asia.search import replay_run
 
-    directory = find_run(runs, run)
+    directory = run_directory(runs, run)
     show = _print_json if json else _print
     report = replay_run(directory, show, tolerance if from_scratch else 0.0)
     if json:

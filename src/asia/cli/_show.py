@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from asia._text import hand_over, printable
+from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Runs
 
 
@@ -37,10 +38,10 @@ def show(
 
     from asia.cli._output.experiment import describe, wide_console
     from asia.errors import UserError
-    from asia.ledger import find_run, open_run
+    from asia.ledger import open_run
 
     name, numbers = split_arguments(words or [], 1)
-    opened = open_run(find_run(runs, name))
+    opened = open_run(run_directory(runs, name))
     view = opened.view
     if not view.experiments:
         raise UserError(f"run '{opened.name}' has no experiment yet")

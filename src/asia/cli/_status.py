@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asia._text import say
+from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Profile, RunName, Runs
 
 if TYPE_CHECKING:
@@ -21,9 +22,9 @@ def status(
 ) -> None:
     """Print the progress of a run: state, experiments, best candidate so far."""
     from asia.cli._output.profile import profile_lines, profile_object
-    from asia.ledger import brief, find_run, open_run
+    from asia.ledger import brief, open_run
 
-    directory = find_run(runs, run)
+    directory = run_directory(runs, run)
     found = brief(directory, LAST)
     events = [line.event for line in open_run(directory).lines] if profile else []
     if json:

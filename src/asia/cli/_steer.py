@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from asia._text import say
+from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
 
@@ -17,10 +18,10 @@ def steer(
 ) -> None:
     """Write a note for the agent into the ledger. The agent reads it at its next step."""
     from asia.agents import AGENTS
-    from asia.ledger import find_run, open_run
+    from asia.ledger import open_run
     from asia.search import Steering
 
-    opened = open_run(find_run(runs, run))
+    opened = open_run(run_directory(runs, run))
     Steering(opened.directory).steer(text)
     agent = opened.view.started.agent
     when = "at its next step" if opened.state == "running" else "when the search continues"
@@ -36,10 +37,10 @@ def pause(
 ) -> None:
     """Pause the search after the current experiment, until asia pause --end."""
     from asia.errors import UserError
-    from asia.ledger import find_run, open_run
+    from asia.ledger import open_run
     from asia.search import Steering
 
-    opened = open_run(find_run(runs, run))
+    opened = open_run(run_directory(runs, run))
     steering, name = Steering(opened.directory), opened.name
     if go_on:
         words = f"{name} continues" if steering.paused else f"{name} was not paused"
@@ -57,10 +58,10 @@ def pause(
 def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
     """End the search after the current experiment. The command that began it can continue it."""
     from asia.errors import UserError
-    from asia.ledger import find_run, open_run
+    from asia.ledger import open_run
     from asia.search import Steering
 
-    opened = open_run(find_run(runs, run))
+    opened = open_run(run_directory(runs, run))
     if opened.state != "running":
         raise UserError(f"run '{opened.name}' is {opened.state}: there is nothing to stop")
     Steering(opened.directory).stop()

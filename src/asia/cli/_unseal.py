@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asia._text import say
+from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
 
 if TYPE_CHECKING:
@@ -28,11 +29,11 @@ def unseal(
     """Score the winner on the sealed test. This ends the search and can be done once."""
     from asia.cli._output.words import validation_words
     from asia.errors import UserError
-    from asia.ledger import find_run, open_run
+    from asia.ledger import open_run
     from asia.report import write_report
     from asia.search import unseal as open_seal
 
-    directory = find_run(runs, run)
+    directory = run_directory(runs, run, named=True)
     opened = open_run(directory)
     if opened.view.unsealed is None and not yes:
         if not sys.stdin.isatty():

@@ -6,6 +6,7 @@ import json as jsonlib
 from dataclasses import asdict
 
 from asia._text import say
+from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 
@@ -15,10 +16,9 @@ def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
     Write down the head, the hash of the last line. Only the head shows whether lines at the end of
     the ledger were removed.
     """
-    from asia.ledger import find_run
     from asia.ledger import verify as check
 
-    directory = find_run(runs, run)
+    directory = run_directory(runs, run)
     found = check(directory)
     if json:
         say(jsonlib.dumps({"run": directory.name, **asdict(found)}))

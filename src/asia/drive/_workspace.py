@@ -71,13 +71,22 @@ class Workspace:
     @classmethod
     def find(cls, folder: Path) -> Workspace:
         """Of a folder or one above it. Raises UserError where there is none."""
+        found = cls.around(folder)
+        if found is None:
+            raise UserError(
+                f"{folder} is not in a workspace: make one with asia workspace PROBLEM DIR, then "
+                "cd DIR"
+            )
+        return found
+
+    @classmethod
+    def around(cls, folder: Path) -> Workspace | None:
+        """As `find`; None where there is none."""
         for place in (folder.resolve(), *folder.resolve().parents):
             link = place / _LINK
             if link.is_file():
                 return cls(place, _run_of(link))
-        raise UserError(
-            f"{folder} is not in a workspace: make one with asia workspace PROBLEM DIR, then cd DIR"
-        )
+        return None
 
     def desk(self) -> Desk:
         """Where candidates are handed in: the socket that ASIA_DESK names, else the run itself."""
