@@ -11,7 +11,10 @@ Runs = Annotated[
     Path, typer.Option("--runs", envvar="ASIA_RUNS", help="Directory that holds the runs.")
 ]
 RunName = Annotated[
-    str | None, typer.Argument(metavar="[RUN]", help="Path or name; left out: the workspace's own, else the newest.")
+    str | None,
+    typer.Argument(
+        metavar="[RUN]", help="Path or name; left out: the workspace's own, else the newest."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, all else on stderr.")]
 Profile = Annotated[
