@@ -25,7 +25,7 @@ FOUND = (Reason.SUSPECT, Reason.RESTART, Reason.LITERAL_DATA, Reason.NOT_REPRODU
 def try_(
     message: Annotated[
         str, typer.Option("--message", "-m", help="Hypothesis: what changed, and why it helps.")
-    ],
+    ] = "",
     expect: Annotated[str, typer.Option(help="What you expect of V, before you know it.")] = "",
     parent: Annotated[
         int | None, typer.Option(help="Experiment that the candidate was made from.")
@@ -34,6 +34,12 @@ def try_(
     folder: Annotated[
         Path, typer.Option("--dir", help="A workspace, or a folder inside one.")
     ] = Path(),
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="Only fit and simulate on some training samples: no experiment."
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Evaluate candidate.py of this workspace, and wait for the result.
@@ -48,6 +54,9 @@ def try_(
     path = place.folder / CANDIDATE
     source = read_text(path, "write the candidate there, as Python source")
     desk = place.desk()
+    if dry_run:
+        _dry_run(desk, source, json=json)
+        return
     submission = desk.submit(Proposal(source, family, message, message, expect, parent))
     # One stream, so that the lines keep their order where the output is captured.
     result = _waited(desk, submission, sys.stderr if json else sys.stdout)
@@ -62,6 +71,19 @@ def try_(
         for line in result_lines(result, progress):
             say(line)
     if result.value is None:
+        raise typer.Exit(NO_SCORE)
+
+
+def _dry_run(desk: Desk, source: str, *, json: bool) -> None:
+    from asia.cli._output.dry_run import dry_run_lines
+
+    found = desk.dry_run(source)
+    if json:
+        say(jsonlib.dumps(asdict(found), allow_nan=False))
+    else:
+        for line in dry_run_lines(found):
+            say(line)
+    if found.reason is not None:
         raise typer.Exit(NO_SCORE)
 
 

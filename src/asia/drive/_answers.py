@@ -8,7 +8,12 @@ from typing import Literal
 
 from asia._text import one_line
 from asia.drive._queue import TITLE
+from asia.evaluation import DryRun
 from asia.ledger import Diagnostics, Experiment, Run, error_line
+
+_PRINTED_LINES = 10
+# What XLA's locks say where a filter of system calls refuses one.
+_NOT_ITS_OWN = "[mutex.cc :"
 
 SubmissionState = Literal["queued", "running", "done", "withdrawn", "unknown"]
 
@@ -92,6 +97,62 @@ class SearchProgress:
     def remaining(self) -> int:
         """Experiments left."""
         return max(0, self.budget - self.experiments)
+
+
+@dataclass(frozen=True)
+class DryRunAnswer:
+    """What a dry run found, in few words."""
+
+    reason: str | None
+    """Why the candidate would have no score, one word; None where nothing was found."""
+    advice: str | None
+    """What to do about that."""
+    detail: str | None
+    """The last line of the candidate's own error."""
+    printed: tuple[str, ...]
+    """The last lines that the candidate printed, bounded; its own words."""
+    samples: int
+    """Samples that it was fitted to."""
+    of_samples: int
+    """Samples that the whole first fold trains on."""
+    fit_seconds: float | None
+    """How long the fit took; None where it did not end well."""
+    compile_seconds: float
+    """How much of all seconds JAX traced and compiled."""
+    simulate_seconds: float
+    """How long the simulations took, compilation apart."""
+    whole_fit_seconds: float | None
+    """The fit of the whole fold, if its time but for compilation grows as the samples do."""
+    limit_seconds: float
+    """The limit of a fit in a try."""
+    allowed_seconds: float
+    """The limit of the fit in this dry run."""
+
+
+def printed_lines(output: str) -> tuple[str, ...]:
+    """The last lines that a candidate printed, without those that libraries write in a sandbox."""
+    lines = [one for one in output.splitlines() if not one.startswith(_NOT_ITS_OWN)]
+    return tuple(one_line(line) for line in lines[-_PRINTED_LINES:])
+
+
+def dry_run_answer(found: DryRun) -> DryRunAnswer:
+    """A dry run in few words."""
+    failure, whole = found.failure, found.whole_fit_seconds()
+    fit = found.fit_seconds
+    return DryRunAnswer(
+        reason=failure.reason.value if failure else None,
+        advice=failure.advice if failure else None,
+        detail=(error_line(failure.detail) or None) if failure else None,
+        printed=printed_lines(found.output),
+        samples=found.samples,
+        of_samples=found.of_samples,
+        fit_seconds=None if fit is None else round(fit, 2),
+        compile_seconds=round(found.compile_seconds, 2),
+        simulate_seconds=round(found.simulate_seconds, 2),
+        whole_fit_seconds=None if whole is None else round(whole, 1),
+        limit_seconds=found.limit_seconds,
+        allowed_seconds=found.allowed_seconds,
+    )
 
 
 def summary_of(experiment: Experiment) -> ExperimentSummary:

@@ -6,6 +6,7 @@ process of its own, started when it is not there. Whoever asks may die at any ti
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,19 +17,22 @@ from asia._text import one_line
 from asia.agents import Proposal
 from asia.candidate import check_source
 from asia.drive._answers import (
+    DryRunAnswer,
     ExperimentSummary,
     SearchProgress,
     Submission,
     SubmissionState,
+    dry_run_answer,
     progress_of,
     summary_of,
 )
 from asia.drive._detached import SearchRequest, attended, has_begun, runs
 from asia.drive._queue import TEXT, TITLE, Queue
 from asia.drive._serve import requested_problem
-from asia.errors import CandidateError, UserError
+from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR
 from asia.ledger import Experiment, Run, Stopped, open_run, published
+from asia.search import dry_run
 from asia.search._agent_view import digest
 
 _POLL = 0.1
@@ -67,6 +71,10 @@ class Desk(Protocol):
         """Whether a process is there that judges what is handed in."""
         ...
 
+    def dry_run(self, source: str) -> DryRunAnswer:
+        """Try a candidate on a short cut of training records: no experiment, no score."""
+        ...
+
 
 class RunDesk:
     """The desk of a run directory."""
@@ -76,6 +84,7 @@ class RunDesk:
         self._directory = directory.resolve()
         self._queue = Queue(self._directory)
         self._keep_alive = keep_alive
+        self._drying = threading.Lock()
         self._seen: tuple[tuple[int, ...], Run] | None = None
 
     def run(self) -> Run:
@@ -216,6 +225,18 @@ class RunDesk:
     def attended(self) -> bool:
         """See `Desk.attended`."""
         return attended(self._directory)
+
+    def dry_run(self, source: str) -> DryRunAnswer:
+        """See `Desk.dry_run`; one at a time."""
+        run = self.run()
+        if not self._drying.acquire(blocking=False):
+            raise UserError("a dry run is under way: wait until it has ended")
+        try:
+            return dry_run_answer(dry_run(run, source))
+        except SandboxError as error:
+            raise UserError(f"the dry run could not be carried out ({error}); try again") from None
+        finally:
+            self._drying.release()
 
 
 def _ticket_of(experiment: Experiment) -> str:

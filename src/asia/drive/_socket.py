@@ -18,12 +18,13 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from asia.agents import Proposal
-from asia.drive._answers import ExperimentSummary, SearchProgress, Submission
+from asia.drive._answers import DryRunAnswer, ExperimentSummary, SearchProgress, Submission
 from asia.drive._desk import Desk
 from asia.errors import UserError
 
 MOST_BYTES = 1_000_000
 _SILENCE_SECONDS = 30.0
+_WORK_SECONDS = 1800.0
 _CONNECTIONS = 32
 _SLOT_SECONDS = 1.0
 
@@ -52,15 +53,20 @@ class _SourceCall(_Call):
     experiment: int
 
 
+class _DryRunCall(_Call):
+    op: Literal["dry_run"] = "dry_run"
+    source: str
+
+
 class _PlainCall(_Call):
     op: Literal["results", "progress", "attended"]
 
 
-_calls: TypeAdapter[_SubmitCall | _TicketCall | _SourceCall | _PlainCall] = TypeAdapter(
-    Annotated[_SubmitCall | _TicketCall | _SourceCall | _PlainCall, Field(discriminator="op")]
-)
+_AnyCall = _SubmitCall | _TicketCall | _SourceCall | _DryRunCall | _PlainCall
+_calls: TypeAdapter[_AnyCall] = TypeAdapter(Annotated[_AnyCall, Field(discriminator="op")])
 _results = TypeAdapter(tuple[ExperimentSummary, ...])
 _progress = TypeAdapter(SearchProgress)
+_dry_run = TypeAdapter(DryRunAnswer)
 
 
 class DeskServer:
@@ -140,7 +146,7 @@ def _answer(desk: Desk, raw: bytes) -> bytes:
     return json.dumps(answer).encode()
 
 
-def _call(desk: Desk, call: _SubmitCall | _TicketCall | _SourceCall | _PlainCall) -> Any:
+def _call(desk: Desk, call: _AnyCall) -> Any:
     match call:
         case _SubmitCall():
             words = call.model_dump(exclude={"op"})
@@ -151,6 +157,8 @@ def _call(desk: Desk, call: _SubmitCall | _TicketCall | _SourceCall | _PlainCall
             return asdict(desk.withdraw(call.ticket))
         case _SourceCall():
             return desk.source(call.experiment)
+        case _DryRunCall():
+            return asdict(desk.dry_run(call.source))
         case _PlainCall(op="results"):
             return [asdict(result) for result in desk.results()]
         case _PlainCall(op="attended"):
@@ -195,9 +203,15 @@ class SocketDesk:
         """See `Desk.attended`."""
         return bool(self._ask({"op": "attended"}))
 
-    def _ask(self, request: dict[str, Any]) -> Any:
+    def dry_run(self, source: str) -> DryRunAnswer:
+        """See `Desk.dry_run`."""
+        request = {"op": "dry_run", "source": source}
+        return _dry_run.validate_python(self._ask(request, _WORK_SECONDS))
+
+    def _ask(self, request: dict[str, Any], seconds: float = _SILENCE_SECONDS) -> Any:
+        """The answer, for which it waits so long."""
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as channel:
-            channel.settimeout(_SILENCE_SECONDS)
+            channel.settimeout(seconds)
             try:
                 channel.connect(str(self._path))
                 channel.sendall(json.dumps(request).encode() + b"\n")

@@ -1,6 +1,7 @@
 """The loop: problem + agent + budget + ledger. Alone holds both an agent and an evaluator."""
 
 from asia.search._agent_view import agent_view, problem_facts
+from asia.search._dry_run import dry_run
 from asia.search._loop import OnEvent
 from asia.search._replay import Replayed, ReplayReport, replay_run
 from asia.search._run import (
@@ -33,6 +34,7 @@ __all__ = [
     "agent_view",
     "check_baseline",
     "check_hidden_from_workers",
+    "dry_run",
     "environment_changes",
     "find_sink",
     "needs_consent",

@@ -7,7 +7,7 @@ import importlib.metadata
 import math
 import platform
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from asia._plugins import parts
 from asia.agents import Agent, packages_of
 from asia.candidate import Context, check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
-from asia.evaluation import LINEAR, Evaluator, derive_seed
+from asia.evaluation import LINEAR, Evaluator, SuspicionKind, derive_seed
 from asia.executor import Executor, LocalExecutor, SequentialExecutor
 from asia.ledger import (
     RESUMABLE,
@@ -40,7 +40,7 @@ from asia.problem.load import (
     lock_text,
     protocol_digest,
 )
-from asia.protocol import EarlyStopping, make_folds
+from asia.protocol import EarlyStopping, Fold, make_folds
 from asia.sandbox import Isolation, Probe, probe
 from asia.seal._guard import guard_digest
 from asia.seal._test import seal
@@ -174,9 +174,14 @@ def search(
 
 
 def make_evaluator(
-    problem: Problem, view: SearchView, executor: Executor | None = None
+    problem: Problem,
+    view: SearchView,
+    executor: Executor | None = None,
+    folds: Sequence[Fold] | None = None,
+    without: Collection[SuspicionKind] = (),
 ) -> Evaluator:
-    """The evaluator of a run, at the isolation its ledger records."""
+    """The evaluator of a run, at the isolation its ledger records. folds: in place of the
+    problem's own; without: as in `Evaluator`."""
     rule = problem.protocol
     runs_on = executor or LocalExecutor()
     context = Context(
@@ -192,7 +197,7 @@ def make_evaluator(
         seed=derive_seed(view.started.seed, "search"),
     )
     return Evaluator(
-        folds=make_folds(problem.train, rule),
+        folds=make_folds(problem.train, rule) if folds is None else folds,
         records=problem.train,
         context=context,
         rule=rule,
@@ -200,6 +205,7 @@ def make_evaluator(
         isolation=Isolation(view.started.isolation),
         executor=SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
         salt=view.started.salt,
+        without=without,
     )
 
 

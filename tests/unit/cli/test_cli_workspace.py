@@ -41,6 +41,13 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert broken.code == 2
     assert "costs no experiment" in broken.err
     (folder / "candidate.py").write_text(arx(2))
+    dry = asia("try", "--dry-run", "--dir", folder)
+    assert dry.code == 0, dry.err
+    assert "nothing fails on 118 of the 118 samples" in dry.out
+    assert "V" not in dry.out
+    without_words = asia("try", "--dir", folder)
+    assert without_words.code == 2
+    assert "needs a hypothesis" in without_words.err
     good = asia("try", "-m", "two lags", "--expect", "half", "--dir", folder, "--json")
     assert good.code == 0, good.err
     answer = json.loads(good.out)
@@ -58,6 +65,9 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert again.out.startswith("not judged again: comments apart, this is the source of #02.")
     assert "2 of 4 experiments left" in again.out
     (folder / "candidate.py").write_text(CRASH)
+    dry = asia("try", "--dry-run", "--dir", folder)
+    assert dry.code == 3
+    assert "no such luck" in dry.out
     crash = asia("try", "-m", "a crash", "--parent", 2, "--dir", folder)
     assert crash.code == 3
     assert "no such luck" in crash.out

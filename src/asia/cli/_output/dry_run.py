@@ -1,0 +1,45 @@
+"""What a dry run found, in a few lines."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from asia.errors import Reason
+
+if TYPE_CHECKING:
+    from asia.drive import DryRunAnswer
+
+_OVER_TIME = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
+
+
+def dry_run_lines(found: DryRunAnswer) -> list[str]:
+    """What a person or an agent reads."""
+    where = f"on {found.samples} of the {found.of_samples} samples that fold 1 trains on"
+    if found.reason is None:
+        lines = [f"dry run  nothing fails {where}: contract, shapes, finite answers, reloading"]
+    else:
+        lines = [f"dry run  fails {where}: {found.advice}"]
+    if found.detail:
+        lines.append(f"    the candidate's own words: {found.detail}")
+    if found.reason in _OVER_TIME and found.allowed_seconds < found.limit_seconds:
+        lines.append(
+            f"    a dry run ends after {found.allowed_seconds:g} s; the limit of a fit is "
+            f"{found.limit_seconds:g} s"
+        )
+    if found.fit_seconds is not None:
+        lines.append(
+            f"    fit {found.fit_seconds:.1f} s, simulate {found.simulate_seconds:.1f} s, of both "
+            f"{found.compile_seconds:.1f} s to compile"
+        )
+    whole = found.whole_fit_seconds
+    if whole is not None:
+        over = "  ABOVE THE LIMIT" if whole > found.limit_seconds else ""
+        lines.append(
+            f"    the whole fold: about {whole:.0f} s if the time grows with the samples, limit "
+            f"{found.limit_seconds:g} s{over}"
+        )
+    if found.printed:
+        lines.append("    printed by the candidate (its own words):")
+        lines += [f"      {line}" for line in found.printed]
+    lines.append("    no experiment was used, and no score is given")
+    return lines
