@@ -1,6 +1,6 @@
 """Drivers from outside: a desk where candidates are handed in, and who hands them in."""
 
-from asia.drive._answers import DryRunAnswer, ExperimentSummary, SearchProgress, Submission
+from asia.drive._answers import DryRunSummary, ExperimentSummary, SearchProgress, Submission
 from asia.drive._desk import Desk, RunDesk, wait
 from asia.drive._detached import SearchRequest, start_search
 from asia.drive._serve import prepare_request
@@ -9,7 +9,7 @@ from asia.drive._workspace import CANDIDATE, Workspace, make_workspace
 __all__ = [
     "CANDIDATE",
     "Desk",
-    "DryRunAnswer",
+    "DryRunSummary",
     "ExperimentSummary",
     "RunDesk",
     "SearchProgress",

@@ -100,7 +100,7 @@ class SearchProgress:
 
 
 @dataclass(frozen=True)
-class DryRunAnswer:
+class DryRunSummary:
     """What a dry run found, in few words."""
 
     reason: str | None
@@ -135,11 +135,11 @@ def printed_lines(output: str) -> tuple[str, ...]:
     return tuple(one_line(line) for line in lines[-_PRINTED_LINES:])
 
 
-def dry_run_answer(found: DryRun) -> DryRunAnswer:
+def dry_run_summary(found: DryRun) -> DryRunSummary:
     """A dry run in few words."""
     failure, whole = found.failure, found.whole_fit_seconds()
     fit = found.fit_seconds
-    return DryRunAnswer(
+    return DryRunSummary(
         reason=failure.reason.value if failure else None,
         advice=failure.advice if failure else None,
         detail=(error_line(failure.detail) or None) if failure else None,

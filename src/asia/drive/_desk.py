@@ -17,12 +17,12 @@ from asia._text import one_line
 from asia.agents import Proposal
 from asia.candidate import check_source
 from asia.drive._answers import (
-    DryRunAnswer,
+    DryRunSummary,
     ExperimentSummary,
     SearchProgress,
     Submission,
     SubmissionState,
-    dry_run_answer,
+    dry_run_summary,
     progress_of,
     summary_of,
 )
@@ -71,7 +71,7 @@ class Desk(Protocol):
         """Whether a process is there that judges what is handed in."""
         ...
 
-    def dry_run(self, source: str) -> DryRunAnswer:
+    def dry_run(self, source: str) -> DryRunSummary:
         """Try a candidate on a short cut of training records: no experiment, no score."""
         ...
 
@@ -226,13 +226,13 @@ class RunDesk:
         """See `Desk.attended`."""
         return attended(self._directory)
 
-    def dry_run(self, source: str) -> DryRunAnswer:
+    def dry_run(self, source: str) -> DryRunSummary:
         """See `Desk.dry_run`; one at a time."""
         run = self.run()
         if not self._drying.acquire(blocking=False):
             raise UserError("a dry run is under way: wait until it has ended")
         try:
-            return dry_run_answer(dry_run(run, source))
+            return dry_run_summary(dry_run(run, source))
         except SandboxError as error:
             raise UserError(f"the dry run could not be carried out ({error}); try again") from None
         finally:

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from asia.agents import Proposal
-from asia.drive._answers import DryRunAnswer, ExperimentSummary, SearchProgress, Submission
+from asia.drive._answers import DryRunSummary, ExperimentSummary, SearchProgress, Submission
 from asia.drive._desk import Desk
 from asia.errors import UserError
 
@@ -66,7 +66,7 @@ _AnyCall = _SubmitCall | _TicketCall | _SourceCall | _DryRunCall | _PlainCall
 _calls: TypeAdapter[_AnyCall] = TypeAdapter(Annotated[_AnyCall, Field(discriminator="op")])
 _results = TypeAdapter(tuple[ExperimentSummary, ...])
 _progress = TypeAdapter(SearchProgress)
-_dry_run = TypeAdapter(DryRunAnswer)
+_dry_run = TypeAdapter(DryRunSummary)
 
 
 class DeskServer:
@@ -203,7 +203,7 @@ class SocketDesk:
         """See `Desk.attended`."""
         return bool(self._ask({"op": "attended"}))
 
-    def dry_run(self, source: str) -> DryRunAnswer:
+    def dry_run(self, source: str) -> DryRunSummary:
         """See `Desk.dry_run`."""
         request = {"op": "dry_run", "source": source}
         return _dry_run.validate_python(self._ask(request, _WORK_SECONDS))

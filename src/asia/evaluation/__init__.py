@@ -1,7 +1,7 @@
 """Folds, sandbox and scoring put together. Holds targets and runs candidates, never both at once:
 what goes to a worker is a `Case`, what is scored stays here."""
 
-from asia.evaluation._dry_run import DryRun, ShortFold, allowed_seconds, dry_run, short_fold
+from asia.evaluation._dry_run import DryFold, DryRun, allowed_seconds, dry_run, short_fold
 from asia.evaluation._evaluator import FAR_BELOW, Evaluator
 from asia.evaluation._metamorphic import dependences, suspicions
 from asia.evaluation._relations import Suspicion, SuspicionKind
@@ -20,13 +20,13 @@ __all__ = [
     "FAR_BELOW",
     "LINEAR",
     "TRUTH",
+    "DryFold",
     "DryRun",
     "Evaluation",
     "Evaluator",
     "FoldResult",
     "Refit",
     "Rung",
-    "ShortFold",
     "Suspicion",
     "SuspicionKind",
     "allowed_seconds",

@@ -25,7 +25,7 @@ _MOST_WINDOWS = 64
 
 
 @dataclass(frozen=True)
-class ShortFold:
+class DryFold:
     """A short cut of a fold, both to train on and to simulate."""
 
     fold: Fold
@@ -67,7 +67,7 @@ class DryRun:
         return compiling + (self.fit_seconds - compiling) * self.of_samples / self.samples
 
 
-def short_fold(fold: Fold, rule: ProtocolRule) -> ShortFold:
+def short_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
     """The beginnings of the first training records of `fold`, a quarter of its samples or a few
     hundred. Their own samples are what is simulated, so that nothing held out is asked for."""
     full = sum(len(record) for record in fold.train)
@@ -80,7 +80,7 @@ def short_fold(fold: Fold, rule: ProtocolRule) -> ShortFold:
     blocks = _spread(whole(records, rule))
     scale = np.concatenate([block.y for block in blocks]).std(axis=0)
     short = Fold(0, tuple(records), blocks, _nonzero(scale), (False,) * len(blocks))
-    return ShortFold(short, sum(map(len, records)), full)
+    return DryFold(short, sum(map(len, records)), full)
 
 
 def allowed_seconds(limit_seconds: float) -> float:
@@ -88,7 +88,7 @@ def allowed_seconds(limit_seconds: float) -> float:
     return min(limit_seconds, _LONGEST_SECONDS)
 
 
-def dry_run(evaluator: Evaluator, short: ShortFold, source: str, limit_seconds: float) -> DryRun:
+def dry_run(evaluator: Evaluator, short: DryFold, source: str, limit_seconds: float) -> DryRun:
     """Fit `source` on the short fold, simulate, and load its model again, which must then answer
     the same.
 
@@ -115,7 +115,7 @@ def dry_run(evaluator: Evaluator, short: ShortFold, source: str, limit_seconds: 
 
 
 def _reloaded(
-    evaluator: Evaluator, short: ShortFold, source: str, result: FoldResult
+    evaluator: Evaluator, short: DryFold, source: str, result: FoldResult
 ) -> Failure | None:
     try:
         (again,) = evaluator.simulate(source, [result.model], short.fold.validation)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.drive import DryRunAnswer, RunDesk
+from asia.drive import DryRunSummary, RunDesk
 from asia.drive._answers import printed_lines
 from asia.drive._serve import serve
 from asia.drive._socket import DeskServer, SocketDesk
@@ -61,9 +61,9 @@ def test_a_dry_run_names_what_a_try_would_fail_with(place: Place, source: str, r
     assert found.fit_seconds is None or reason == "not_reproducible"
 
 
-def test_a_dry_run_answers_nothing_that_could_be_a_score() -> None:
+def test_a_dry_run_summarys_nothing_that_could_be_a_score() -> None:
     """What it says of a good candidate are times and sizes."""
-    assert set(DryRunAnswer.__dataclass_fields__) == {
+    assert set(DryRunSummary.__dataclass_fields__) == {
         "reason", "advice", "detail", "printed", "samples", "of_samples", "fit_seconds",
         "compile_seconds", "simulate_seconds", "whole_fit_seconds", "limit_seconds",
         "allowed_seconds",

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 from asia.errors import Reason
 
 if TYPE_CHECKING:
-    from asia.drive import DryRunAnswer
+    from asia.drive import DryRunSummary
 
 _OVER_TIME = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
 
 
-def dry_run_lines(found: DryRunAnswer) -> list[str]:
+def dry_run_lines(found: DryRunSummary) -> list[str]:
     """What a person or an agent reads."""
     where = f"on {found.samples} of the {found.of_samples} samples that fold 1 trains on"
     if found.reason is None:
