@@ -28,9 +28,11 @@ def unseal(
 ) -> None:
     """Score the winner on the sealed test. This ends the search and can be done once."""
     from asia.cli._output.words import validation_words
+    from asia.drive import end_idle
     from asia.errors import UserError
     from asia.ledger import open_run
     from asia.report import write_report
+    from asia.search import needs_consent
     from asia.search import unseal as open_seal
 
     directory = run_directory(runs, run, named=True)
@@ -45,6 +47,8 @@ def unseal(
         if typer.prompt("Type the run's name to go on", err=True) != opened.name:
             raise UserError("the name does not match; nothing was opened")
     consent = yes_process or _consents(opened)
+    if consent or not needs_consent(opened.view):
+        end_idle(directory, lambda line: say(line, file=sys.stderr))
     result = open_seal(directory, process_consent=consent, keys=keys)
     if result.opened_before:
         names = ", ".join(result.opened_before)

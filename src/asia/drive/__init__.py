@@ -3,6 +3,7 @@
 from asia.drive._answers import DryRunSummary, ExperimentSummary, SearchProgress, Submission
 from asia.drive._desk import Desk, RunDesk, wait
 from asia.drive._detached import SearchRequest, start_search
+from asia.drive._ending import end_idle
 from asia.drive._serve import prepare_request
 from asia.drive._workspace import CANDIDATE, Workspace, make_workspace
 
@@ -16,6 +17,7 @@ __all__ = [
     "SearchRequest",
     "Submission",
     "Workspace",
+    "end_idle",
     "make_workspace",
     "prepare_request",
     "start_search",

@@ -4,14 +4,18 @@ import signal
 import sys
 from pathlib import Path
 
+from asia.drive._detached import attending
 from asia.drive._serve import serve
 from asia.errors import UserError
 from asia.report import write_report
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    try:
-        serve(Path(sys.argv[1]))
-    except UserError as error:
-        sys.exit(f"asia: {error}")
-    write_report(Path(sys.argv[1]))
+    directory = Path(sys.argv[1])
+    # Until the pictures are drawn too: who waits for the end draws the same ones.
+    with attending(directory):
+        try:
+            serve(directory)
+        except UserError as error:
+            sys.exit(f"asia: {error}")
+        write_report(directory)
