@@ -6,7 +6,7 @@ from pathlib import Path
 
 from asia._text import markdown_line, printable_line
 from asia.ledger._disk import write_whole
-from asia.ledger._events import Evaluated
+from asia.ledger._events import Evaluated, Proposed
 from asia.ledger._view import Experiment, SearchView
 from asia.ledger._words import error_line
 
@@ -18,15 +18,30 @@ def write_exports(directory: Path, view: SearchView) -> None:
 
 
 def results_table(view: SearchView) -> str:
-    """Tab-separated: experiment, val, status, description. No number stands for a failure. With
-    validation early stopping the second column says so."""
+    """Tab-separated: experiment, val, status, description, parent, seconds of the evaluation and
+    val of each fold. No number stands for a failure. With validation early stopping the second
+    column says so."""
     val = view.v_name.replace("V", "val", 1)
-    rows = [f"experiment\t{val}\tstatus\tdescription"]
+    rows = [f"experiment\t{val}\tstatus\tdescription\tparent\tseconds\tfolds"]
     for e in view.finished:
         assert e.result is not None
-        value = f"{e.score.value:.6f}" if e.score else ""
-        rows.append(f"{e.number}\t{value}\t{e.result.status}\t{printable_line(e.proposed.title)}")
+        cells = (
+            str(e.number),
+            f"{e.score.value:.6f}" if e.score else "",
+            e.result.status,
+            printable_line(_description(e.proposed)),
+            "" if e.proposed.parent is None else str(e.proposed.parent),
+            f"{e.result.seconds:.1f}",
+            " ".join(f"{fold.value:.6f}" for fold in e.score.folds) if e.score else "",
+        )
+        rows.append("\t".join(cells))
     return "\n".join(rows) + "\n"
+
+
+def _description(proposed: Proposed) -> str:
+    """The title; the whole hypothesis where the title is only its beginning."""
+    title, hypothesis = proposed.title, proposed.hypothesis
+    return hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
 
 
 def journal(view: SearchView) -> str:

@@ -1,4 +1,5 @@
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,8 @@ def test_replay_tells_the_search(run: Path) -> None:
 
 def test_a_failure_is_an_empty_cell_never_a_number(run: Path) -> None:
     rows = results_table(open_run(run).view).splitlines()
-    assert rows[0] == "experiment\tval\tstatus\tdescription"
-    assert rows[2] == "2\t\tcrash\tt2"
+    assert rows[0] == "experiment\tval\tstatus\tdescription\tparent\tseconds\tfolds"
+    assert rows[2].split("\t") == ["2", "", "crash", "t2", "", "1.0", ""]
 
 
 def test_the_journal_has_its_five_fields(run: Path) -> None:
@@ -98,3 +99,15 @@ def test_an_unsealing_without_a_table_still_reads() -> None:
     assert event.horizon is None
     assert isinstance(event.ensemble, Record)
     assert event.ensemble.mee is None
+
+
+def test_a_row_has_the_whole_hypothesis_the_parent_the_time_and_the_folds(run: Path) -> None:
+    view = open_run(run).view
+    third = view.experiments[2]
+    words = "a lag behind the pump, " + 30 * "and more "
+    handed_in = replace(third.proposed, title=words[:79] + "…", hypothesis=words, parent=1)
+    view = replace(view, experiments=(*view.experiments[:2], replace(third, proposed=handed_in)))
+    cells = results_table(view).splitlines()[3].split("\t")
+    assert cells[3:6] == [words, "1", "1.0"]
+    assert third.score is not None
+    assert cells[6] == " ".join(f"{fold.value:.6f}" for fold in third.score.folds)
