@@ -55,11 +55,8 @@ def test_it_is_recorded_counted_and_marked(problem: Path, tmp_path: Path) -> Non
     assert view.refitted is not None
     assert view.refitted.model is not None
     assert view.v_name == "V (validation early stopping)"
-    head = results_table(view).splitlines()[0]
-    assert (
-        head
-        == "experiment\tval (validation early stopping)\tstatus\tdescription\tparent\tseconds\tfolds"
-    )
+    head = results_table(view).splitlines()[0].split("\t")
+    assert head[:2] == ["experiment", "val (validation early stopping)"]
     text = journal(view)
     assert "12 times so far. V is not leak-free" in text
     assert text.count("V (validation early stopping) = ") == 3
