@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from asia.agents._lesson import Lesson
 from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics, Phase, Status
 from asia.problem import Physics
@@ -114,7 +115,8 @@ class Trial:
 @dataclass(frozen=True)
 class AgentView:
     """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
-    normalised source was tried; `notes` are what a person said meanwhile, oldest first."""
+    normalised source was tried; `notes` are what a person said meanwhile, oldest first; `linear` is
+    V of the best linear model, None where it is not known; `lessons` are of earlier searches."""
 
     facts: Facts
     seed: int
@@ -123,6 +125,8 @@ class AgentView:
     remaining: int
     is_known: Callable[[str], bool] = field(repr=False)
     notes: tuple[str, ...] = ()
+    linear: float | None = None
+    lessons: tuple[Lesson, ...] = ()
 
     @property
     def experiments(self) -> int:

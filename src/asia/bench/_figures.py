@@ -9,6 +9,7 @@ from asia.bench._paper import PaperMee
 from asia.bench._plan import ComparisonPlan
 from asia.bench._rows import FinishedSearch
 from asia.bench._test import TestResult
+from asia.evaluation import LINEAR_RUNG
 from asia.protocol import EarlyStopping
 from asia.report import (
     ArmCurves,
@@ -88,11 +89,9 @@ def _levels(
     plan: ComparisonPlan, setting: EarlyStopping, runs: Sequence[FinishedSearch]
 ) -> tuple[ComparedValue, ...]:
     """The linear model, and the paper's searches where they were measured alike."""
-    rungs = [rung for run in runs[:1] for rung in run.view.rungs if rung.name == "linear model"]
+    rungs = [rung for run in runs[:1] for rung in run.view.rungs if rung.name == LINEAR_RUNG]
     levels = [
-        ComparedValue("linear model", r.outcome.value)
-        for r in rungs
-        if isinstance(r.outcome, Score)
+        ComparedValue(LINEAR_RUNG, r.outcome.value) for r in rungs if isinstance(r.outcome, Score)
     ]
     if setting == "validation" and plan.paper is not None:
         searches = ("expert", "random-paper")

@@ -10,6 +10,7 @@ import typer
 
 from asia._text import say
 from asia.cli._driver import agent_driver, named_agent, refuse_for_others
+from asia.cli._lessons import chosen_lessons
 from asia.cli._options.command import PREFIX, CommandOptions
 from asia.cli._options.groups import given
 from asia.cli._options.llm import LlmOptions, ModelOptions
@@ -35,6 +36,13 @@ Sinks = Annotated[
     list[str] | None,
     typer.Option(help="Give the events to an installed sink, or module:Name; repeatable."),
 ]
+Lessons = Annotated[
+    str | None,
+    typer.Option(
+        metavar="off | own | shipped | all | FILE",
+        help="Lessons of earlier searches for expert, llm, or your own class; default off.",
+    ),
+]
 
 
 def run(
@@ -49,6 +57,7 @@ def run(
     space: Space = None,
     options: SearchOptions,
     sink: Sinks = None,
+    lessons: Lessons = None,
     runs: Runs = DEFAULT_RUNS,
     profile: Profile = False,
     json: Json = False,
@@ -78,6 +87,7 @@ def run(
             isolation=options.level,
             isolation_strict=options.isolation_strict,
             agent_settings=driver.settings,
+            lessons=chosen_lessons(lessons, agent),
         )
     view = _search(driver, loaded, ready, sink or (), watch, profile=profile, json=json)
     if view.best is None:

@@ -15,6 +15,7 @@ from asia.protocol import Block, Fold
 from asia.scoring import Outcome
 
 TRUTH = "simulated truth"
+LINEAR_RUNG = "linear model"
 LINEAR = '''"""Best linear model: state-space, order and delay chosen inside the training data."""
 
 from asia.models import linear
@@ -66,7 +67,7 @@ def score_rungs(
     at_constant_velocity = _constant_velocity_simulation(evaluator)
     if at_constant_velocity is not None:
         rungs["constant velocity"] = lambda: score(at_constant_velocity)
-    rungs["linear model"] = lambda: evaluator.evaluate(LINEAR).outcome
+    rungs[LINEAR_RUNG] = lambda: evaluator.evaluate(LINEAR).outcome
     if truth is not None:
         rungs[TRUTH] = lambda: score(lambda _, block: truth[block.record][block.start : block.stop])
     for name, outcome in rungs.items():

@@ -66,6 +66,8 @@ class Started:
     isolation_strict: bool = False
     """Whether the folds of a candidate ran one after the other, so that none could tell another
     one anything while both ran."""
+    lessons: str | None = None
+    """Artifact of the lessons that its agents were given; None for none."""
     event: Literal["started"] = "started"
 
     @property

@@ -107,6 +107,8 @@ def check_lock(directory: Path, started: Started) -> None:
 
 def _artifacts(event: Event) -> Iterator[str]:
     match event:
+        case Started(lessons=str(lessons)):
+            yield lessons
         case Proposed():
             yield event.source
         case Evaluated():

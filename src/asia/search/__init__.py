@@ -2,6 +2,7 @@
 
 from asia.search._agent_view import agent_view, problem_facts
 from asia.search._dry_run import dry_run
+from asia.search._lessons import RunLessons, learn_from_run, learn_from_runs
 from asia.search._loop import OnEvent
 from asia.search._replay import Replayed, ReplayReport, replay_run
 from asia.search._run import (
@@ -27,6 +28,7 @@ __all__ = [
     "Prepared",
     "ReplayReport",
     "Replayed",
+    "RunLessons",
     "Sink",
     "Sinks",
     "Steering",
@@ -37,6 +39,8 @@ __all__ = [
     "dry_run",
     "environment_changes",
     "find_sink",
+    "learn_from_run",
+    "learn_from_runs",
     "needs_consent",
     "open_sinks",
     "prepare",

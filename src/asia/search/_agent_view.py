@@ -7,10 +7,13 @@ import hashlib
 import numpy as np
 
 from asia.agents import AgentView, Effort, Facts, Trial
+from asia.agents.lessons import decode_lessons
 from asia.candidate import source_digest
 from asia.errors import CandidateError
+from asia.evaluation import LINEAR_RUNG
 from asia.ledger import Experiment, SearchView, Store, published
 from asia.problem.load import Problem
+from asia.scoring import Score
 from asia.search._rules import phase
 
 CURVE_POINTS = 200
@@ -44,6 +47,7 @@ def problem_facts(problem: Problem) -> Facts:
 def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
     """The search as its agent may see it now."""
     view = published(view)
+    lessons = view.started.lessons
     tried = {e.proposed.digest for e in view.experiments}
     return AgentView(
         facts=facts,
@@ -53,7 +57,17 @@ def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
         remaining=view.budget - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
+        linear=_linear(view),
+        lessons=() if lessons is None else decode_lessons(store.get(lessons), "the ledger"),
     )
+
+
+def _linear(view: SearchView) -> float | None:
+    """V of the best linear model. Not with the Ladder, which reports V of some candidates only."""
+    if view.started.ladder is not None:
+        return None
+    outcomes = (rung.outcome for rung in view.rungs if rung.name == LINEAR_RUNG)
+    return next((found.value for found in outcomes if isinstance(found, Score)), None)
 
 
 def digest(source: str) -> str:

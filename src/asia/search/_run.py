@@ -15,6 +15,7 @@ from typing import get_args
 
 from asia._plugins import parts
 from asia.agents import Agent, packages_of
+from asia.agents.lessons import Lesson, encode_lessons
 from asia.candidate import Context, check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, SuspicionKind, derive_seed
@@ -65,6 +66,8 @@ class Prepared:
     """The first line of the ledger, as it would be written now."""
     resumes: bool
     """Whether the run is there already."""
+    lessons: bytes = b""
+    """The lessons for its agents, as they go into a new ledger; b"" for none."""
 
 
 def prepare(
@@ -77,11 +80,13 @@ def prepare(
     isolation: Isolation | None = None,
     isolation_strict: bool = False,
     agent_settings: Mapping[str, str] | None = None,
+    lessons: Sequence[Lesson] | None = None,
 ) -> Prepared:
     """Check everything a search needs and compare with what is on disk. Writes nothing.
 
     isolation_strict: the folds of a candidate run one after the other. agent_settings: what shapes
-    the agent's proposals beside its name.
+    the agent's proposals beside its name. lessons: of earlier searches, None for a
+    search without; a run that exists keeps those that it began with.
 
     Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
     other settings.
@@ -93,6 +98,7 @@ def prepare(
     found = _probe(isolation)
     check_run_is_hidden(problem, directory, found.level)
     lock = lock_text(problem, sealed)
+    taught = b"" if lessons is None else encode_lessons(lessons)
     started = Started(
         run=run_name,
         problem=problem.name,
@@ -114,11 +120,12 @@ def prepare(
         layers=tuple(layer.value for layer in found.layers),
         salt=secrets.token_hex(16),
         isolation_strict=isolation_strict,
+        lessons=hashlib.sha256(taught).hexdigest() if taught else None,
     )
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
         _check_lock_agrees(problem, sealed, directory)
-    return Prepared(problem, directory, lock, started, resumes)
+    return Prepared(problem, directory, lock, started, resumes, taught)
 
 
 def _default_name(problem: Problem, agent_name: str, seed: int) -> str:
@@ -142,6 +149,8 @@ def search(
     with Chain(directory / "ledger.jsonl") as chain:
         if not chain.lines:
             write_whole(directory / LOCK, prepared.lock.encode())
+            if prepared.lessons:
+                Store(directory / "artifacts").put(prepared.lessons)
             chain.append(prepared.started)
         view = chain.view
         check_lock(directory, view.started)
@@ -291,6 +300,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("agent", start.agent, wanted.agent),
         ("seed", start.seed, wanted.seed),
         ("isolation", start.isolation_words, wanted.isolation_words),
+        ("lessons", *("on" if s.lessons else "off" for s in (start, wanted))),
     ):
         if there != now:
             raise UserError(

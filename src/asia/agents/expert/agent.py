@@ -13,6 +13,7 @@ from functools import partial
 
 from asia.agents._view import AgentView, Proposal, Trial
 from asia.agents.expert.moves import all_moves
+from asia.agents.lessons import FIRST_FIT, LessonWeights
 from asia.agents.library.evidence import overfit
 from asia.agents.library.family import Family
 from asia.agents.library.move import Move, Situation
@@ -27,6 +28,8 @@ NEAR = 0.25
 NEAR_EQUATIONS = 0.6
 PROMISING = 0.75
 PATIENCE = 0.85
+# With lessons, what is left of a family's weight with each place in the library's own order.
+OWN_ORDER = 0.85
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ class _Option:
     """What a fit of it is expected to take."""
     apt: bool = True
     """Whether it is worth a place in the ladder."""
+    sure: bool = False
+    """Whether it is near certain, so that it interrupts the ladder."""
 
     def paced(self, usual: float) -> _Option:
         """With less weight the more seconds it takes beyond the usual: a root, because experiments
@@ -50,15 +55,17 @@ class _Option:
 
 
 class ExpertAgent:
-    """Ladder of families, then refinement by moves chosen from training-side evidence."""
+    """Ladder of families, then refinement by moves chosen from training-side evidence. Where the
+    view has lessons of earlier searches, they are a prior over both."""
 
     name = "expert"
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The next rung of the ladder, or the move with the most weight; None when all known."""
-        moves, ladder = list(_refinements(view)), list(_untried(view))
+        taught = LessonWeights(view.lessons, view) if view.lessons else None
+        moves, ladder = list(_refinements(view, taught)), list(_untried(view, taught))
         if view.phase == "explore":
-            sure = [option for option in moves if option.weight >= SURE]
+            sure = [option for option in moves if option.sure]
             proposal = _heaviest([*sure, *(option for option in ladder if option.apt)])
             if proposal is not None:
                 return proposal
@@ -80,14 +87,18 @@ def _usual_seconds(view: AgentView) -> float:
     return max(sum(seconds) / len(seconds), 1e-3) if seconds else 1.0
 
 
-def _untried(view: AgentView) -> Iterator[_Option]:
+def _untried(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]:
     """First configurations of families that no trial has used, the most apt first."""
     used = {t.family for t in view.trials}
-    for row in families(view.facts):
-        if row.name not in used:
-            apt = row.aptness(view.facts) > 0
-            seconds = row.seconds(view.facts, row.trial(view.facts))
-            yield _Option(UNTRIED, partial(_first, view, row), seconds, apt)
+    untried = (row for row in families(view.facts) if row.name not in used)
+    for place, row in enumerate(untried):
+        weight = UNTRIED
+        if taught is not None:
+            own = OWN_ORDER**place if view.phase == "explore" else 1.0
+            weight *= own * taught.multiplier(row.name, FIRST_FIT)
+        apt = row.aptness(view.facts) > 0
+        seconds = row.seconds(view.facts, row.trial(view.facts))
+        yield _Option(weight, partial(_first, view, row), seconds, apt)
 
 
 def _first(view: AgentView, row: Family) -> Proposal | None:
@@ -104,7 +115,7 @@ def _first(view: AgentView, row: Family) -> Proposal | None:
     )
 
 
-def _refinements(view: AgentView) -> Iterator[_Option]:
+def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]:
     """Every applicable move on the best trial of each family, on the last one of a family that
     only failed. A move that was made before and did not help counts less."""
     for at in _situations(view):
@@ -115,9 +126,12 @@ def _refinements(view: AgentView) -> Iterator[_Option]:
             weight = move.weight(at) * (share if move.behind_counts else 1.0)
             if weight > 0:
                 weight *= move.fade ** _failures(at, move)
+                sure = weight >= SURE
+                if taught is not None:
+                    weight *= taught.multiplier(at.row.name, move.name)
                 recipe = at.recipe if move.same_effort else move.change(at)
                 seconds = at.row.seconds(at.facts, recipe)
-                yield _Option(weight, partial(_moved, at, move), seconds)
+                yield _Option(weight, partial(_moved, at, move), seconds, sure=sure)
 
 
 def _failures(at: Situation, move: Move) -> int:
