@@ -16,12 +16,13 @@ from asia.data import Trajectory
 from asia.drive._desk import Desk, RunDesk
 from asia.drive._detached import SearchRequest, start_search
 from asia.drive._program import models_page, program
+from asia.drive._scripts import PLOT, TOOLS
 from asia.drive._socket import SocketDesk
 from asia.drive._write_file import write_file
 from asia.errors import UserError
 from asia.evaluation import LINEAR
 from asia.ledger import SearchView, Store, journal, open_run, published, results_table
-from asia.problem.load import Problem
+from asia.problem.load import Problem, training_text
 from asia.search._run import Prepared
 
 DESK_VARIABLE = "ASIA_DESK"
@@ -29,33 +30,6 @@ CANDIDATE = "candidate.py"
 VIEWS = ("results.tsv", "search_journal.md")
 _LINK = ".asia/workspace.json"
 _links = TypeAdapter(dict[str, str | None])
-
-_PLOT = '''"""Draws the training records: python plot.py [data/NAME.csv ...] -> data.png"""
-
-import csv
-import sys
-from pathlib import Path
-
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
-paths = [Path(p) for p in sys.argv[1:]] or sorted(Path("data").glob("*.csv"))
-for path in paths[:8]:
-    with path.open(newline="") as stream:
-        header, *rows = csv.reader(stream)
-    columns = list(zip(*[[float(cell) for cell in row] for row in rows]))
-    figure, axes = plt.subplots(len(header) - 1, 1, sharex=True, figsize=(10, 1.6 * len(header)))
-    for axis, name, values in zip(figure.axes, header[1:], columns[1:]):
-        axis.plot(columns[0], values, linewidth=0.8)
-        axis.set_ylabel(name, rotation=0, ha="right")
-    figure.axes[-1].set_xlabel(header[0])
-    figure.suptitle(path.stem)
-    name = "data.png" if len(paths) == 1 else f"data-{path.stem}.png"
-    figure.savefig(name, bbox_inches="tight", dpi=120)
-    print(name)
-'''
 
 
 @dataclass(frozen=True)
@@ -142,19 +116,24 @@ def make_workspace(folder: Path, prepared: Prepared, request: SearchRequest) -> 
             f"{folder} and the run directory {run}: one contains the other, but a workspace "
             "must not show the ledger; choose another folder"
         )
-    write_folder(folder, prepared.problem, prepared.started.experiments, run)
+    started = prepared.started
+    write_folder(folder, prepared.problem, started.experiments, run, started.seed)
     request.save(run)
     return Workspace(folder, run)
 
 
-def write_folder(folder: Path, problem: Problem, experiments: int, run: Path | None = None) -> None:
-    """The files of a workspace; `run` as in `Workspace`."""
+def write_folder(
+    folder: Path, problem: Problem, experiments: int, run: Path | None = None, seed: int = 0
+) -> None:
+    """The files of a workspace; `run` as in `Workspace`, `seed` of its search."""
     folder.mkdir(parents=True, exist_ok=True)
     write_file(folder, "PROGRAM.md", program(problem, experiments))
     write_file(folder, "description.md", problem.description)
     write_file(folder, "models.md", models_page(problem))
-    write_file(folder, "plot.py", _PLOT)
+    write_file(folder, "plot.py", PLOT)
     names = trajectory_names(problem.train)
+    write_file(folder, "problem.toml", training_text(problem, names))
+    write_file(folder, "tools.py", TOOLS.replace("{seed}", str(seed)))
     for name, trajectory in zip(names, problem.train, strict=True):
         write_file(folder, f"data/{name}.csv", _csv(trajectory, problem))
     if not os.path.lexists(folder / CANDIDATE):

@@ -1,11 +1,13 @@
 """Folds, sandbox and scoring put together. Holds targets and runs candidates, never both at once:
 what goes to a worker is a `Case`, what is scored stays here."""
 
+from asia.evaluation._context import search_context
 from asia.evaluation._dry_run import DryFold, DryRun, allowed_seconds, dry_run, short_fold
 from asia.evaluation._evaluator import FAR_BELOW, Evaluator
 from asia.evaluation._metamorphic import dependences, suspicions
+from asia.evaluation._oracle import rounded_score
 from asia.evaluation._relations import Suspicion, SuspicionKind
-from asia.evaluation._requests import simulate_held_out
+from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.evaluation._results import (
     Evaluation,
     FoldResult,
@@ -36,8 +38,11 @@ __all__ = [
     "derive_seed",
     "dry_run",
     "mean_simulation",
+    "rounded_score",
     "score_rungs",
+    "search_context",
     "short_fold",
     "simulate_held_out",
+    "simulate_training",
     "suspicions",
 ]

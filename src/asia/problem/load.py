@@ -9,6 +9,7 @@ from asia.problem._load import builtin_problems, load_lock, load_problem
 from asia.problem._lock import Difference, lock_differences, lock_text
 from asia.problem._problem import Problem, Seal, kept_places, record_places
 from asia.problem._protocol import check_feedback
+from asia.problem._training import training_text
 from asia.problem.new.init import NewProblem, init_problem
 
 __all__ = [
@@ -30,4 +31,5 @@ __all__ = [
     "lock_text",
     "protocol_digest",
     "record_places",
+    "training_text",
 ]

@@ -16,12 +16,13 @@ from asia.sandbox._types import (
     WorkerKilledError,
 )
 from asia.sandbox.levels import LEVELS
-from asia.sandbox.walls.surroundings import shown_in
+from asia.sandbox.walls.surroundings import REPEATABLE, shown_in
 from asia.sandbox.worker.worker import Worker
 
 __all__ = [
     "INSIDE",
     "LEVELS",
+    "REPEATABLE",
     "SOCKET_FOLDER",
     "FitReply",
     "Isolation",

@@ -1,5 +1,6 @@
 """(y, y_hat) -> Score or Failure. Sees targets, never runs a candidate."""
 
+from asia.scoring._correlation import cross_correlation, independent_band, white_band
 from asia.scoring._diagnostics import Diagnostics, diagnose
 from asia.scoring._fit import fit_index, r2
 from asia.scoring._mee import GroupError, MeeTable, mee_table
@@ -36,12 +37,15 @@ __all__ = [
     "TestScore",
     "check_reply",
     "combine",
+    "cross_correlation",
     "diagnose",
     "fit_index",
+    "independent_band",
     "mee_table",
     "r2",
     "ranges_of",
     "score_fold",
     "score_test",
     "signed_residuals",
+    "white_band",
 ]

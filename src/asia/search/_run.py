@@ -16,9 +16,9 @@ from typing import get_args
 from asia._plugins import parts
 from asia.agents import Agent, packages_of
 from asia.agents.lessons import Lesson, encode_lessons
-from asia.candidate import Context, check_source, installed_libraries
+from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
-from asia.evaluation import LINEAR, Evaluator, SuspicionKind, derive_seed
+from asia.evaluation import LINEAR, Evaluator, SuspicionKind, derive_seed, search_context
 from asia.executor import Executor, LocalExecutor, SequentialExecutor
 from asia.ledger import (
     RESUMABLE,
@@ -193,18 +193,7 @@ def make_evaluator(
     problem's own; without: as in `Evaluator`."""
     rule = problem.protocol
     runs_on = executor or LocalExecutor()
-    context = Context(
-        inputs=problem.inputs,
-        outputs=problem.outputs,
-        sampling_time=problem.sampling_time,
-        n_past_u=rule.past_inputs,
-        n_past_y=rule.past_outputs,
-        horizon=rule.horizon,
-        metric=rule.metric,
-        physics=problem.physics,
-        symmetry=problem.symmetry,
-        seed=derive_seed(view.started.seed, "search"),
-    )
+    context = search_context(problem, derive_seed(view.started.seed, "search"))
     return Evaluator(
         folds=make_folds(problem.train, rule) if folds is None else folds,
         records=problem.train,

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from asia.report._pictures.correlation import cross_correlation, independent_band, white_band
+from asia.scoring import cross_correlation, independent_band, white_band
 
 
 def coloured(rng: np.random.Generator, samples: int) -> np.ndarray:

@@ -27,13 +27,12 @@ from asia.report import (
 )
 from asia.report._drawing.style import drawing
 from asia.report._pictures.comparison import draw_arms
-from asia.report._pictures.correlation import cross_correlation
 from asia.report._pictures.data import draw_data
 from asia.report._pictures.growth import ErrorCurve, Growth, Marks, draw_growth
 from asia.report._pictures.standing import draw_standing
 from asia.report._pictures.windows import telling
 from asia.report._write import pictures
-from asia.scoring import mee_table
+from asia.scoring import cross_correlation, mee_table
 
 from .made_up import Shape, make_problem, write_run
 from .test_report_pictures import FIVE, assert_readable, visible_texts

@@ -323,7 +323,8 @@ def run_command(
     folder = directory.resolve().parent / WORKSPACES / directory.name
     if os.path.lexists(folder / "ledger.jsonl"):
         raise UserError(f"{folder} contains ledger.jsonl, so it looks like a run: remove this file")
-    write_folder(folder, prepared.problem, prepared.started.experiments)
+    started = prepared.started
+    write_folder(folder, prepared.problem, started.experiments, seed=started.seed)
     agent = CommandAgent(prepared.started.agent, preset, rules, prepared, folder)
     store = Store(directory / "artifacts")
 

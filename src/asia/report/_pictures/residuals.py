@@ -15,8 +15,8 @@ from asia.problem.load import Problem
 from asia.protocol import Fold
 from asia.report._artifacts import fold_outputs
 from asia.report._drawing.style import BLUE, INK, SHADE, WIDTH, entitle, plain, quiet_grid, shown
-from asia.report._pictures.correlation import cross_correlation, independent_band, white_band
 from asia.report._pictures.simulation import lowest, worst_fits
+from asia.scoring import cross_correlation, independent_band, white_band
 
 _LAGS = 40
 _MOST_ROWS = 4

@@ -26,12 +26,22 @@ _FACTS = (
 )
 
 
-def environment(home: str) -> dict[str, str]:
-    """All environment variables of a worker. One thread, one hash seed: fits can be repeated.
+REPEATABLE = {
+    "PYTHONHASHSEED": "0",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "NPROC": "1",
+    "JAX_PLATFORMS": "cpu",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+}
+"""Environment variables with which a fit can be repeated: one thread, one hash seed. NPROC is what
+XLA sizes its thread pools by; without it the last bits of a sum depend on the number of cores,
+whatever XLA_FLAGS say."""
 
-    NPROC is what XLA sizes its thread pools by; without it the last bits of a sum depend on the
-    number of cores, whatever XLA_FLAGS say.
-    """
+
+def environment(home: str) -> dict[str, str]:
+    """All environment variables of a worker."""
     return {
         "PATH": "/usr/bin:/bin",
         "HOME": home,
@@ -39,13 +49,7 @@ def environment(home: str) -> dict[str, str]:
         "USER": "candidate",
         "LOGNAME": "candidate",
         "LANG": "C.UTF-8",
-        "PYTHONHASHSEED": "0",
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-        "MKL_NUM_THREADS": "1",
-        "NPROC": "1",
-        "JAX_PLATFORMS": "cpu",
-        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+        **REPEATABLE,
     }
 
 

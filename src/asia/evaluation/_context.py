@@ -1,0 +1,23 @@
+"""What all candidates of a search are given."""
+
+from __future__ import annotations
+
+from asia.candidate import Context
+from asia.problem.load import Problem
+
+
+def search_context(problem: Problem, seed: int) -> Context:
+    """The context of a search with this derived seed, but for what is a fold's own."""
+    rule = problem.protocol
+    return Context(
+        inputs=problem.inputs,
+        outputs=problem.outputs,
+        sampling_time=problem.sampling_time,
+        n_past_u=rule.past_inputs,
+        n_past_y=rule.past_outputs,
+        horizon=rule.horizon,
+        metric=rule.metric,
+        physics=problem.physics,
+        symmetry=problem.symmetry,
+        seed=seed,
+    )
