@@ -29,13 +29,14 @@ if TYPE_CHECKING:
     from asia.candidate import Context, Model
     from asia.data import Array, Trajectory
     from asia.sandbox.walls import lockdown
-    from asia.sandbox.worker import compilation, wire
+    from asia.sandbox.worker import compilation, portable, wire
 else:
     # By their folders: the package around them imports what only the parent needs.
     _HERE = os.path.dirname(os.path.abspath(__file__))
     sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "walls")]
     import compilation
     import lockdown
+    import portable
     import wire
 
     del sys.path[:2]
@@ -44,6 +45,10 @@ _SOURCE_NAME = "candidate.py"
 _LARGEST_FILE = 64 * 1024 * 1024
 _OPEN_FILES = 256
 _MESSAGE_CHARACTERS = 1000
+_NOT_PORTABLE = (
+    "the fitted model holds bytes that name a folder of this machine, so it could not be "
+    "published: keep no path, and no compiled program, in the model"
+)
 
 
 def _restrict(memory_mb: int) -> None:
@@ -147,9 +152,11 @@ def _as_model(value: object, what: str = "fit returned") -> Model:
 class _Session:
     """Answers requests until the parent closes the pipe."""
 
-    def __init__(self, requests: int, replies: int) -> None:
+    def __init__(self, requests: int, replies: int, places: tuple[str, ...]) -> None:
+        """places: folders of this machine, which no fitted model may name."""
         self._requests = requests
         self._replies = replies
+        self._places = places
         self._pid = os.getpid()
         self._token = bytes(wire.TOKEN_BYTES)
         self._model: Model | None = None
@@ -265,7 +272,10 @@ class _Session:
     def _pickled(self, model: object) -> bytes:
         import cloudpickle
 
-        return cloudpickle.dumps(model, protocol=5)
+        try:
+            return portable.portable(cloudpickle.dumps(model, protocol=5), self._places)
+        except portable.PlaceError:
+            raise _RefusedError(_NOT_PORTABLE) from None
 
     def _describe(self, error: BaseException, *, private: bool) -> tuple[int, bytes]:
         """ReplyKind and words for an error; `private` gives away the class name only."""
@@ -348,7 +358,8 @@ def main(arguments: list[str]) -> NoReturn:
     sys.meta_path.insert(0, _PackageFinder(packages))
     for fd in (requests, replies):
         os.set_inheritable(fd, False)
-    session = _Session(requests, replies)
+    places = portable.places_here(word.partition("=")[2] for word in packages)
+    session = _Session(requests, replies, places)
     # Now, off the clock of the first request.
     for name in ("asia.candidate", *libraries):
         importlib.import_module(name)
