@@ -55,6 +55,7 @@ class FakeServer:
     answers: list[Told]
     asked: list[dict[str, Any]] = field(default_factory=list)
     keys: list[str] = field(default_factory=list)
+    models: tuple[str, ...] = ("made-up",)
     url: str = ""
 
     def answer(self, body: bytes, key: str) -> Told:
@@ -72,7 +73,14 @@ def fake_llm(answers: Sequence[Told], port: int = 0) -> Iterator[FakeServer]:
 
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["content-length"]))
-            told = server.answer(body, self.headers.get("authorization", ""))
+            self._send(server.answer(body, self.headers.get("authorization", "")))
+
+        def do_GET(self) -> None:
+            known = self.path.endswith("/models")
+            listed = [{"id": name, "object": "model"} for name in server.models]
+            self._send(Told(body={"data": listed}) if known else Told(status=404))
+
+        def _send(self, told: Told) -> None:
             content = told.content()
             self.send_response(told.status)
             for name, value in {"content-type": "application/json", **told.headers}.items():

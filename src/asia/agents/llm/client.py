@@ -107,7 +107,7 @@ class ChatClient:
         raw = create(
             model=self._settings.model, messages=messages, extra_body=self._settings.parameters
         )
-        return _answer(raw.http_response.content)
+        return read_answer(raw.http_response.content)
 
     def _wait(self, seconds: float) -> None:
         end = time.monotonic() + seconds
@@ -254,7 +254,7 @@ def _asked_wait(header: str | None) -> float | None:
         return None
 
 
-def _answer(content: bytes) -> Answer:
+def read_answer(content: bytes) -> Answer:
     """The text of a chat completion; "" where it has none."""
     choices = _object(content).get("choices")
     choice = _object(choices[0]) if isinstance(choices, list) and choices else {}

@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from asia.ledger import open_run
+from tests.unit.cli.conftest import Asia
 from tests.unit.search.toy import arx
-
-from .conftest import Asia
 
 LOCAL = ("--agent", "llm", "--model", "made-up", "--base-url", "http://127.0.0.1:9/v1")
 

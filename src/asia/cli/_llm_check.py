@@ -1,0 +1,129 @@
+"""asia llm-check: can this language model do it?"""
+
+from __future__ import annotations
+
+import json as jsonlib
+import re
+import sys
+import time
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asia._text import say
+from asia.cli._options.llm import LlmOptions, ModelOptions
+from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs
+
+if TYPE_CHECKING:
+    from asia.agents.llm.report import LlmReport
+    from asia.ledger import Event, SearchView
+    from asia.search import OnEvent, Prepared
+
+PROBLEM = "two_tanks_sim"
+REPORT = "llm-check.json"
+_FIT_SECONDS = 30.0
+_NOT_ABLE = 3
+
+
+def llm_check(
+    *,
+    steps: Annotated[int, typer.Option(min=1, help="Candidates to ask for.")] = 4,
+    minutes: Annotated[
+        float, typer.Option(help="Ask for no more candidates after this many minutes.")
+    ] = 2.0,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+    models: ModelOptions,
+    llm: LlmOptions,
+) -> None:
+    """Let a language model search on a simulated problem for two minutes, and report whether it
+    keeps to the form of an answer, how often that was mended, and its tokens a step.
+
+    Without --model the first one that the server lists. The report stays in the run, in
+    llm-check.json. Exit code 3: not able.
+    """
+    from asia.agents.llm.models import first_model
+    from asia.agents.llm.report import llm_report
+    from asia.errors import UserError
+    from asia.ledger import open_run, write_whole
+    from asia.problem.load import load_problem
+    from asia.search import prepare, search
+
+    if llm.base_url is None and models.model is None:
+        raise UserError("llm-check needs a server or a model: give --base-url, --model or both")
+    if models.model is None:
+        models = replace(models, model=first_model(llm.base_url or "", llm.api_key_env))
+    agent = llm.agent(models)
+    problem = load_problem(PROBLEM)
+    budget = replace(problem.budget, experiments=steps + 1, fit_seconds=_FIT_SECONDS)
+    ready = prepare(
+        replace(problem, budget=budget),
+        agent.name,
+        seed=0,
+        runs=runs,
+        name=_name(models.model or ""),
+        agent_settings=agent.recorded(),
+    )
+    start = time.monotonic()
+    search(ready, agent, _within(ready, start + 60.0 * minutes), lambda view: None)
+    report = llm_report(open_run(ready.directory))
+    path = ready.directory / REPORT
+    write_whole(path, (jsonlib.dumps(_table(report), indent=1) + "\n").encode())
+    if json:
+        say(jsonlib.dumps(_table(report)))
+    else:
+        _print(report, time.monotonic() - start)
+        say(f"kept in {path}")
+    if report.verdict == "not able":
+        raise typer.Exit(_NOT_ABLE)
+
+
+def _name(model: str) -> str:
+    """A run of its own each time: a server that was changed is asked anew."""
+    words = re.sub(r"\W+", "-", model).strip("-") or "model"
+    return f"llm-check-{words}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def _within(ready: Prepared, end: float) -> OnEvent:
+    """Says each result, and ends the search when the time is over."""
+    from asia.ledger import Evaluated, describe_result
+    from asia.search import Steering
+
+    def on_event(event: Event, view: SearchView) -> None:
+        if isinstance(event, Evaluated):
+            done = view.experiment(event.experiment)
+            say(
+                f"#{done.number:02d} {done.proposed.title}: {describe_result(done, view)}",
+                file=sys.stderr,
+            )
+            if time.monotonic() > end:
+                Steering(ready.directory).stop()
+
+    return on_event
+
+
+def _table(report: LlmReport) -> dict[str, object]:
+    return {"verdict": report.verdict, **asdict(report)}
+
+
+def _print(report: LlmReport, seconds: float) -> None:
+    from asia.cli._output.words import duration
+
+    best = "no score" if report.best is None else f"V {report.best:.4g}"
+    baseline = "no score" if report.baseline is None else f"V {report.baseline:.4g}"
+    say(f"{report.model} at {report.base_url or 'the default server'}: {report.verdict}")
+    say(
+        f"form of the answer   {report.at_once} of {report.steps} at once, {report.repaired} "
+        f"mended, {report.without_candidate} without a candidate"
+    )
+    say(f"candidates           {report.scored} of {report.steps} with a score")
+    say(f"best                 {best}; the baseline has {baseline}")
+    say(
+        f"tokens               {report.tokens_a_step:.0f} a step; longest request "
+        f"{report.prompt_tokens}, longest reply {report.reply_tokens}"
+    )
+    say(f"time                 {duration(seconds)}")
+    for title, lines in (("wrong answer", report.wrong), ("failure", report.failures)):
+        for line in lines:
+            say(f"{title:<21}{line}")
