@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
@@ -60,15 +61,19 @@ def try_(
     submission = desk.submit(Proposal(source, family, message, message, expect, parent))
     # One stream, so that the lines keep their order where the output is captured.
     result = _waited(desk, submission, sys.stderr if json else sys.stdout)
-    progress = desk.progress()
+    progress, evidence = desk.progress(), desk.evidence(result.experiment)
     place.renew_views()
     if json:
-        answer = {**_object(result, progress), "repeated": submission.repeated}
+        answer = {
+            **_object(result, progress),
+            "repeated": submission.repeated,
+            "evidence": asdict(evidence),
+        }
         say(jsonlib.dumps(answer, allow_nan=False))
     else:
         if submission.repeated:
             say(_repeated_line(result))
-        for line in result_lines(result, progress):
+        for line in result_lines(result, progress, evidence.lines):
             say(line)
     if result.value is None:
         raise typer.Exit(NO_SCORE)
@@ -109,8 +114,10 @@ def _waited(desk: Desk, submission: Submission, stream: TextIO) -> ExperimentSum
     return found[0]
 
 
-def result_lines(result: ExperimentSummary, progress: SearchProgress) -> list[str]:
-    """What a person or an agent reads: a few lines."""
+def result_lines(
+    result: ExperimentSummary, progress: SearchProgress, evidence: Sequence[str] = ()
+) -> list[str]:
+    """What a person or an agent reads: one screen, `evidence` in its middle."""
     from asia.ledger import error_value
 
     best = "none yet"
@@ -128,6 +135,7 @@ def result_lines(result: ExperimentSummary, progress: SearchProgress) -> list[st
         if result.detail:
             words = "found" if result.reason in FOUND else "the candidate's own words"
             lines.append(f"    {words}: {result.detail}")
+    lines += [f"    {line}" for line in evidence]
     if result.training is not None:
         values = zip(fields(result.training), astuple(result.training), strict=True)
         said = ", ".join(f"{f.name.replace('_', ' ')} {v:.3g}" for f, v in values)

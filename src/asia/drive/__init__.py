@@ -4,6 +4,7 @@ from asia.drive._answers import DryRunSummary, ExperimentSummary, SearchProgress
 from asia.drive._desk import Desk, RunDesk, wait
 from asia.drive._detached import SearchRequest, start_search
 from asia.drive._ending import end_idle
+from asia.drive._evidence import EvidenceSummary, FoldSummary
 from asia.drive._serve import prepare_request
 from asia.drive._workspace import CANDIDATE, Workspace, make_workspace
 
@@ -11,7 +12,9 @@ __all__ = [
     "CANDIDATE",
     "Desk",
     "DryRunSummary",
+    "EvidenceSummary",
     "ExperimentSummary",
+    "FoldSummary",
     "RunDesk",
     "SearchProgress",
     "SearchRequest",

@@ -27,6 +27,7 @@ from asia.drive._answers import (
     summary_of,
 )
 from asia.drive._detached import SearchRequest, attended, has_begun, runs
+from asia.drive._evidence import EvidenceSummary, evidence_summary
 from asia.drive._queue import TEXT, TITLE, Queue
 from asia.drive._serve import requested_problem
 from asia.errors import CandidateError, SandboxError, UserError
@@ -61,6 +62,10 @@ class Desk(Protocol):
 
     def source(self, experiment: int) -> str:
         """An experiment's candidate.py."""
+        ...
+
+    def evidence(self, experiment: int) -> EvidenceSummary:
+        """What is learned of a finished experiment beside its score."""
         ...
 
     def progress(self) -> SearchProgress:
@@ -216,6 +221,10 @@ class RunDesk:
         """See `Desk.source`."""
         run = self.run()
         return run.store.text(run.view.experiment(experiment).proposed.source)
+
+    def evidence(self, experiment: int) -> EvidenceSummary:
+        """See `Desk.evidence`."""
+        return evidence_summary(self.run(), experiment)
 
     def progress(self) -> SearchProgress:
         """See `Desk.progress`."""

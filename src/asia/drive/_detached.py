@@ -44,7 +44,7 @@ class SearchRequest:
     hours: float | None
     """Hours of evaluation; None for the problem's number."""
     early_stopping: str | None
-    """Setting in place of the problem's own."""
+    """RunSettings in place of the problem's own."""
     isolation: str | None
     """Level asked for; None for the strongest that works."""
     isolation_strict: bool = False

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from asia.agents import Proposal
 from asia.drive._answers import DryRunSummary, ExperimentSummary, SearchProgress, Submission
 from asia.drive._desk import Desk
+from asia.drive._evidence import EvidenceSummary
 from asia.errors import UserError
 
 MOST_BYTES = 1_000_000
@@ -48,8 +49,8 @@ class _TicketCall(_Call):
     ticket: str
 
 
-class _SourceCall(_Call):
-    op: Literal["source"] = "source"
+class _ExperimentCall(_Call):
+    op: Literal["source", "evidence"]
     experiment: int
 
 
@@ -62,9 +63,10 @@ class _PlainCall(_Call):
     op: Literal["results", "progress", "attended"]
 
 
-_AnyCall = _SubmitCall | _TicketCall | _SourceCall | _DryRunCall | _PlainCall
+_AnyCall = _SubmitCall | _TicketCall | _ExperimentCall | _DryRunCall | _PlainCall
 _calls: TypeAdapter[_AnyCall] = TypeAdapter(Annotated[_AnyCall, Field(discriminator="op")])
 _results = TypeAdapter(tuple[ExperimentSummary, ...])
+_evidence = TypeAdapter(EvidenceSummary)
 _progress = TypeAdapter(SearchProgress)
 _dry_run = TypeAdapter(DryRunSummary)
 
@@ -155,8 +157,10 @@ def _call(desk: Desk, call: _AnyCall) -> Any:
             return asdict(desk.submission(call.ticket))
         case _TicketCall():
             return asdict(desk.withdraw(call.ticket))
-        case _SourceCall():
+        case _ExperimentCall(op="source"):
             return desk.source(call.experiment)
+        case _ExperimentCall():
+            return asdict(desk.evidence(call.experiment))
         case _DryRunCall():
             return asdict(desk.dry_run(call.source))
         case _PlainCall(op="results"):
@@ -194,6 +198,11 @@ class SocketDesk:
     def source(self, experiment: int) -> str:
         """See `Desk.source`."""
         return self._ask({"op": "source", "experiment": experiment})
+
+    def evidence(self, experiment: int) -> EvidenceSummary:
+        """See `Desk.evidence`."""
+        request = {"op": "evidence", "experiment": experiment}
+        return _evidence.validate_python(self._ask(request))
 
     def progress(self) -> SearchProgress:
         """See `Desk.progress`."""

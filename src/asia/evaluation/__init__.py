@@ -10,8 +10,10 @@ from asia.evaluation._relations import Suspicion, SuspicionKind
 from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.evaluation._results import (
     Evaluation,
+    FoldFindings,
     FoldResult,
     Refit,
+    StepErrors,
     consistency,
     derive_seed,
     mean_simulation,
@@ -27,9 +29,11 @@ __all__ = [
     "DryRun",
     "Evaluation",
     "Evaluator",
+    "FoldFindings",
     "FoldResult",
     "Refit",
     "Rung",
+    "StepErrors",
     "Suspicion",
     "SuspicionKind",
     "allowed_seconds",

@@ -15,6 +15,7 @@ from asia._stopwatch import Activity, Stopwatch
 from asia.candidate import Context, check_source, executed_source, imported_libraries
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
+from asia.evaluation._findings import Fitted, fold_result
 from asia.evaluation._metamorphic import ROUNDING, dependences, strangers, suspicions
 from asia.evaluation._oracle import Oracle
 from asia.evaluation._relations import Suspicion, SuspicionKind
@@ -42,8 +43,7 @@ from asia.sandbox import (
 from asia.scoring import (
     Failure,
     combine,
-    diagnose,
-    score_fold,
+    ranges_of,
 )
 
 T = TypeVar("T")
@@ -84,6 +84,7 @@ class Evaluator:
         # Processes that the kernel does not let die, by pid: they keep their core and memory.
         self.left_behind: list[int] = []
         self._open: set[Worker] = set()
+        self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
         self._interrupted = False
         self._ready: ReadyWorkers | None = None
         self.stopwatch = Stopwatch()
@@ -113,7 +114,7 @@ class Evaluator:
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.result, Failure):
-                return Evaluation(end.result, validation_scores=calls)
+                return Evaluation(end.result, output=end.output, validation_scores=calls)
         folds = tuple(end.result for end in ends if isinstance(end.result, FoldResult))
         return Evaluation(combine([f.score for f in folds]), folds, ends[0].output, calls)
 
@@ -304,31 +305,33 @@ class Evaluator:
     def _fold_or_failure(self, source: str, fold: Fold) -> FoldEnd:
         opening = partial(self._worker, imported_libraries(source, fitting=False))
         oracle = Oracle(opening, source, self._context, fold, self._rule)
+        printed: list[str] = []
         try:
-            result, output = self._run_fold(source, fold, oracle)
+            fitted = self._fit_fold(source, fold, oracle, printed.append)
+            with self.stopwatch.activity(Activity.CHECKS, swallows=True):
+                self._ask_strangers(source, fold, fitted.model, fitted.y_hat)
+            with self.stopwatch.activity(Activity.SCORE):
+                result = fold_result(fold, fitted, self._rule, self._ranges, oracle.calls)
         except CandidateError as error:
-            result, output = Failure(error.reason, error.detail, fold.index + 1), ""
-        return FoldEnd(result, output, oracle.calls)
+            result = Failure(error.reason, error.detail, fold.index + 1)
+        return FoldEnd(result, "".join(printed), oracle.calls)
 
-    def _run_fold(self, source: str, fold: Fold, oracle: Oracle) -> tuple[FoldResult, str]:
-        metric, inside = self._rule.metric, whole(fold.train, self._rule)
+    def _fit_fold(
+        self, source: str, fold: Fold, oracle: Oracle, on_printed: Callable[[str], None]
+    ) -> Fitted:
+        """Fit and simulate in one worker, which names its parameters before it knows a case."""
+        inside = whole(fold.train, self._rule)
         with self._worker(imported_libraries(source, fitting=True)) as worker:
-            reply = self._fit(worker, source, fold, oracle)
-            model = worker.dump()
+            try:
+                reply = self._fit(worker, source, fold, oracle)
+            finally:
+                on_printed(worker.printed)
+            parameters, model = worker.parameters(), worker.dump()
             y_hat = simulate_held_out(worker, fold.validation, self.horizon)
             train_y_hat = simulate_training(worker, inside, self.horizon)
-        with self.stopwatch.activity(Activity.CHECKS, swallows=True):
-            self._ask_strangers(source, fold, model, y_hat)
-        with self.stopwatch.activity(Activity.SCORE):
-            held_out, in_parts = [b.y for b in fold.validation], self._rule.ladder is not None
-            score = score_fold(held_out, y_hat, fold.scale, metric, in_parts=in_parts)
-            train_y = [b.y for b in inside]
-            train = score_fold(train_y, train_y_hat, fold.scale, metric)
-            evidence = diagnose(
-                [b.case.u for b in inside], train_y, train_y_hat, fold.scale, train.value
-            )
-        result = FoldResult(score, model, y_hat, reply.curve, evidence, reply.seconds, oracle.calls)
-        return result, reply.output
+            memory = worker.peak_memory_mb
+        seconds = [worker.spent.get(a, (0.0, 0.0))[0] for a in (Activity.TRACE, Activity.COMPILE)]
+        return Fitted(reply, model, parameters, y_hat, train_y_hat, memory, sum(seconds))
 
     def _ask_strangers(self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]) -> None:
         """Where several requests go to one worker, a few of their cases in a fresh one. Raises

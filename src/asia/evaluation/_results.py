@@ -11,7 +11,47 @@ import numpy as np
 from asia.data import Array
 from asia.errors import CandidateError
 from asia.protocol import Fold
-from asia.scoring import Diagnostics, Failure, FoldScore, Outcome, combine, score_fold
+from asia.scoring import (
+    Diagnostics,
+    Failure,
+    FoldScore,
+    Outcome,
+    SignedResidual,
+    combine,
+    score_fold,
+)
+
+
+@dataclass(frozen=True)
+class StepErrors:
+    """The errors on the held-out windows at one step."""
+
+    step: int
+    """The step within the window, from 1."""
+    errors: tuple[float, ...]
+    """The metric of each output, as it enters V."""
+
+
+@dataclass(frozen=True)
+class FoldFindings:
+    """What is learned of the model of one fold beside its score."""
+
+    errors: tuple[float, ...]
+    """The metric of each output on the held-out part, as it enters V."""
+    train_errors: tuple[float, ...]
+    """The same on the training records."""
+    steps: tuple[StepErrors, ...] = ()
+    """The held-out errors at the steps that the protocol names; () for long simulations."""
+    residuals: tuple[SignedResidual, ...] = ()
+    """Of the simulation of the training records, the largest shares first."""
+    parameters: tuple[tuple[str, float], ...] = ()
+    """Names and values that the model offers."""
+    compile_seconds: float = 0.0
+    """How long JAX traced and compiled, in the fit and the simulations."""
+    memory_mb: float | None = None
+    """The largest address space of the worker; None where the system does not say."""
+    printed: str = ""
+    """What the candidate printed during the fit, its middle left out where it is long."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +72,8 @@ class FoldResult:
     """How long the fit took."""
     validation_scores: int = 0
     """How often the candidate asked for its score on the held-out part."""
+    findings: FoldFindings | None = None
+    """What is learned of the model beside its score."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +97,8 @@ class Evaluation:
     folds: tuple[FoldResult, ...] = ()
     """The results of all folds; empty if one of them failed."""
     output: str = ""
-    """What it printed during the first fold's fit, capped and stripped."""
+    """What it printed during the first fold's fit, or that of a fold that failed, capped and
+    stripped."""
     validation_scores: int = 0
     """How often it asked for its score on held-out parts, in all folds, failed ones included."""
 

@@ -47,6 +47,17 @@ from asia.ledger._store import Store
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
 from asia.ledger._words import error_line
+from asia.ledger.evidence.experiment import (
+    ComparedScore,
+    ExperimentEvidence,
+    FoldShown,
+    RunSettings,
+    evidence_of,
+    settings_of_run,
+)
+from asia.ledger.evidence.findings import findings_of, put_findings
+from asia.ledger.evidence.noise import noise_of_repeats
+from asia.ledger.evidence.words import evidence_lines
 from asia.scoring import Diagnostics
 
 __all__ = [
@@ -54,14 +65,17 @@ __all__ = [
     "Again",
     "Brief",
     "Chain",
+    "ComparedScore",
     "Control",
     "Diagnostics",
     "Evaluated",
     "Event",
     "Exchanged",
     "Experiment",
+    "ExperimentEvidence",
     "Extended",
     "FoldEvidence",
+    "FoldShown",
     "GuardLooked",
     "GuardScore",
     "Line",
@@ -70,6 +84,7 @@ __all__ = [
     "Refitted",
     "Resumed",
     "Run",
+    "RunSettings",
     "RunState",
     "RungScored",
     "SearchView",
@@ -95,16 +110,22 @@ __all__ = [
     "describe_result",
     "error_line",
     "error_value",
+    "evidence_lines",
+    "evidence_of",
     "find_run",
+    "findings_of",
     "in_use",
     "journal",
     "metric_of",
+    "noise_of_repeats",
     "open_run",
     "published",
+    "put_findings",
     "read_lines",
     "refresh",
     "replay",
     "results_table",
+    "settings_of_run",
     "validation_score_words",
     "verify",
     "write_exports",

@@ -68,6 +68,8 @@ class Started:
     one anything while both ran."""
     lessons: str | None = None
     """Artifact of the lessons that its agents were given; None for none."""
+    folds: tuple[str, ...] = ()
+    """What each fold holds out, in words; () in older ledgers."""
     event: Literal["started"] = "started"
 
     @property
@@ -130,6 +132,8 @@ class FoldEvidence:
     """Duration of the fit."""
     validation_scores: int = 0
     """How often the fit asked for its score on the held-out part."""
+    findings: str | None = None
+    """Artifact of `asia.evaluation.FoldFindings`; None in older ledgers."""
 
 
 @dataclass(frozen=True)

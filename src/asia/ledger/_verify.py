@@ -114,6 +114,8 @@ def _artifacts(event: Event) -> Iterator[str]:
         case Evaluated():
             for fold in event.folds:
                 yield from (fold.model, fold.y_hat, fold.curve)
+                if fold.findings:
+                    yield fold.findings
             if event.output:
                 yield event.output
         case Exchanged():

@@ -1,6 +1,6 @@
 """How a model is judged: folds, past windows, horizon, metric."""
 
-from asia.protocol._folds import Block, Case, Fold, cut, make_folds, whole
+from asia.protocol._folds import Block, Case, Fold, cut, fold_names, make_folds, whole
 from asia.protocol._metrics import (
     MEE,
     METRICS,
@@ -39,6 +39,7 @@ __all__ = [
     "TrainingLoss",
     "cut",
     "find_metric",
+    "fold_names",
     "known_metric",
     "known_test_metric",
     "make_folds",

@@ -145,3 +145,28 @@ def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array
             "its error cannot be normalised; leave the channel out or use fewer folds"
         )
     return y.std(axis=0)
+
+
+def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:
+    """What each fold holds out, in a few words: `chirp: 8 records`, or `block 1 of 2: samples 6 to
+    515 of run1`; samples are counted from 1."""
+    if rule.folds.kind == "leave_one_group_out":
+        return tuple(
+            f"{group.name}: {_counted(group.records)}"
+            for group, _ in zip(rule.folds.groups, folds, strict=True)
+        )
+    return tuple(f"block {f.index + 1} of {len(folds)}: {_excerpts(f)}" for f in folds)
+
+
+def _counted(records: Sequence[str]) -> str:
+    return f"record {records[0]}" if len(records) == 1 else f"{len(records)} records"
+
+
+def _excerpts(fold: Fold) -> str:
+    """The held-out samples of one record, or of how many."""
+    records = {block.record for block in fold.validation}
+    if len(records) > 1:
+        return f"of each of {len(records)} records"
+    blocks = fold.validation
+    first, last = min(b.start for b in blocks) + 1, max(b.stop for b in blocks)
+    return f"samples {first} to {last} of {blocks[0].case.name}"

@@ -77,7 +77,11 @@ class Metric:
         return signal if self.normalised else self.unit
 
     def shortfall(self, y: Array, y_hat: Array, scale: Array) -> float:
-        """What enters V: 0 at best, lower is better, the mean over the outputs.
+        """What enters V: the mean of `shortfalls` over the outputs. Raises UserError as these."""
+        return float(np.mean(self.shortfalls(y, y_hat, scale)))
+
+    def shortfalls(self, y: Array, y_hat: Array, scale: Array) -> Array:
+        """What V averages over the outputs, (ny,): 0 at best, lower is better.
 
         y, y_hat: (samples, ny); scale: (ny,) standard deviations. Raises UserError when the
         function gives anything but one number an output.
@@ -85,10 +89,10 @@ class Metric:
         values = self.values(y, y_hat)
         if self.direction == "higher":
             values = self.best - values
-        return float(np.mean(values / scale if self.normalised else values))
+        return values / scale if self.normalised else values
 
     def values(self, y: Array, y_hat: Array) -> Array:
-        """The values of the outputs, (ny,). Raises UserError as `shortfall`."""
+        """The values of the outputs, (ny,). Raises UserError as `shortfalls`."""
         values = np.asarray(self.function(y, y_hat), dtype=np.float64)
         if values.shape != y.shape[1:]:
             raise UserError(

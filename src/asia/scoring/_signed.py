@@ -74,7 +74,7 @@ class SignedResidual:
     time eight tenths are enough."""
 
     def words(self, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> str:
-        """`tank2_level above 8 V: the model is too low by 0.21 s.d.`"""
+        """`tank2_level above 8 V: the model is too low by 0.21 ± 0.05 s.d.`"""
         signals = inputs if self.kind in (PartKind.INPUT, PartKind.STEP) else outputs
         name, own = signals[self.signal].name, outputs[self.output].name
         where = _where(self, name, signals[self.signal].unit)
@@ -83,8 +83,8 @@ class SignedResidual:
 
     @property
     def size(self) -> str:
-        """`0.21 s.d.`"""
-        return f"{abs(self.mean):.2g} s.d."
+        """`0.21 ± 0.05 s.d.`"""
+        return f"{abs(self.mean):.2g} ± {self.error:.1g} s.d."
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ from asia.ledger import (
     Stopped,
     StopReason,
     Store,
+    put_findings,
     refresh,
     write_exports,
 )
@@ -230,6 +231,7 @@ class Loop:
             diagnostics=fold.diagnostics,
             fit_seconds=fold.seconds,
             validation_scores=fold.validation_scores,
+            findings=put_findings(self.store, fold.findings) if fold.findings else None,
         )
 
     def _refit(self) -> None:

@@ -41,7 +41,7 @@ from asia.problem.load import (
     lock_text,
     protocol_digest,
 )
-from asia.protocol import EarlyStopping, Fold, make_folds
+from asia.protocol import EarlyStopping, Fold, fold_names, make_folds
 from asia.sandbox import Isolation, Probe, probe
 from asia.seal._guard import guard_digest
 from asia.seal._test import seal
@@ -91,7 +91,7 @@ def prepare(
     Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
     other settings.
     """
-    _check(problem)
+    folds = _check(problem)
     sealed = replace(seal(problem), guard=guard_digest(problem))
     run_name = name or _default_name(problem, agent_name, seed)
     directory = runs / run_name
@@ -121,6 +121,7 @@ def prepare(
         salt=secrets.token_hex(16),
         isolation_strict=isolation_strict,
         lessons=hashlib.sha256(taught).hexdigest() if taught else None,
+        folds=fold_names(folds, problem.protocol),
     )
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
@@ -231,10 +232,11 @@ def check_baseline(problem: Problem) -> None:
         raise UserError(f"baseline.py of problem '{problem.name}': {error.reason.advice}") from None
 
 
-def _check(problem: Problem) -> None:
+def _check(problem: Problem) -> tuple[Fold, ...]:
+    """The folds of a problem whose baseline and budget are in order."""
     check_baseline(problem)
     _check_budget(problem.budget)
-    make_folds(problem.train, problem.protocol)
+    return make_folds(problem.train, problem.protocol)
 
 
 def _check_budget(budget: Budget) -> None:

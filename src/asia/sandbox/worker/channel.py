@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
 import secrets
 import select
 import time
@@ -15,9 +16,12 @@ from asia._text import printable
 from asia.sandbox.worker.process import Pipes
 from asia.sandbox.worker.wire import REPLY_HEAD, REQUEST_HEAD, TOKEN_BYTES, ReplyKind
 
-_KEPT_OUTPUT = 64 * 1024
+_KEPT_BEGINNING = 16 * 1024
+_KEPT_END = 48 * 1024
 _LARGEST_OUTPUT = 4 * 1024 * 1024
 _SLICE_SECONDS = 0.1
+# What a library says of a system call that the sandbox denies; no word of a candidate.
+_OF_THE_SANDBOX = re.compile(r"^\[mutex\.cc : \d+\] RAW: .*\n?", re.MULTILINE)
 _PIPE_BYTES = 1024 * 1024
 _F_SETPIPE_SZ = getattr(fcntl, "F_SETPIPE_SZ", None)
 
@@ -55,7 +59,8 @@ class Channel:
         self._output: int | None = pipes.output
         self._running = running
         self._token = bytes(TOKEN_BYTES)
-        self._printed = bytearray()
+        self._beginning = bytearray()
+        self._end = bytearray()
         self._printed_bytes = 0
         self._keep_output = True
         for fd in (pipes.requests, pipes.replies, pipes.output):
@@ -110,11 +115,15 @@ class Channel:
         return bytes(data)
 
     def take_output(self) -> str:
-        """What was printed so far, without control characters; nothing is kept from here on."""
+        """What was printed so far, its middle left out where it is long, without control
+        characters; nothing is kept from here on."""
         while self._output is not None and select_one(self._output):
             self._drain()
         self._keep_output = False
-        return printable(self._printed.decode("utf-8", "replace"))
+        left_out = self._printed_bytes - len(self._beginning) - len(self._end)
+        between = f"\n... {left_out} bytes left out ...\n" if left_out else ""
+        beginning, end = (p.decode("utf-8", "replace") for p in (self._beginning, self._end))
+        return _OF_THE_SANDBOX.sub("", printable(f"{beginning}{between}{end}"))
 
     def close(self) -> None:
         """Close the parent's ends. The worker's keeper takes it as the order to end."""
@@ -143,12 +152,15 @@ class Channel:
     def _drain(self) -> None:
         assert self._output is not None
         try:
-            part = os.read(self._output, _KEPT_OUTPUT)
+            part = os.read(self._output, _KEPT_END)
         except BlockingIOError:
             return
         self._printed_bytes += len(part)
         if self._keep_output:
-            self._printed += part[: _KEPT_OUTPUT - len(self._printed)]
+            room = _KEPT_BEGINNING - len(self._beginning)
+            self._beginning += part[:room]
+            self._end += part[room:]
+            del self._end[:-_KEPT_END]
         if not part or self._printed_bytes > _LARGEST_OUTPUT:
             self._close_output()
 

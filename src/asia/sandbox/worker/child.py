@@ -173,6 +173,7 @@ class _Session:
             "load": self._load,
             "simulate": self._simulate,
             "dump": self._dump,
+            "parameters": self._parameters,
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
         }
         while True:
@@ -268,6 +269,15 @@ class _Session:
 
     def _dump(self) -> bytes:
         return self._pickled(self._model)
+
+    def _parameters(self) -> bytes:
+        """Those that the model names. They are evidence and no part of the contract: a model
+        without them, or with something else of that name, is none the worse."""
+        offered = getattr(self._model, "parameters", None)
+        try:
+            return wire.pack_parameters(offered() if callable(offered) else offered)
+        except Exception:  # noqa: BLE001 - the border to candidate code
+            return b""
 
     def _pickled(self, model: object) -> bytes:
         import cloudpickle

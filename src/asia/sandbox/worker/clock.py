@@ -1,4 +1,4 @@
-"""Where the seconds of one worker go, measured by the parent."""
+"""Where the seconds of one worker go and how much memory it takes, measured by the parent."""
 
 from __future__ import annotations
 
@@ -84,3 +84,11 @@ def first_child(pid: int) -> int | None:
     except OSError:
         return None
     return int(children[0]) if children else None
+
+
+def peak_memory_mb(pid: int | None) -> float | None:
+    """The largest address space that a process has had, MB; None where the system does not say."""
+    with suppress(OSError, ValueError, IndexError):
+        text = Path(f"/proc/{pid}/status").read_text("ascii", "replace")
+        return int(text.split("VmPeak:")[1].split()[0]) / 1024
+    return None

@@ -25,15 +25,17 @@ from asia.sandbox.worker.channel import (
     LateError,
     UnsolicitedError,
 )
-from asia.sandbox.worker.clock import WorkerClock
+from asia.sandbox.worker.clock import WorkerClock, peak_memory_mb
 from asia.sandbox.worker.process import WorkerProcess
 from asia.sandbox.worker.wire import (
     COMPILED_BYTES,
     CURVE_ROW_BYTES,
     CURVE_ROWS,
+    PARAMETERS_BYTES,
     SHAPE_DIMENSIONS,
     TEXT_BYTES,
     ReplyKind,
+    unpack_parameters,
 )
 
 _START_SECONDS = 60.0
@@ -78,6 +80,7 @@ class Worker:
         self._ny = 0
         self._model_loaded = False
         self._cases_seen = False
+        self._printed = ""
 
     def __enter__(self) -> Worker:
         return self
@@ -119,7 +122,8 @@ class Worker:
             raise self._failure(Reason.UNSOLICITED, "a training curve of an impossible size")
         curve = _floats(self._body(head, deadline, late)).reshape(-1, 2)
         self._ny, self._model_loaded = context.ny, True
-        return FitReply(curve, self._channel.take_output(), seconds)
+        self._printed = self._channel.take_output()
+        return FitReply(curve, self._printed, seconds)
 
     def load(self, source: str, model: bytes, context: Context) -> None:
         """Execute the source and take up the model that `dump` gave, in at most fit_seconds. May
@@ -161,6 +165,37 @@ class Worker:
         with self._clock.activity(Activity.FIT):
             self._send("dump", (), deadline, late)
             return self._model_bytes(self._head(deadline, late), deadline, late)
+
+    def parameters(self) -> tuple[tuple[str, float], ...]:
+        """The named parameters that the fitted model offers, at most `wire.PARAMETERS`. To be asked
+        before any case: what a model says afterwards could hold what it was given."""
+        self._need_model()
+        if self._cases_seen:
+            raise SandboxError("the worker has seen cases: parameters are asked for before them")
+        late = Reason.FIT_TIMEOUT
+        deadline = time.monotonic() + self._limits.fit_seconds
+        with self._clock.activity(Activity.FIT):
+            self._send("parameters", (), deadline, late)
+            head = self._head(deadline, late)
+            if head.length > PARAMETERS_BYTES:
+                raise self._failure(Reason.UNSOLICITED, "too many parameters")
+            body = self._body(head, deadline, late)
+        try:
+            return unpack_parameters(body)
+        except ValueError as error:
+            raise self._failure(Reason.UNSOLICITED, str(error)) from None
+
+    @property
+    def printed(self) -> str:
+        """What the candidate printed until the end of its fit, or until it failed there; nothing of
+        what it prints once it knows cases."""
+        return self._printed
+
+    @property
+    def peak_memory_mb(self) -> float | None:
+        """The largest address space so far, which is what the limit counts; None where the system
+        does not say."""
+        return peak_memory_mb(self._process.find())
 
     @property
     def spent(self) -> Seconds:
@@ -326,6 +361,8 @@ class Worker:
 
     def _failure(self, reason: Reason, detail: str = "") -> CandidateError:
         """End the worker; the error is the caller's to raise."""
+        if not (self._closed or self._cases_seen or self._model_loaded):
+            self._printed = self._channel.take_output()
         self.close()
         return CandidateError(reason, detail)
 

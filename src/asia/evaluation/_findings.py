@@ -1,0 +1,85 @@
+"""From the simulations of one fold to its score and what is learned beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+from asia.evaluation._results import FoldFindings, FoldResult, StepErrors
+from asia.protocol import Fold, ProtocolRule, find_metric, whole
+from asia.sandbox import FitReply
+from asia.scoring import Ranges, diagnose, score_fold, signed_residuals
+
+_MOST_RESIDUALS = 120
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What the worker of one fold gave."""
+
+    reply: FitReply
+    """The reply to the fit."""
+    model: bytes
+    """The fitted model."""
+    parameters: tuple[tuple[str, float], ...]
+    """Names and values that the model offers."""
+    y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each held-out block."""
+    train_y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each block of the training records."""
+    memory_mb: float | None
+    """The largest address space of the worker."""
+    compile_seconds: float
+    """How long JAX traced and compiled."""
+
+
+def fold_result(
+    fold: Fold, fitted: Fitted, rule: ProtocolRule, ranges: Ranges, validation_scores: int
+) -> FoldResult:
+    """Score a fold's simulations and analyse their residuals. Raises CandidateError for what is not
+    finite or too large to analyse."""
+    inside = whole(fold.train, rule)
+    y, train_y = [b.y for b in fold.validation], [b.y for b in inside]
+    in_parts = rule.ladder is not None
+    score = score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=in_parts)
+    train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
+    inputs = [b.case.u for b in inside]
+    evidence = diagnose(inputs, train_y, fitted.train_y_hat, fold.scale, train.value)
+    signed = signed_residuals(inputs, train_y, fitted.train_y_hat, fold.scale, ranges)
+    findings = FoldFindings(
+        errors=_errors(y, fitted.y_hat, fold.scale, rule),
+        train_errors=_errors(train_y, fitted.train_y_hat, fold.scale, rule),
+        steps=_step_errors(fold, fitted.y_hat, rule),
+        residuals=signed[:_MOST_RESIDUALS],
+        parameters=fitted.parameters,
+        compile_seconds=fitted.compile_seconds,
+        memory_mb=fitted.memory_mb,
+        printed=fitted.reply.output,
+    )
+    return FoldResult(
+        score, fitted.model, fitted.y_hat, fitted.reply.curve, evidence, fitted.reply.seconds,
+        validation_scores, findings,
+    )  # fmt: skip
+
+
+def _errors(
+    y: Sequence[Array], y_hat: Sequence[Array], scale: Array, rule: ProtocolRule
+) -> tuple[float, ...]:
+    """Of each output, over all samples, as V averages them."""
+    a, b = (np.concatenate(list(parts)) for parts in (y, y_hat))
+    return tuple(find_metric(rule.metric).shortfalls(a, b, scale).tolist())
+
+
+def _step_errors(fold: Fold, y_hat: Sequence[Array], rule: ProtocolRule) -> tuple[StepErrors, ...]:
+    """At the steps that the test's table prints too."""
+    if rule.horizon is None:
+        return ()
+    y = [block.y for block in fold.validation]
+    found: list[StepErrors] = []
+    for step in rule.test.horizons:
+        a, b = ([one[step - 1 : step] for one in parts] for parts in (y, y_hat))
+        found.append(StepErrors(step, _errors(a, b, fold.scale, rule)))
+    return tuple(found)

@@ -1,0 +1,1 @@
+"""What is shown of an experiment beside its score, to agents and to people alike."""

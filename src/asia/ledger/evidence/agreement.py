@@ -1,0 +1,93 @@
+"""What the folds of one experiment have in common, and what they do not."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean
+
+from asia.evaluation import FoldFindings
+from asia.scoring import PartKind, SignedResidual
+
+_STANDARD_ERRORS = 1.5
+_SMALLEST_SHARE = 0.02
+LARGEST_SPREAD = 0.5
+"""Over the mean of the folds: what lies further apart disagrees."""
+
+
+@dataclass(frozen=True)
+class ParameterSpread:
+    """A named parameter in all folds."""
+
+    name: str
+    """Its name, the model's word."""
+    values: tuple[float, ...]
+    """In each fold."""
+
+    @property
+    def spread(self) -> float:
+        """Largest less smallest value over the size of their mean."""
+        mean = abs(fmean(self.values))
+        apart = max(self.values) - min(self.values)
+        return apart / mean if mean > 0 else float(apart > 0) * float("inf")
+
+    @property
+    def changes_sign(self) -> bool:
+        """Whether the folds do not agree on the direction."""
+        return min(self.values) < 0 < max(self.values)
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether the folds found different values: the model is wrong there, or the records do not
+        determine it."""
+        return self.changes_sign or self.spread > LARGEST_SPREAD
+
+
+def parameter_spreads(folds: Sequence[FoldFindings]) -> tuple[ParameterSpread, ...]:
+    """Of the parameters that all folds name, those that agree least first."""
+    tables = [dict(one.parameters) for one in folds]
+    names = [n for n in (tables[0] if tables else {}) if all(n in table for table in tables)]
+    found = [ParameterSpread(name, tuple(table[name] for table in tables)) for name in names]
+    return tuple(sorted(found, key=lambda one: -one.spread))
+
+
+@dataclass(frozen=True)
+class SharedResidual:
+    """The mean residual over one part of the data, in all folds together."""
+
+    residual: SignedResidual
+    """Its mean over the folds that have this part, with the standard error of that mean."""
+    folds: tuple[int, ...]
+    """The folds whose own mean lies on the same side by more than its standard error, from 1."""
+    share: float
+    """The share of the squared residual that would be gone without it, mean over all folds."""
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether it is worth a look: more than 1.5 standard errors, and 2 % of the squared
+        residual."""
+        one = self.residual
+        return abs(one.mean) > _STANDARD_ERRORS * one.error and self.share > _SMALLEST_SHARE
+
+
+def shared_residuals(folds: Sequence[FoldFindings]) -> tuple[SharedResidual, ...]:
+    """Those of all parts that stand out, the largest share first."""
+    found: defaultdict[tuple[int, PartKind, int, int], list[tuple[int, SignedResidual]]]
+    found = defaultdict(list)
+    for number, fold in enumerate(folds, 1):
+        for one in fold.residuals:
+            found[one.output, one.kind, one.signal, one.part].append((number, one))
+    shared = (_shared(ones, len(folds)) for ones in found.values())
+    kept = [one for one in shared if one.stands_out]
+    return tuple(sorted(kept, key=lambda one: -one.share))
+
+
+def _shared(ones: Sequence[tuple[int, SignedResidual]], folds: int) -> SharedResidual:
+    first = ones[0][1]
+    mean = fmean(one.mean for _, one in ones)
+    error = math.sqrt(sum(one.error**2 for _, one in ones)) / len(ones)
+    agree = tuple(number for number, one in ones if one.mean * mean > abs(mean) * one.error)
+    share = sum(one.share for _, one in ones) / folds
+    return SharedResidual(replace(first, mean=mean, error=error), agree, share)

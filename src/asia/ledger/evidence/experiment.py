@@ -1,0 +1,146 @@
+"""All that is shown of one experiment beside its score."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+from asia.data import Signal
+from asia.errors import UserError
+from asia.evaluation import FoldFindings
+from asia.ledger._store import Store
+from asia.ledger._view import Experiment, SearchView
+from asia.ledger.evidence.agreement import (
+    ParameterSpread,
+    SharedResidual,
+    parameter_spreads,
+    shared_residuals,
+)
+from asia.ledger.evidence.findings import findings_of
+from asia.ledger.evidence.noise import noise_of_repeats
+from asia.scoring import Diagnostics
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What the figures of an experiment are read against."""
+
+    inputs: tuple[Signal, ...]
+    """Names and units of the inputs."""
+    outputs: tuple[Signal, ...]
+    """Names and units of the outputs."""
+    fit_seconds: float
+    """How long the fit of a fold may take."""
+    memory_mb: int
+    """The largest address space of a worker."""
+
+
+@dataclass(frozen=True)
+class FoldShown:
+    """One fold of an experiment."""
+
+    held_out: str
+    """What it holds out, in words; "" in older ledgers."""
+    value: float | None
+    """V of the fold; None where it is not reported."""
+    diagnostics: Diagnostics
+    """Residual analysis of the training simulation."""
+    fit_seconds: float
+    """Duration of the fit."""
+    findings: FoldFindings | None
+    """What else is known; None in older ledgers."""
+
+
+@dataclass(frozen=True)
+class ComparedScore:
+    """V beside that of another experiment."""
+
+    experiment: int
+    """The other one."""
+    role: str
+    """`parent` or `best before`."""
+    value: float
+    """V of this one less V of the other."""
+    share: float
+    """`value` over V of the other."""
+
+
+@dataclass(frozen=True)
+class ExperimentEvidence:
+    """One experiment beside its score."""
+
+    setting: RunSettings
+    """What its figures are read against."""
+    folds: tuple[FoldShown, ...]
+    """Its folds; () for a failure."""
+    residuals: tuple[SharedResidual, ...]
+    """Where the model is too high or too low on the training records, what weighs most first."""
+    parameters: tuple[ParameterSpread, ...]
+    """Named parameters, those on which the folds agree least first."""
+    differences: tuple[ComparedScore, ...]
+    """V beside that of the parent and of the best before it."""
+    noise: float | None
+    """The standard deviation of V over repeats; None where it was not measured."""
+    printed: str
+    """What a failed fit printed; "" where there are folds."""
+
+
+def settings_of_run(directory: Path) -> RunSettings:
+    """That of a run, from its lock file. Raises UserError when that cannot be read."""
+    path = directory / "problem.lock.toml"
+    try:
+        lock = tomllib.loads(path.read_text("utf-8"))
+        inputs, outputs = (
+            tuple(Signal(s["name"], s.get("unit", "")) for s in lock[key])
+            for key in ("inputs", "outputs")
+        )
+        budget = lock["budget"]
+        return RunSettings(inputs, outputs, float(budget["fit_seconds"]), int(budget["memory_mb"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(
+            f"{path} cannot be read ({error}): the signals of the run are not known"
+        ) from None
+
+
+def evidence_of(
+    experiment: Experiment, view: SearchView, store: Store, setting: RunSettings, *, bounded: bool
+) -> ExperimentEvidence:
+    """What is shown of an experiment that has a result; view, experiment: with the scores that are
+    reported to whoever reads; bounded: as in `findings_of`."""
+    result, score = experiment.result, experiment.score
+    assert result is not None
+    findings = findings_of(store, experiment, bounded=bounded)
+    known = findings if len(findings) == len(result.folds) else [None] * len(result.folds)
+    names = view.started.folds or ("",) * len(result.folds)
+    values = [f.value for f in score.folds] if score and score.folds else [None] * len(known)
+    rows = zip(names, values, result.folds, known, strict=True) if result.folds else ()
+    failed = result.output is not None and not result.folds and not bounded
+    return ExperimentEvidence(
+        setting=setting,
+        folds=tuple(
+            FoldShown(name, value, kept.diagnostics, kept.fit_seconds, one)
+            for name, value, kept, one in rows
+        ),
+        residuals=shared_residuals(findings),
+        parameters=parameter_spreads(findings),
+        differences=_differences(experiment, view),
+        noise=None if bounded else noise_of_repeats(view),
+        printed=store.text(result.output) if failed and result.output else "",
+    )
+
+
+def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScore, ...]:
+    if experiment.score is None:
+        return ()
+    kept = [e for e in view.finished if e.number < experiment.number and e.kept]
+    others = [("best before", kept[-1])] if kept else []
+    parent = experiment.proposed.parent
+    if parent is not None and parent != experiment.number:
+        others.insert(0, ("parent", view.experiment(parent)))
+    found: list[ComparedScore] = []
+    for role, other in others:
+        if other.score is not None and other.score.value > 0:
+            apart = experiment.score.value - other.score.value
+            found.append(ComparedScore(other.number, role, apart, apart / other.score.value))
+    return tuple(found)
