@@ -56,6 +56,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "isolation_strict": view.started.isolation_strict,
         "metric": metric_of(directory),
         "early_stopping": view.started.early_stopping,
+        "residuals": view.started.residuals,
         "validation_scores": found.validation_scores,
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
         "control": None
@@ -98,6 +99,8 @@ def _print(directory: Path, found: Brief) -> None:
         say(f"agent   {usage_words(view.usage)}")
     if view.started.early_stopping == "validation":
         say(f"V is {validation_words(found.validation_scores)}")
+    if view.started.residuals == "held_out":
+        say("V is with held-out residuals shown")
     if words := again_words(view):
         say(f"again   {words}")
     if view.looks:

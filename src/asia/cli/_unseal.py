@@ -60,12 +60,16 @@ def unseal(
     draw = partial(write_report, directory, missing_only=result.first_time)
     if json:
         draw()
-        answer = {**_as_object(result.record), "early_stopping": view.started.early_stopping}
+        start = view.started
+        settings = {"early_stopping": start.early_stopping, "residuals": start.residuals}
+        answer = {**_as_object(result.record), **settings}
         say(jsonlib.dumps(answer, allow_nan=False))
         return
     _print_text(result.record)
     if view.started.early_stopping == "validation":
         say(f"chosen {validation_words(view.validation_scores)}; the test itself was never seen")
+    if view.started.residuals == "held_out":
+        say("chosen with held-out residuals shown; the test itself was never seen")
     for picture in draw():
         if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
             say(f"picture  {picture}")

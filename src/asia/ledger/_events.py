@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 
 from asia._stopwatch import TimeSpent
-from asia.protocol import EarlyStopping
+from asia.protocol import EarlyStopping, ShownResiduals
 from asia.scoring import Diagnostics, Failure, MeeTable, Outcome, TestScore
 
 Status = Literal["keep", "discard", "crash", "timeout", "invalid"]
@@ -64,12 +64,13 @@ class Started:
     salt: str = ""
     """Seeds the choice of cases that new bests are checked on; never shown to agents."""
     isolation_strict: bool = False
-    """Whether the folds of a candidate ran one after the other, so that none could tell another
-    one anything while both ran."""
+    """Whether the folds of a candidate ran one after the other, so that none could tell another."""
     lessons: str | None = None
     """Artifact of the lessons that its agents were given; None for none."""
     folds: tuple[str, ...] = ()
     """What each fold holds out, in words; () in older ledgers."""
+    residuals: ShownResiduals = "train"
+    """With `held_out` those who propose saw residuals of the held-out samples."""
     event: Literal["started"] = "started"
 
     @property

@@ -57,6 +57,19 @@ def journal(view: SearchView) -> str:
 
 
 def _setting(view: SearchView) -> str:
+    return _validation_setting(view) + _residuals_setting(view)
+
+
+def _residuals_setting(view: SearchView) -> str:
+    if view.started.residuals == "train":
+        return ""
+    return (
+        "\nHeld-out residuals are shown: whoever proposes sees where the held-out samples are "
+        "missed. V is only comparable with V of the same setting.\n"
+    )
+
+
+def _validation_setting(view: SearchView) -> str:
     if view.started.early_stopping == "inner":
         return ""
     return (

@@ -119,10 +119,14 @@ class SearchView:
 
     @property
     def v_name(self) -> str:
-        """What V is called beside a figure of this search: with validation early stopping it is
-        not leak-free, and stands in no table with one that is."""
-        inner = self.started.early_stopping == "inner"
-        return "V" if inner else "V (validation early stopping)"
+        """What V is called beside a figure of this search: with validation early stopping, or where
+        held-out residuals are shown, it stands in no table with one without."""
+        marks = {
+            "validation early stopping": self.started.early_stopping == "validation",
+            "held-out residuals shown": self.started.residuals == "held_out",
+        }
+        found = ", ".join(words for words, there in marks.items() if there)
+        return f"V ({found})" if found else "V"
 
     @property
     def validation_scores(self) -> int:

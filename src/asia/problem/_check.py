@@ -112,6 +112,7 @@ class CheckReport:
             f"{_cases(rule)}; past window: {past}; V: {find_metric(rule.metric).summary}; "
             f"protocol {self.protocol_sha256[:12]}",
             *_early_stopping_lines(rule),
+            *_residuals_lines(rule),
             *_seal_lines(self.seal, rule),
             *_kept_lines(p),
             *_guard_lines(p),
@@ -298,6 +299,15 @@ def _early_stopping_lines(rule: ProtocolRule) -> list[str]:
     return [
         "early stopping: on the validation fold, so that V is not leak-free and compares with "
         "other runs of this setting alone"
+    ]
+
+
+def _residuals_lines(rule: ProtocolRule) -> list[str]:
+    if rule.residuals == "train":
+        return []
+    return [
+        "residuals: of the held-out samples too, so that V compares with other runs of this "
+        "setting alone"
     ]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from asia.problem._problem import Problem
 from asia.problem.physics.types import Physics
 from asia.problem.symmetry import Symmetry
+from asia.protocol._rules import ProtocolRule
 
 # Tables that count only where they hold something: a digest outlives additions to the rules.
 _LATER = ("priors", "corrections")
@@ -18,7 +19,10 @@ _LATER = ("priors", "corrections")
 def protocol_digest(problem: Problem) -> str:
     """Hex sha256 of the protocol with its defaults filled in; what is absent does not count, so
     that a digest outlives additions to the rules."""
-    return _of_json(_present(asdict(problem.protocol)))
+    rule = asdict(problem.protocol)
+    if problem.protocol.residuals == ProtocolRule.residuals:
+        del rule["residuals"]
+    return _of_json(_present(rule))
 
 
 def physics_digest(physics: Physics) -> str:

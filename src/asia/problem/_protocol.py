@@ -64,6 +64,11 @@ def check_feedback(rule: ProtocolRule) -> None:
             'protocol.feedback = "ladder" hides V from the agent, but early_stopping = '
             '"validation" reports it to candidates: keep one of them'
         )
+    if rule.ladder is not None and rule.residuals == "held_out":
+        raise UserError(
+            'protocol.feedback = "ladder" hides V from the agent, but residuals = "held_out" shows '
+            "it where each held-out sample is missed: keep one of them"
+        )
 
 
 def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) -> None:
@@ -160,6 +165,8 @@ def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
         **{key: value for key, value in asdict(rule).items() if key != "ladder"},
         "feedback": None if ladder is None else "ladder",
         "ladder_step": ladder,
+        # Left out where it says nothing new, as in locks written before there was a choice.
+        "residuals": rule.residuals if rule.residuals != ProtocolRule.residuals else None,
         "folds": {
             "kind": rule.folds.kind,
             "count": None if grouped else rule.folds.count,

@@ -25,6 +25,7 @@ from asia.protocol._rules import (
     FoldRule,
     OutputGroup,
     ProtocolRule,
+    ShownResiduals,
     TestRule,
 )
 
@@ -105,6 +106,7 @@ class ProtocolTable:
     ladder_step: Annotated[float, Field(gt=0, lt=1)] | None = None
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     test: TestTable = TestTable()
+    residuals: ShownResiduals = "train"
 
     def rule(self) -> ProtocolRule:
         return ProtocolRule(
@@ -116,6 +118,7 @@ class ProtocolTable:
             early_stopping=self.early_stopping,
             horizon=self.horizon,
             test=self.test.rule(),
+            residuals=self.residuals,
             ladder=(self.ladder_step or LADDER_STEP) if self.feedback == "ladder" else None,
         )
 

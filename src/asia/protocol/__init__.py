@@ -19,6 +19,7 @@ from asia.protocol._rules import (
     Group,
     OutputGroup,
     ProtocolRule,
+    ShownResiduals,
     TestRule,
 )
 
@@ -35,6 +36,7 @@ __all__ = [
     "Metric",
     "OutputGroup",
     "ProtocolRule",
+    "ShownResiduals",
     "TestRule",
     "TrainingLoss",
     "cut",

@@ -114,6 +114,7 @@ def prepare(
         isolation_notes=found.notes,
         environment=environment(agent_name),
         early_stopping=problem.protocol.early_stopping,
+        residuals=problem.protocol.residuals,
         agent_settings=dict(agent_settings or {}),
         ladder=problem.protocol.ladder,
         guard_digest=sealed.guard,
@@ -130,7 +131,9 @@ def prepare(
 
 
 def _default_name(problem: Problem, agent_name: str, seed: int) -> str:
-    setting = "" if problem.protocol.early_stopping == "inner" else "-validation"
+    rule = problem.protocol
+    setting = "" if rule.early_stopping == "inner" else "-validation"
+    setting += "" if rule.residuals == "train" else "-residuals"
     return f"{problem.name}-{agent_name}-s{seed}{setting}"
 
 

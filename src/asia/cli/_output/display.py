@@ -20,6 +20,7 @@ from asia.cli._output.profile import profile_lines, profile_object
 from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import (
     NOT_LEAK_FREE,
+    RESIDUALS_SHOWN,
     again_words,
     duration,
     event_object,
@@ -70,6 +71,7 @@ class JsonDisplay:
                 "run": start.run,
                 "problem": start.problem,
                 "early_stopping": start.early_stopping,
+                "residuals": start.residuals,
             }
         )
 
@@ -89,6 +91,7 @@ class JsonDisplay:
                 if best is None or best.score is None
                 else {"experiment": best.number, "V": best.score.value},
                 "early_stopping": view.started.early_stopping,
+                "residuals": view.started.residuals,
                 "validation_scores": view.validation_scores,
                 "pictures": [str(p) for p in pictures],
             }
@@ -128,6 +131,8 @@ class TextDisplay:
         )
         if start.early_stopping == "validation":
             self._print(f"note    {NOT_LEAK_FREE}")
+        if start.residuals == "held_out":
+            self._print(f"note    {RESIDUALS_SHOWN}")
         for note in start.isolation_notes:
             self._print(f"note    {note}", style="dim")
         for change in environment_changes(start.environment, self.prepared.started.environment):
@@ -181,6 +186,8 @@ class TextDisplay:
             )
             if view.started.early_stopping == "validation":
                 self._print(f"V is     {validation_words(view.validation_scores)}")
+            if view.started.residuals == "held_out":
+                self._print("V is     with held-out residuals shown")
             beside = control(self.prepared.directory, view.started, len(view.finished))
             if beside is not None:
                 self._print(f"control  {control_words(beside, view.started)}")

@@ -24,6 +24,12 @@ NOT_LEAK_FREE = (
 )
 
 
+RESIDUALS_SHOWN = (
+    "held-out residuals are shown to whoever proposes, who can fit a model to them, so V is only "
+    "comparable with V of the same setting"
+)
+
+
 def duration(seconds: float) -> str:
     """`7s`, `3m05s` or `1h02m`."""
     whole = round(seconds)

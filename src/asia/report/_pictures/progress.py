@@ -139,7 +139,7 @@ def _title(view: SearchView) -> str:
     if best is None or best.score is None:
         return f"{head}: no model yet"
     total = len(view.finished)
-    link = ": " if start.early_stopping == "inner" else "\n"
+    link = ": " if view.v_name == "V" else "\n"
     value = f"{view.v_name} = {number(best.score.value)}"
     return f"{head}{link}best {value} (experiment {best.number} of {total})"
 
