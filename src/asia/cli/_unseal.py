@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,7 @@ from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
 
 if TYPE_CHECKING:
-    from asia.ledger import Run, TestedModel, Unsealed
+    from asia.ledger import Run, SearchView, TestedModel, Unsealed
     from asia.scoring import Failure, MeeTable
 
 
@@ -27,7 +28,6 @@ def unseal(
     json: Json = False,
 ) -> None:
     """Score the winner on the sealed test. This ends the search and can be done once."""
-    from asia.cli._output.words import validation_words
     from asia.drive import end_idle
     from asia.errors import UserError
     from asia.ledger import open_run
@@ -60,19 +60,30 @@ def unseal(
     draw = partial(write_report, directory, missing_only=result.first_time)
     if json:
         draw()
-        start = view.started
-        settings = {"early_stopping": start.early_stopping, "residuals": start.residuals}
-        answer = {**_as_object(result.record), **settings}
+        answer = {**_as_object(result.record), **_settings(view)}
         say(jsonlib.dumps(answer, allow_nan=False))
         return
     _print_text(result.record)
-    if view.started.early_stopping == "validation":
-        say(f"chosen {validation_words(view.validation_scores)}; the test itself was never seen")
-    if view.started.residuals == "held_out":
-        say("chosen with held-out residuals shown; the test itself was never seen")
+    for line in _setting_lines(view):
+        say(line)
     for picture in draw():
         if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
             say(f"picture  {picture}")
+
+
+def _settings(view: SearchView) -> dict[str, str]:
+    """What V of the winner is only comparable within."""
+    start = view.started
+    return {"early_stopping": start.early_stopping, "residuals": start.residuals}
+
+
+def _setting_lines(view: SearchView) -> Iterator[str]:
+    from asia.cli._output.words import validation_words
+
+    if view.started.early_stopping == "validation":
+        yield f"chosen {validation_words(view.validation_scores)}; the test itself was never seen"
+    if view.started.residuals == "held_out":
+        yield "chosen with held-out residuals shown; the test itself was never seen"
 
 
 def _consents(opened: Run) -> bool:

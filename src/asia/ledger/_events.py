@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 
 from asia._stopwatch import TimeSpent
-from asia.protocol import EarlyStopping, ShownResiduals
+from asia.protocol import EarlyStopping, ShownResidual
 from asia.scoring import Diagnostics, Failure, MeeTable, Outcome, TestScore
 
 Status = Literal["keep", "discard", "crash", "timeout", "invalid"]
@@ -69,7 +69,7 @@ class Started:
     """Artifact of the lessons that its agents were given; None for none."""
     folds: tuple[str, ...] = ()
     """What each fold holds out, in words; () in older ledgers."""
-    residuals: ShownResiduals = "train"
+    residuals: ShownResidual = "train"
     """With `held_out` those who propose saw residuals of the held-out samples."""
     event: Literal["started"] = "started"
 

@@ -25,7 +25,7 @@ from asia.protocol._rules import (
     FoldRule,
     OutputGroup,
     ProtocolRule,
-    ShownResiduals,
+    ShownResidual,
     TestRule,
 )
 
@@ -106,7 +106,7 @@ class ProtocolTable:
     ladder_step: Annotated[float, Field(gt=0, lt=1)] | None = None
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     test: TestTable = TestTable()
-    residuals: ShownResiduals = "train"
+    residuals: ShownResidual = "train"
 
     def rule(self) -> ProtocolRule:
         return ProtocolRule(

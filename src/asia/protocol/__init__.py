@@ -19,7 +19,7 @@ from asia.protocol._rules import (
     Group,
     OutputGroup,
     ProtocolRule,
-    ShownResiduals,
+    ShownResidual,
     TestRule,
 )
 
@@ -36,7 +36,7 @@ __all__ = [
     "Metric",
     "OutputGroup",
     "ProtocolRule",
-    "ShownResiduals",
+    "ShownResidual",
     "TestRule",
     "TrainingLoss",
     "cut",

@@ -8,7 +8,7 @@ from typing import Literal
 EarlyStopping = Literal["inner", "validation"]
 FoldKind = Literal["contiguous", "forward", "leave_one_group_out"]
 Feedback = Literal["exact", "ladder"]
-ShownResiduals = Literal["train", "held_out"]
+ShownResidual = Literal["train", "held_out"]
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class ProtocolRule:
     ladder: float | None = None
     """The share of V by which a new best must be better before agents see its score; None where
     they see every V."""
-    residuals: ShownResiduals = "train"
+    residuals: ShownResidual = "train"
     """Of which samples those who propose see residuals: of the training records, or of the held-out
     ones too, to which a model can then be fitted by hand."""
 

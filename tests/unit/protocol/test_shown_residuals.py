@@ -11,8 +11,7 @@ from asia.ledger import open_run
 from asia.problem._problem import Seal
 from asia.problem.load import load_lock, load_problem, lock_text, protocol_digest
 from tests.unit.cli.conftest import command_line
-
-from .toy import Scripted, arx, write_problem
+from tests.unit.search.toy import Scripted, arx, write_problem
 
 SHOWN = '[protocol]\nresiduals = "held_out"\n'
 
