@@ -1,16 +1,17 @@
 """Do lessons from other systems shorten a search, and do wrong ones harm it?
 
 python benchmarks/searches/lessons.py --out DIR [--jobs 2] [--systems linear-0,duffing-1]
-    [--experiments 10] [--ship FILE]
+    [--arms without,with] [--experiments 10] [--ship FILE]
 
 The expert searches each system without lessons, then with the lessons of all other systems, with
-those of the systems of other kinds only, and with those of all others the wrong way round: what
-helped harms. The table says how many experiments each needs to come within a hundredth of the best
+those of all others the wrong way round, what helped harms, and with those of the systems of other
+kinds only. The table says how many experiments each needs to come within a hundredth of the best
 V without lessons, one more than the budget where it does not come there.
 
 Candidates are the library's own, so they are fitted in this process, without a sandbox; one that
 was fitted before, in whatever search, is not fitted again. The same command goes on where it was
-interrupted. With --ship the lessons of the searches without lessons are written.
+interrupted; DIR/table.md has what there is so far. With --ship the lessons of the searches without
+lessons are written.
 """
 
 from __future__ import annotations
@@ -43,15 +44,15 @@ from asia.errors import CandidateError
 from asia.evaluation import LINEAR, derive_seed
 from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.ledger import write_whole
-from asia.problem.load import Problem, load_problem
+from asia.problem.load import Problem, builtin_problems, load_problem
 from asia.protocol import Fold, make_folds, whole
 from asia.scoring import Diagnostics, Failure, FoldScore, combine, diagnose, score_fold
 from asia.search import problem_facts
 from asia.search._rules import EXPLORE_SHARE
 from systems import KINDS, make_system, write_problem
 
-Arm = Literal["without", "with", "other kinds", "misled"]
-ARMS: tuple[Arm, ...] = ("without", "with", "other kinds", "misled")
+Arm = Literal["without", "with", "misled", "other kinds"]
+ARMS: tuple[Arm, ...] = ("without", "with", "misled", "other kinds")
 NEAR = 1.01
 SAMPLES = 500
 FIT_SECONDS = 20.0
@@ -83,7 +84,9 @@ class Bench:
     """Budget of each search, the baseline included."""
 
     def problem(self, system: str) -> Problem:
-        """The problem of a system `KIND-SEED`, written once."""
+        """The problem of a system `KIND-SEED`, written once; or a built-in one by its name."""
+        if system in builtin_problems():
+            return load_problem(system)
         kind, _, seed = system.rpartition("-")
         folder = self.out / "problems" / system
         if not (folder / "problem.toml").is_file():
@@ -275,12 +278,12 @@ def _reversed(lesson: Lesson) -> Lesson:
     return replace(lesson, gain=1.0 if lesson.gain is None else -lesson.gain)
 
 
-def table(found: dict[tuple[Arm, str], Searched]) -> str:
+def table(found: dict[tuple[Arm, str], Searched], wanted: Sequence[str]) -> str:
     """Markdown: experiments to the best V without lessons, and the lowest V over that."""
     heads = ["system", "best V without"]
     heads += [f"experiments, {arm}" for arm in ARMS] + [f"V ratio, {arm}" for arm in ARMS[1:]]
     lines = [heads, ["---"] * len(heads)]
-    systems = [s for arm, s in found if arm == "without"]
+    systems = [s for s in wanted if ("without", s) in found]
     for system in systems:
         old = found["without", system]
         row = [found.get((arm, system)) for arm in ARMS]
@@ -331,20 +334,19 @@ def main() -> None:
     found: dict[tuple[Arm, str], Searched] = {}
     processes = ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn"))
     with processes:
-        for arm in ARMS:
+        for arm in options.arms:
             known = [one for (other, _), one in found.items() if other == "without"]
-            asked = {
+            asked = [
                 processes.submit(searched, bench, arm, s, lessons_for(arm, s, known))
                 for s in options.systems
-            }
+            ]
             for done in as_completed(asked):
                 found[arm, done.result().system] = done.result()
-            order = {s: place for place, s in enumerate(options.systems)}
-            found = dict(sorted(found.items(), key=lambda item: order[item[0][1]]))
-            print(table(found), flush=True)
-            if arm == "without" and options.ship:
-                known = list(found.values())
-                write_whole(options.ship, encode_lessons([n for one in known for n in one.lessons]))
+                write_whole(options.out / "table.md", table(found, options.systems).encode())
+    if options.ship:
+        known = [found["without", system] for system in options.systems]
+        write_whole(options.ship, encode_lessons([n for one in known for n in one.lessons]))
+    print(table(found, options.systems))
 
 
 def _options() -> argparse.Namespace:
@@ -353,6 +355,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True, help="keep everything here, and resume")
     parser.add_argument("--jobs", type=int, default=2, help="searches at the same time")
     parser.add_argument("--systems", type=lambda t: t.split(","), default=every, metavar="A-0,B-1")
+    parser.add_argument("--arms", type=lambda t: t.split(","), default=ARMS, metavar="A,B")
     parser.add_argument("--experiments", type=int, default=10)
     parser.add_argument("--ship", type=Path, help="write the lessons of the first arm here")
     return parser.parse_args()

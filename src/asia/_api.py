@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from asia.agents import Agent, NamedAgent, SpaceName, choose_agent, settings_of
+from asia.agents.lessons import Lesson
 from asia.executor import Executor, make_executor
 from asia.ledger import Event, Run, SearchView, open_run
 from asia.problem.load import Problem, load_problem
@@ -26,6 +27,7 @@ def run(
     space: SpaceName | None = None,
     executor: Executor | str = "local",
     sinks: Sequence[str | OpenSink] = (),
+    lessons: Sequence[Lesson] | None = None,
 ) -> Run:
     """Search for a model; the finished run, with its view and artifacts.
 
@@ -34,7 +36,9 @@ def run(
     one of your own. early_stopping: instead of the problem's own setting. space: what the agent
     "random" draws from. executor: what runs the evaluations, one of `executor_names()` or one of
     your own. sinks: where events go as they come, by the name of an installed one, `module:Name`,
-    or what opens one; see `asia.search.Sink`. Raises UserError for anything the caller can mend.
+    or what opens one; see `asia.search.Sink`. lessons: of earlier searches, such as
+    `asia.agents.lessons.kept_lessons()`; None for a search without. Raises UserError for anything
+    the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
@@ -53,6 +57,7 @@ def run(
         runs=Path(runs),
         name=name,
         agent_settings=chosen.settings,
+        lessons=lessons,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:

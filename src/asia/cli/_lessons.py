@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,7 +92,13 @@ def chosen_lessons(which: str | None, agent: str) -> tuple[Lesson, ...] | None:
         "shipped": shipped_lessons,
         "all": lambda: merge(shipped_lessons(), kept_lessons()),
     }
-    return sets[which]() if which in sets else read_lessons(Path(which))
+    found = sets[which]() if which in sets else read_lessons(Path(which))
+    searches = len({lesson.run for lesson in found})
+    say(
+        f"lessons  {len(found)} of {searches} earlier searches; a run that exists keeps its own",
+        file=sys.stderr,
+    )
+    return found
 
 
 def read_lessons(path: Path) -> tuple[Lesson, ...]:

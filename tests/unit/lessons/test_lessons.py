@@ -123,7 +123,10 @@ def test_what_helped_weighs_more_and_what_harmed_less() -> None:
 
 
 def test_few_lessons_and_lessons_of_other_kinds_say_little() -> None:
-    other = (lesson("narx", "more starts", 0.3, "x"),) * 40
+    other = (
+        lesson("esn", "less ridge", 0.6, "x"),
+        *(lesson("narx", "more starts", 0.3, "x"),) * 40,
+    )
     prior = [
         LessonWeights((*other, *(lesson("narx", MOVE, 0.6),) * count), now()).multiplier(
             "narx", MOVE

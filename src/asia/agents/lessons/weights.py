@@ -11,8 +11,8 @@ from asia.agents._lesson import FIRST_FIT, Lesson
 from asia.agents._view import AgentView
 from asia.agents.lessons.learn import kind_of, learn
 
-# A gain beyond a factor of two counts as one: a move that brought more once need not again.
-_MOST_GAIN = math.log(2.0)
+# A search in which no move gained more than this gained nothing.
+_LEAST_GAIN = 0.002
 _OTHER_FAMILY = 0.3
 _LARGEST = 2.0
 # As many lessons about a move as weigh like knowing nothing of it, and forecasts that do so.
@@ -89,12 +89,14 @@ def _mean(lessons: Sequence[Weighted]) -> float:
 
 def _scores(lessons: Sequence[Lesson]) -> list[tuple[Lesson, float]]:
     """0 to 1. Of a first fit: how near it came to the best first fit of its search, or to the
-    linear model where that is better. Of a move: the gain; a loss costs an experiment, not more."""
-    best: dict[str, float] = {}
+    linear model where that is better. Of a move: its gain over the largest gain of a move in its
+    search, for systems differ in how much there is to gain; a loss costs an experiment, not more.
+    """
+    best: dict[tuple[str, bool], float] = {}
     for one in lessons:
-        if one.move == FIRST_FIT:
-            best[one.run] = max(best.get(one.run, 0.0), one.gain or 0.0)
-    return [(one, _score(one, best.get(one.run, 0.0))) for one in lessons]
+        which = one.run, one.move == FIRST_FIT
+        best[which] = max(best.get(which, 0.0), one.gain or 0.0)
+    return [(one, _score(one, best[one.run, one.move == FIRST_FIT])) for one in lessons]
 
 
 def _score(lesson: Lesson, best: float) -> float:
@@ -102,4 +104,4 @@ def _score(lesson: Lesson, best: float) -> float:
         return 0.0
     if lesson.move == FIRST_FIT:
         return math.exp(lesson.gain - best)
-    return min(max(lesson.gain, 0.0), _MOST_GAIN) / _MOST_GAIN
+    return max(lesson.gain, 0.0) / best if best > _LEAST_GAIN else 0.0
