@@ -86,7 +86,8 @@ class Trial:
     """An evaluated experiment. `value` and `folds` are None and () when there is no score; with the
     Ladder `folds` is () and `value` the last reported V, a new best where the status is `keep`;
     `failure` is what happened and what to do, `error` the candidate's own words for it: data, not
-    to be trusted."""
+    to be trusted. `evidence` is in lines to read what else is known of the best and of the last
+    trial, () for the others."""
 
     number: int
     parent: int | None
@@ -103,6 +104,7 @@ class Trial:
     diagnostics: tuple[Diagnostics, ...]
     curves: tuple[tuple[tuple[float, float], ...], ...] = field(default=(), repr=False)
     error: str = field(default="", repr=False)
+    evidence: tuple[str, ...] = field(default=(), repr=False)
 
     @property
     def train_error(self) -> float | None:

@@ -170,8 +170,10 @@ class Tools:
         now = await ask(self._desk.progress)
         done = await ask(self._desk.results) if submission.state == "done" else ()
         found = [experiment_answer(r) for r in done if r.experiment == submission.experiment]
+        evidence = await ask(self._desk.evidence, found[0].experiment) if found else None
         return WaitAnswer(
             **asdict(submission),
+            evidence=evidence.lines if evidence else (),
             result=found[0] if found else None,
             best=best_of(now),
             remaining=now.remaining,

@@ -51,6 +51,8 @@ _SELECTION_SAMPLES = 3000
 # outputs; on more it has too many parameters for simulations of whole records.
 _MOST_OUTPUTS = 3
 _JACOBIAN_NUMBERS = 60_000_000
+_MOST_GAINS = 20
+_MOST_TIME_CONSTANTS = 6
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,20 @@ class LinearStateSpace:
         x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
         _, y = f.system.simulate(x0, delayed(past, future, f.delay))
         return f.scaling.physical(y)
+
+    def parameters(self) -> dict[str, float]:
+        """Static gains in physical units, delay and slowest time constants in samples: what folds
+        can be compared by, whatever the coordinates of the states. Raises UserError before
+        training."""
+        if self.fitted is None:
+            raise UserError("linear model: not trained yet; call linear.train before parameters")
+        f = self.fitted
+        gain = f.system.gain * f.scaling.y_std[:, None] / f.scaling.u_std
+        found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
+        found = found if len(found) <= _MOST_GAINS else {}
+        slowest = f.system.time_constants[:_MOST_TIME_CONSTANTS]
+        found |= {f"time constant {k}, samples": float(t) for k, t in enumerate(slowest, 1)}
+        return found | {"delay, samples": float(f.delay)}
 
 
 def build(config: Config, context: Context) -> LinearStateSpace:

@@ -119,6 +119,19 @@ class PhysicsNet:
         (B, H, ny) float64. Raises UserError before training."""
         return self.network.simulate(past_u, past_y, u)
 
+    def parameters(self) -> dict[str, float]:
+        """Those of the equations in their physical units, of the first member where there are
+        several, and the lag of the inputs in seconds."""
+        cell, params = self.network.cell, self.network.params
+        assert isinstance(cell, MeasuredCell)
+        values = np.asarray(cell.physical(params["physical"]), np.float64)
+        names = cell.equations.parameters[: len(cell.ranges)]
+        found = {name: float(value) for name, value in zip(names, values, strict=True)}
+        if cell.lag:
+            lags = np.exp(np.asarray(params["log_lag"], np.float64)).ravel()
+            found |= {f"lag {k}, s": float(lag) for k, lag in enumerate(lags, 1)}
+        return found
+
 
 def build(config: Config, context: Context) -> PhysicsNet:
     """The untrained model. Raises UserError when the problem has no [physics] or the past window

@@ -69,6 +69,8 @@ class SignedResidual:
     """How many samples the part has."""
     share: float
     """The share of the squared residual of this output that would be gone without `mean`."""
+    gain: float
+    """The same in squared standard deviations, over all samples, by which outputs compare."""
     notable: bool
     """Whether `mean` is more than three standard errors and three tenths of the RMS residual; along
     time eight tenths are enough."""
@@ -117,12 +119,12 @@ def signed_residuals(
     (ny,), by which residuals are divided, such as the standard deviations of the outputs; ranges:
     where the parts lie, None for those of `u` and `y`. An output's range is that of what the model
     says, not of what was measured: with noise on it, the highest measured samples lie above the
-    best model there is. Parts without enough samples are left out. The largest `share` comes first.
+    best model there is. Parts without enough samples are left out. The largest `gain` comes first.
     """
     ranges = ranges or ranges_of(u, y)
     records = _Records(u, y, y_hat, scale)
     found = [one for output in range(len(scale)) for one in _of_output(records, output, ranges)]
-    return tuple(sorted(found, key=lambda one: -one.share))
+    return tuple(sorted(found, key=lambda one: -one.gain))
 
 
 class _Records:
@@ -184,9 +186,20 @@ def _of_output(records: _Records, output: int, ranges: Ranges) -> Iterator[Signe
         mean = float(residual[chosen].mean())
         error = float(np.sqrt(square / records.stretches(chosen, memory)))
         notable = _notable(kind, mean, error, float(np.sqrt(square)))
-        share = samples / len(residual) * mean**2 / square
+        gain = samples / len(residual) * mean**2
         yield SignedResidual(
-            output, kind, signal, part, low, high, mean, error, samples, share, notable
+            output,
+            kind,
+            signal,
+            part,
+            low,
+            high,
+            mean,
+            error,
+            samples,
+            gain / square,
+            gain,
+            notable,
         )
 
 
@@ -260,7 +273,7 @@ def _notable(kind: PartKind, mean: float, error: float, rms: float) -> bool:
 
 def _where(one: SignedResidual, name: str, unit: str) -> str:
     if one.kind is PartKind.TIME:
-        return f"{_TIME_PARTS[one.part]} third of the records"
+        return f"{_TIME_PARTS[one.part]} third of the simulation"
     words = {
         PartKind.CHANGE: (f"while {name} falls fast", f"while {name} rises fast"),
         PartKind.STEP: (f"after {name} steps down", f"after {name} steps up"),

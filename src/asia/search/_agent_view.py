@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,15 @@ from asia.agents.lessons import decode_lessons
 from asia.candidate import source_digest
 from asia.errors import CandidateError
 from asia.evaluation import LINEAR_RUNG
-from asia.ledger import Experiment, SearchView, Store, published
+from asia.ledger import (
+    Experiment,
+    RunSettings,
+    SearchView,
+    Store,
+    evidence_lines,
+    evidence_of,
+    published,
+)
 from asia.problem.load import Problem
 from asia.scoring import Score
 from asia.search._rules import phase
@@ -48,12 +57,19 @@ def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
     """The search as its agent may see it now."""
     view = published(view)
     lessons = view.started.lessons
+    told = {e.number for e in (view.best, *view.finished[-1:]) if e is not None}
+    settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
     return AgentView(
         facts=facts,
         seed=view.started.seed,
         phase=phase(view),
-        trials=tuple(_trial(e, store) for e in view.finished),
+        trials=tuple(
+            replace(_trial(e, store), evidence=_evidence(e, view, store, settings))
+            if e.number in told
+            else _trial(e, store)
+            for e in view.finished
+        ),
         remaining=view.budget - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
@@ -104,6 +120,16 @@ def _trial(e: Experiment, store: Store) -> Trial:
         curves=tuple(_points(store.get(f.curve)) for f in r.folds),
         error=failure.detail if failure else "",
     )
+
+
+def _evidence(
+    e: Experiment, view: SearchView, store: Store, settings: RunSettings
+) -> tuple[str, ...]:
+    """Without measured seconds and memory; () in older ledgers, whose prompts stay what they
+    were."""
+    bounded = view.started.ladder is not None
+    found = evidence_of(e, view, store, settings, bounded=bounded)
+    return tuple(evidence_lines(found, measured=False)) if found.recorded else ()
 
 
 def _points(raw: bytes) -> tuple[tuple[float, float], ...]:

@@ -23,7 +23,10 @@ def anonymous(view: AgentView) -> AgentView:
     return replace(
         view,
         facts=_facts(facts),
-        trials=tuple(replace(t, error=renamed(t.error)) for t in view.trials),
+        trials=tuple(
+            replace(t, error=renamed(t.error), evidence=tuple(map(renamed, t.evidence)))
+            for t in view.trials
+        ),
     )
 
 

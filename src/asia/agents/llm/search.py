@@ -29,6 +29,7 @@ _NOTES = 10
 _TOLD = 5
 _BEST = 10
 _RECENT = 40
+_EVIDENCE = 60
 
 _MEANING = """\
 train_error: the metric on the training folds (far below V: overfitted; about V: too simple);
@@ -73,6 +74,9 @@ def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str
     ]
     if view.best is not None:
         parts.append("# Best so far\n" + "\n".join(shown.best(view.best)))
+    last = view.trials[-1] if view.trials else None
+    if last is not None and last is not view.best and last.evidence:
+        parts.append("# The last experiment\n" + "\n".join((_line(last), *_evidence(last))))
     if task.kind == "repair" and task.parent is not None:
         parts.append("# To mend\n" + "\n".join(shown.failed(task.parent)))
     lessons = summary_lines(view)
@@ -154,6 +158,7 @@ class _Shown:
                     f"{losses.min():.4g}, {losses[-1]:.4g} at step {curve[-1][0]:g}"
                 )
         yield _MEANING
+        yield from _evidence(trial)
         yield self._source(trial)
 
     def failed(self, number: int) -> Iterator[str]:
@@ -167,6 +172,11 @@ class _Shown:
         if self.hide_baseline and trial.number == 1:
             return "(its source is not shown)"
         return f"source of #{trial.number}:\n{fenced(trial.source, _SOURCE)}"
+
+
+def _evidence(trial: Trial) -> Iterator[str]:
+    """Bounded already; each line is one line whatever a candidate printed."""
+    yield from trial.evidence[:_EVIDENCE]
 
 
 def _numbers(diagnostics: Diagnostics) -> str:

@@ -9,7 +9,15 @@ from asia._text import printable_line
 from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import again_words
 from asia.evaluation import FAR_BELOW, consistency
-from asia.ledger import Experiment, Run, describe_result, error_value
+from asia.ledger import (
+    Experiment,
+    Run,
+    describe_result,
+    error_value,
+    evidence_lines,
+    evidence_of,
+    settings_of_run,
+)
 from asia.protocol import metric_label
 from asia.scoring import Score
 
@@ -46,7 +54,14 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if experiment.failure and experiment.failure.detail:
         console.print("\ndetail", style="bold")
         console.print(experiment.failure.detail)
-    if r.output:
+    evidence = evidence_of(
+        experiment, run.view, run.store, settings_of_run(run.directory), bounded=False
+    )
+    if evidence.recorded:
+        console.print("\nevidence", style="bold")
+        for line in evidence_lines(evidence):
+            console.print(line)
+    elif r.output:
         tail = run.store.text(r.output).splitlines()[-20:]
         console.print("\nprinted while fitting (untrusted)", style="bold")
         for line in tail:

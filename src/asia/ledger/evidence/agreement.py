@@ -62,7 +62,10 @@ class SharedResidual:
     folds: tuple[int, ...]
     """The folds whose own mean lies on the same side by more than its standard error, from 1."""
     share: float
-    """The share of the squared residual that would be gone without it, mean over all folds."""
+    """The share of the squared residual of its output that would be gone without it, mean over all
+    folds."""
+    gain: float
+    """The same in squared standard deviations, by which outputs compare."""
 
     @property
     def stands_out(self) -> bool:
@@ -73,7 +76,7 @@ class SharedResidual:
 
 
 def shared_residuals(folds: Sequence[FoldFindings]) -> tuple[SharedResidual, ...]:
-    """Those of all parts that stand out, the largest share first."""
+    """Those of all parts that stand out, the largest gain first."""
     found: defaultdict[tuple[int, PartKind, int, int], list[tuple[int, SignedResidual]]]
     found = defaultdict(list)
     for number, fold in enumerate(folds, 1):
@@ -81,7 +84,7 @@ def shared_residuals(folds: Sequence[FoldFindings]) -> tuple[SharedResidual, ...
             found[one.output, one.kind, one.signal, one.part].append((number, one))
     shared = (_shared(ones, len(folds)) for ones in found.values())
     kept = [one for one in shared if one.stands_out]
-    return tuple(sorted(kept, key=lambda one: -one.share))
+    return tuple(sorted(kept, key=lambda one: -one.gain))
 
 
 def _shared(ones: Sequence[tuple[int, SignedResidual]], folds: int) -> SharedResidual:
@@ -89,5 +92,9 @@ def _shared(ones: Sequence[tuple[int, SignedResidual]], folds: int) -> SharedRes
     mean = fmean(one.mean for _, one in ones)
     error = math.sqrt(sum(one.error**2 for _, one in ones)) / len(ones)
     agree = tuple(number for number, one in ones if one.mean * mean > abs(mean) * one.error)
-    share = sum(one.share for _, one in ones) / folds
-    return SharedResidual(replace(first, mean=mean, error=error), agree, share)
+    share, gain = (sum(values) / folds for values in zip(*_weights(ones), strict=True))
+    return SharedResidual(replace(first, mean=mean, error=error), agree, share, gain)
+
+
+def _weights(ones: Sequence[tuple[int, SignedResidual]]) -> list[tuple[float, float]]:
+    return [(one.share, one.gain) for _, one in ones]

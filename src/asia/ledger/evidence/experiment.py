@@ -85,6 +85,11 @@ class ExperimentEvidence:
     printed: str
     """What a failed fit printed; "" where there are folds."""
 
+    @property
+    def recorded(self) -> bool:
+        """Whether the ledger holds more than older ledgers do."""
+        return bool(self.printed) or any(fold.findings for fold in self.folds)
+
 
 def settings_of_run(directory: Path) -> RunSettings:
     """That of a run, from its lock file. Raises UserError when that cannot be read."""

@@ -34,6 +34,22 @@ class LinearSystem:
         """Largest modulus of the poles."""
         return float(np.abs(np.linalg.eigvals(self.a)).max())
 
+    @property
+    def gain(self) -> Array:
+        """Static gain (ny, nu), infinite where a pole lies at 1."""
+        try:
+            return self.c @ np.linalg.solve(np.eye(self.order) - self.a, self.b) + self.d
+        except np.linalg.LinAlgError:
+            return np.full(self.d.shape, np.inf)
+
+    @property
+    def time_constants(self) -> Array:
+        """Of its decaying modes in samples, the slowest first; a complex pair has one."""
+        poles = np.linalg.eigvals(self.a)
+        sizes = np.abs(poles[poles.imag >= 0])
+        decaying = sizes[(sizes > 0) & (sizes < 1)]
+        return np.sort(-1.0 / np.log(decaying))[::-1]
+
     def transformed(self, t: Array) -> LinearSystem:
         """The same system with states T x."""
         inverse = np.linalg.inv(t)
