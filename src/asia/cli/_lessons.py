@@ -82,7 +82,8 @@ def chosen_lessons(which: str | None, agent: str) -> tuple[Lesson, ...] | None:
 
     if which is None or which == "off":
         return None
-    if agent in _WITHOUT or agent.startswith("command:"):
+    alone = "," not in agent
+    if alone and (agent in _WITHOUT or agent.startswith("command:")):
         raise UserError(
             f"--lessons {which}: the agent '{agent}' does not use lessons: leave it out, or choose "
             "expert, llm or a class of your own"

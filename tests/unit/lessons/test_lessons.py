@@ -27,6 +27,7 @@ from asia.agents.lessons import (
 )
 from asia.agents.lessons.summary import MOST_LINES
 from asia.agents.library.table import all_families, family
+from asia.agents.llm.search import Task, search_text
 from asia.errors import UserError
 from asia.problem import Physics
 from tests.unit.agents.searches import recipe_of, search, simulation, trial, view, windows
@@ -200,6 +201,15 @@ def test_ten_lines_for_a_language_model() -> None:
     assert any("against the best linear model" in line for line in lines)
     assert "V -39% (quartiles -39% to -39%), tried 3 times in 3 searches" in lines[0]
     assert summary_lines(now()) == ()
+
+
+def test_a_language_model_reads_them_only_where_there_are_any() -> None:
+    known = (lesson("narx", FIRST_FIT, 0.5), lesson("narx", FIRST_FIT, 0.7, "b"))
+    task = Task("explore")
+    text = search_text(now(lessons=known), task)
+    assert "# Lessons: what moves brought in earlier searches" in text
+    assert "narx, first fit: V -45%" in text
+    assert "Lessons" not in search_text(now(), task)
 
 
 def test_a_summary_counts_failures_and_has_the_spread() -> None:

@@ -91,6 +91,15 @@ def test_by_default_there_are_none(asia: Asia, problem: Path) -> None:
     assert open_run(Path("runs/toy-expert-s0")).view.started.lessons is None
 
 
+def test_agents_are_compared_without_lessons(asia: Asia, problem: Path) -> None:
+    keep_lessons(KNOWN)
+    options = ("--agents", "expert,random", "--seeds", 1, "--experiments", 1)
+    assert asia("compare", problem, *options).code == 0
+    ledgers = [path.parent for path in Path("runs").glob("*/ledger.jsonl")]
+    assert len(ledgers) == 2
+    assert all(open_run(path).view.started.lessons is None for path in ledgers)
+
+
 def test_two_things_at_once_are_refused(asia: Asia) -> None:
     done = asia("lessons", "--forget", "--shipped")
     assert done.code == 2
