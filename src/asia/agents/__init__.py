@@ -14,6 +14,18 @@ from asia.agents._driving import (
     Journal,
     settings_of,
 )
+from asia.agents._relay import (
+    LegPlan,
+    RelayAgent,
+    Runner,
+    agent_of_leg,
+    check_relay_budget,
+    is_relay,
+    legs_of,
+    make_runner,
+    read_relay,
+    relay_budget,
+)
 from asia.agents._submitted import SubmittedAgent
 from asia.agents._table import (
     AGENT_ROWS,
@@ -25,6 +37,7 @@ from asia.agents._table import (
     make_agent,
     packages_of,
     recorded_agent,
+    recorded_agents,
 )
 from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
 from asia.agents.controls.bayes import BayesAgent
@@ -60,22 +73,33 @@ __all__ = [
     "Facts",
     "InterruptedWaitError",
     "Journal",
+    "LegPlan",
     "LlmAgent",
     "LlmSettings",
     "NamedAgent",
     "Proposal",
     "RandomAgent",
+    "RelayAgent",
+    "Runner",
     "SpaceName",
     "SubmittedAgent",
     "Trial",
+    "agent_of_leg",
     "briefing",
+    "check_relay_budget",
     "choose_agent",
     "equations",
+    "is_relay",
     "ladder_rule",
+    "legs_of",
     "library",
     "make_agent",
+    "make_runner",
     "packages_of",
+    "read_relay",
     "recorded_agent",
+    "recorded_agents",
+    "relay_budget",
     "settings_of",
     "symmetries",
 ]

@@ -13,6 +13,7 @@ from typing import cast
 
 from asia._plugins import load_target, parts_of
 from asia.agents._driving import settings_of
+from asia.agents._relay import RelayAgent, Runner, is_relay, read_relay
 from asia.agents._view import Agent
 from asia.agents.controls.bayes import BayesAgent
 from asia.agents.controls.random import SPACES, RandomAgent
@@ -20,6 +21,7 @@ from asia.agents.expert.agent import ExpertAgent
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.settings import LlmSettings
 from asia.errors import UserError
+from asia.ledger import Leg, Started
 
 GROUP = "asia.agents"
 _CLASS = "class"
@@ -70,7 +72,8 @@ class NamedAgent:
 
 def choose_agent(name: str, space: str | None = None) -> NamedAgent:
     """An agent by the name of a built-in one, the name that a package gives it, or `module:Class`,
-    where the current folder is searched first. A class is called without arguments.
+    where the current folder is searched first. A class is called without arguments. Several of
+    them, as in `expert*5+bayes`, are a relay.
 
     space: what `random` draws from, one of `SPACES`. Raises UserError for an unknown name or space,
     a space given to an agent that does not draw, and a class that cannot be imported or is none of
@@ -90,13 +93,20 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
         )
     if full in AGENTS:
         return NamedAgent(AGENTS[full]())
-    if ":" in name:
-        return _called(name)
     brought = {part.name: part for part in parts_of(GROUP)}
     if name in brought and name not in RESERVED:
         return _called(brought[name].target)
+    if is_relay(name):
+        return NamedAgent(RelayAgent([_runner(p.agent, p.experiments) for p in read_relay(name)]))
+    if ":" in name:
+        return _called(name)
     known = ", ".join((*AGENTS, *sorted(brought.keys() - RESERVED)))
     raise UserError(f"no agent '{name}'; there is: {known}, or module:Class for one of your own")
+
+
+def _runner(name: str, experiments: int | None) -> Runner:
+    chosen = choose_agent(name)
+    return Runner(chosen.agent, Leg(chosen.agent.name, experiments, dict(chosen.settings)))
 
 
 def make_agent(name: str, space: str | None = None) -> Agent:
@@ -113,6 +123,13 @@ def recorded_agent(name: str, settings: Mapping[str, str]) -> Agent | None:
         return _called(settings[_CLASS]).agent
     make = AGENTS.get(name)
     return make() if make is not None else None
+
+
+def recorded_agents(started: Started) -> tuple[Agent | None, ...]:
+    """As `recorded_agent`, for every leg of a relay; the one agent of any other search."""
+    if not started.legs:
+        return (recorded_agent(started.agent, started.agent_settings),)
+    return tuple(recorded_agent(leg.agent, leg.settings) for leg in started.legs)
 
 
 def packages_of(name: str) -> tuple[str, ...]:

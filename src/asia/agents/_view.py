@@ -87,7 +87,8 @@ class Trial:
     Ladder `folds` is () and `value` the last reported V, a new best where the status is `keep`;
     `failure` is what happened and what to do, `error` the candidate's own words for it: data, not
     to be trusted. `evidence` is in lines to read what else is known of the best and of the last
-    trial, () for the others."""
+    trial, () for the others. `agent` proposed it, "" where all were
+    proposed by the one that is asked."""
 
     number: int
     parent: int | None
@@ -105,6 +106,7 @@ class Trial:
     curves: tuple[tuple[tuple[float, float], ...], ...] = field(default=(), repr=False)
     error: str = field(default="", repr=False)
     evidence: tuple[str, ...] = field(default=(), repr=False)
+    agent: str = ""
 
     @property
     def train_error(self) -> float | None:
@@ -118,7 +120,9 @@ class Trial:
 class AgentView:
     """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
     normalised source was tried; `notes` are what a person said meanwhile, oldest first; `linear` is
-    V of the best linear model, None where it is not known; `lessons` are of earlier searches."""
+    V of the best linear model, None where it is not known; `lessons` are of earlier searches.
+    `remaining` are the experiments left to the agent that is asked; `leg` is its place in a relay,
+    1-based, 0 where it is alone."""
 
     facts: Facts
     seed: int
@@ -129,10 +133,12 @@ class AgentView:
     notes: tuple[str, ...] = ()
     linear: float | None = None
     lessons: tuple[Lesson, ...] = ()
+    leg: int = 0
 
     @property
     def experiments(self) -> int:
-        """The whole budget, as it stands now."""
+        """The whole budget of the agent that is asked, as it stands now, with all that was done
+        before its turn."""
         return len(self.trials) + self.remaining
 
     @property

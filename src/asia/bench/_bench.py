@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from asia.agents import legs_of
 from asia.bench._declaration import declare, require_declared
 from asia.bench._figures import draw
 from asia.bench._paired import paired_table
@@ -99,6 +100,7 @@ def _search(plan: ComparisonPlan, run: PlannedRun, watcher: Watcher) -> SearchVi
         runs=plan.runs,
         name=run.name,
         agent_settings=run.arm.settings,
+        legs=legs_of(agent),
     )
     search(ready, agent, watcher.on_event, _silent)
     return open_run(ready.directory).view

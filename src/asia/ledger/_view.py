@@ -12,6 +12,7 @@ from asia.ledger._events import (
     Exchanged,
     Extended,
     GuardLooked,
+    HandedOver,
     Proposed,
     Refitted,
     Resumed,
@@ -61,9 +62,10 @@ class Experiment:
 @dataclass(frozen=True)
 class SearchView:
     """A search as its ledger tells it. `budget` experiments and `hours` as last extended, which was
-    after experiment `extended_after`; `unsealing` once the test was about to be opened; `notes`
-    of the person; `looks` at the guard, `looked` since the search stopped; `exchanges` of the
-    agent, its `sessions` that ended and all that were `begun`."""
+    after experiment `extended_after`; the leg of a relay that proposes began after experiment
+    `leg_after`; `unsealing` once the test was about to be opened; `notes` of the person; `looks` at
+    the guard, `looked` since the search stopped; `exchanges` of the agent, its `sessions` that
+    ended and all that were `begun`."""
 
     started: Started
     budget: int
@@ -81,6 +83,27 @@ class SearchView:
     looked: bool = False
     unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
+    handed_over: tuple[HandedOver, ...] = ()
+    leg_after: int = 0
+
+    @property
+    def leg(self) -> int:
+        """The leg of the relay whose agent proposes, 1-based; 0 where one agent does."""
+        if self.handed_over:
+            return self.handed_over[-1].leg
+        return 1 if self.started.legs else 0
+
+    @property
+    def leg_end(self) -> int:
+        """The experiment after which the agent that proposes now does so no longer."""
+        legs = self.started.legs[: self.leg]
+        counts = [leg.experiments for leg in legs if leg.experiments is not None]
+        return min(self.budget, sum(counts)) if counts and len(counts) == len(legs) else self.budget
+
+    @property
+    def agent(self) -> str:
+        """The agent that proposes now."""
+        return self.started.legs[self.leg - 1].agent if self.leg else self.started.agent
 
     @property
     def finished(self) -> tuple[Experiment, ...]:
@@ -252,6 +275,9 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
                 refitted=None,
                 looked=False,
             )
+        case HandedOver():
+            handed_over = (*view.handed_over, event)
+            return replace(view, handed_over=handed_over, leg_after=experiments)
         case Stopped():
             return replace(view, stopped=event)
         case Resumed():

@@ -70,11 +70,12 @@ def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
             else _trial(e, store)
             for e in view.finished
         ),
-        remaining=view.budget - len(view.experiments),
+        remaining=view.leg_end - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
         linear=_linear(view),
         lessons=() if lessons is None else decode_lessons(store.get(lessons), "the ledger"),
+        leg=view.leg,
     )
 
 
@@ -119,6 +120,7 @@ def _trial(e: Experiment, store: Store) -> Trial:
         diagnostics=tuple(f.diagnostics for f in r.folds),
         curves=tuple(_points(store.get(f.curve)) for f in r.folds),
         error=failure.detail if failure else "",
+        agent=p.agent,
     )
 
 

@@ -19,6 +19,7 @@ from asia.agents import (
     Closing,
     InterruptedWaitError,
     Proposal,
+    agent_of_leg,
 )
 from asia.errors import CandidateError
 from asia.evaluation import Evaluation, Evaluator, FoldResult, Refit, score_rungs
@@ -36,6 +37,8 @@ from asia.ledger import (
     Refitted,
     RungScored,
     SearchView,
+    SessionEnded,
+    SessionStarted,
     Steered,
     Stopped,
     StopReason,
@@ -48,7 +51,7 @@ from asia.problem.load import Problem
 from asia.scoring import Failure
 from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
 from asia.search._guard import look_at_guard
-from asia.search._rules import decide, stop_reason
+from asia.search._rules import decide, next_leg, stop_reason
 from asia.search._steering import Steering
 
 OnEvent = Callable[[Event, SearchView], None]
@@ -65,7 +68,7 @@ class Loop:
     baseline: str
     """Source of the first experiment."""
     agent: Agent
-    """Who proposes the others."""
+    """Who proposes the others; in a relay, several after one another."""
     evaluator: Evaluator
     """Who fits and scores them."""
     chain: Chain
@@ -98,29 +101,49 @@ class Loop:
         not redone."""
         if self.view.complete or self.view.unsealing:
             return self.view
-        if isinstance(self.agent, Attached):
-            self.agent.attach(LoopJournal(self))
+        self._attach()
         try:
             self._search()
         finally:
-            if isinstance(self.agent, Closing):
-                self.agent.leaving()
+            if isinstance(self._proposer, Closing):
+                self._proposer.leaving()
         return self.view
+
+    @property
+    def _proposer(self) -> Agent:
+        """Who proposes now."""
+        return agent_of_leg(self.agent, self.view.leg)
+
+    def _attach(self) -> None:
+        if isinstance(self._proposer, Attached):
+            self._proposer.attach(LoopJournal(self, self.view.leg))
 
     def _search(self) -> None:
         self._score_rungs()
         while self.view.stopped is None:
             stopped = self._advance()
             if stopped is not None:
-                self.record(stopped)
-                if isinstance(self.agent, Closing):
-                    self.agent.stopped(stopped.reason)
+                self._end(stopped)
         if self.view.refitted is None:
             self._refit()
         if self.view.guard_due:
             with self.watch.activity(Activity.GUARD, swallows=True):
                 look = look_at_guard(self.problem, self.evaluator, self.store, self.view)
             self.record(look)
+
+    def _end(self, stopped: Stopped) -> None:
+        """The end of the search, or of the leg of a relay that another one follows."""
+        proposer = self._proposer
+        following = next_leg(self.view, stopped)
+        if following is None:
+            self.record(stopped)
+        if isinstance(proposer, Closing):
+            proposer.stopped(stopped.reason)
+        if following is not None:
+            if isinstance(proposer, Closing):
+                proposer.leaving()
+            self.record(following)
+            self._attach()
 
     def record(self, event: Event) -> None:
         """Append to the ledger, rewrite the generated files, tell the listener. From any thread."""
@@ -179,9 +202,9 @@ class Loop:
 
     def _propose(self, view: SearchView) -> Proposed | None:
         if not view.experiments:
-            return self._proposed(1, "baseline", _baseline(self.baseline))
+            return replace(self._proposed(1, "baseline", _baseline(self.baseline)), agent="")
         seen = agent_view(problem_facts(self.problem), view, self.store)
-        proposal = self.agent.propose(seen)
+        proposal = self._proposer.propose(seen)
         if proposal is None:
             return None
         return self._proposed(len(view.experiments) + 1, seen.phase, proposal)
@@ -198,6 +221,8 @@ class Loop:
             source=self.store.put(as_bytes(proposal.source)),
             digest=digest(proposal.source),
             ticket=proposal.ticket,
+            leg=self.view.leg,
+            agent=self.view.agent if self.view.leg else "",
         )
 
     def _evaluate(self, experiment: Experiment) -> Evaluated:
@@ -257,11 +282,14 @@ class LoopJournal:
     """The ledger as an attached agent may use it."""
 
     loop: Loop
+    """The search."""
+    leg: int = 0
+    """The leg whose agent keeps it; 0 where one agent proposes."""
 
     @property
     def exchanges(self) -> tuple[Exchanged, ...]:
-        """All so far."""
-        return self.loop.view.exchanges
+        """All of this leg so far."""
+        return tuple(e for e in self.loop.view.exchanges if e.leg == self.leg)
 
     @property
     def experiments(self) -> int:
@@ -269,7 +297,9 @@ class LoopJournal:
         return len(self.loop.view.experiments)
 
     def record(self, event: Event) -> None:
-        """Append an event."""
+        """Append an event, with the leg where it is one of an agent."""
+        if isinstance(event, Exchanged | SessionStarted | SessionEnded):
+            event = replace(event, leg=self.leg)
         self.loop.record(event)
 
     def put(self, data: bytes) -> str:

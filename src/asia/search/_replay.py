@@ -15,7 +15,7 @@ from asia.agents import (
     Attached,
     DivergedError,
     Proposal,
-    recorded_agent,
+    recorded_agents,
 )
 from asia.errors import InternalError
 from asia.evaluation import LINEAR, Evaluator, score_rungs
@@ -23,6 +23,8 @@ from asia.ledger import (
     Evaluated,
     Event,
     Exchanged,
+    HandedOver,
+    HandOverReason,
     Proposed,
     Run,
     RungScored,
@@ -30,6 +32,7 @@ from asia.ledger import (
     Started,
     Status,
     Stopped,
+    StopReason,
     Store,
     check_lock,
     open_run,
@@ -40,7 +43,7 @@ from asia.sandbox import LEVELS, Isolation, probe
 from asia.scoring import Failure, Outcome, Score
 from asia.search._agent_view import agent_view, as_bytes, problem_facts
 from asia.search._loop import judge
-from asia.search._rules import decide
+from asia.search._rules import decide, stop_reason
 from asia.search._run import LOCK, environment, environment_changes, make_evaluator
 
 OutcomeAgreement = Literal["same", "close", "differs", "exempt", "unfinished"]
@@ -114,10 +117,10 @@ def replay_run(
     started = run.view.started
     check_lock(directory, started)
     problem = load_lock(directory / LOCK)
-    agent = recorded_agent(started.agent, started.agent_settings)
+    agents = recorded_agents(started)
     level, notes = _level(started)
     again = replace(run.view, started=replace(started, isolation=level.value))
-    replaying = _Replaying(run, problem, make_evaluator(problem, again), agent, tolerance, on_item)
+    replaying = _Replaying(run, problem, make_evaluator(problem, again), agents, tolerance, on_item)
     replaying.run_all()
     answered = sum(200 <= e.status < 300 for e in run.view.exchanges)
     return ReplayReport(run.name, tolerance, answered, tuple(replaying.items), notes)
@@ -130,7 +133,7 @@ class _Replaying:
     run: Run
     problem: Problem
     evaluator: Evaluator
-    agent: Agent | None
+    agents: tuple[Agent | None, ...]
     tolerance: float
     on_item: Callable[[Replayed], None]
     items: list[Replayed] = field(default_factory=list[Replayed])
@@ -138,26 +141,42 @@ class _Replaying:
     def run_all(self) -> None:
         """Every event in turn, each with the view that there was before it."""
         events = [line.event for line in self.run.lines]
-        journal = _ReplayJournal(self.run.store, self.run.view.exchanges)
-        if isinstance(self.agent, Attached):
-            self.agent.attach(journal)
+        journals = self._journals()
         self._rungs([event for event in events if isinstance(event, RungScored)])
         asked: dict[int, Replayed] = {}
         for place, event in enumerate(events):
             match event:
                 case Proposed():
                     before = replay(events[:place])
-                    journal.experiments = len(before.experiments)
+                    for journal in journals:
+                        journal.experiments = len(before.experiments)
                     asked[event.experiment] = self._propose(event, before)
                 case Evaluated():
                     item = asked.pop(event.experiment)
                     self._add(self._evaluate(item, event, replay(events[:place])))
-                case Stopped(reason="exhausted") if self.agent is not None:
-                    self._stop(replay(events[:place]), self.agent)
+                case HandedOver():
+                    self._end(f"hand-over to {event.agent}", event.reason, replay(events[:place]))
+                case Stopped(reason="exhausted") if self.agents[-1] is not None:
+                    self._end("stop", event.reason, replay(events[:place]))
                 case _:
                     pass
         for item in asked.values():
             self._add(replace(item, outcome="unfinished"))
+
+    def _journals(self) -> list[_ReplayJournal]:
+        """One for each agent, with its own exchanges, attached."""
+        relay, exchanges = bool(self.run.view.started.legs), self.run.view.exchanges
+        journals: list[_ReplayJournal] = []
+        for place, agent in enumerate(self.agents):
+            own = tuple(e for e in exchanges if e.leg == (place + 1 if relay else 0))
+            journals.append(_ReplayJournal(self.run.store, own))
+            if isinstance(agent, Attached):
+                agent.attach(journals[-1])
+        return journals
+
+    def _agent(self, before: SearchView) -> Agent | None:
+        """Who proposed then; None where somebody brought the candidates."""
+        return self.agents[max(0, before.leg - 1)]
 
     def _add(self, item: Replayed) -> None:
         self.items.append(item)
@@ -182,10 +201,11 @@ class _Replaying:
             same = as_bytes(self.problem.baseline or LINEAR) == self._source(event)
             detail = "" if same else "the baseline is another"
             return replace(item, proposal="same" if same else "differs", detail=detail)
-        if self.agent is None:
+        agent = self._agent(before)
+        if agent is None:
             return item
         try:
-            proposal = self.agent.propose(self._seen(before))
+            proposal = agent.propose(self._seen(before))
         except DivergedError as error:
             return replace(item, proposal="differs", detail=str(error))
         if proposal is None:
@@ -233,9 +253,20 @@ class _Replaying:
             return _with_detail(replace(item, outcome="differs"), f"it would be {status} now")
         return item
 
-    def _stop(self, before: SearchView, agent: Agent) -> None:
-        ended = agent.propose(self._seen(before)) is None
-        item = Replayed("stop", "same" if ended else "differs", "same")
+    def _end(self, name: str, reason: HandOverReason | StopReason, before: SearchView) -> None:
+        """The end of a leg or of the search: the agent, or the rule, must end it again."""
+        agent = self._agent(before)
+        match reason:
+            case "exhausted" if agent is not None:
+                ended = agent.propose(self._seen(before)) is None
+            case "planned":
+                ended = stop_reason(before, self.problem.budget) == "budget"
+            case "saturated":
+                ended = stop_reason(before, self.problem.budget) == "saturated"
+            case _:
+                self._add(Replayed(name, "same", "taken", detail=reason))
+                return
+        item = Replayed(name, "same" if ended else "differs", "same")
         self._add(item if ended else _with_detail(item, "the agent goes on now"))
 
     def _compare(self, item: Replayed, there: Outcome, here: Outcome) -> Replayed:
@@ -285,7 +316,9 @@ def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
     wanted, found = Isolation(started.isolation), probe().level
     level = wanted if wanted is found or not LEVELS[wanted].confined else found
     notes = () if level is wanted else (f"isolation {level.value} here, {wanted.value} then",)
-    changes = environment_changes(started.environment, environment(started.agent))
+    changes = environment_changes(
+        started.environment, environment(started.agent, *(leg.agent for leg in started.legs))
+    )
     return level, (*notes, *changes)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from asia.ledger import SearchView, Status, StopReason, beats
+from asia.ledger import HandedOver, SearchView, Status, Stopped, StopReason, beats
 from asia.problem import Budget
 from asia.scoring import Failure, Outcome
 
@@ -18,20 +18,32 @@ def phase(view: SearchView) -> Literal["explore", "refine"]:
 
 
 def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
-    """Why the search should end now, or None.
+    """Why the search, or the leg of a relay that proposes, should end now, or None.
 
     `saturated`: the last `budget.patience` experiments of the refine phase kept nothing; those
-    before the budget was extended do not count.
+    before the budget was extended, or before the leg of a relay began, do not count.
     """
-    if len(view.finished) >= view.budget:
+    if len(view.finished) >= view.leg_end:
         return "budget"
     if view.hours is not None and view.seconds >= view.hours * 3600.0:
         return "hours"
-    recent = view.finished[view.extended_after :]
+    recent = view.finished[max(view.extended_after, view.leg_after) :]
     refined = [e for e in recent if e.proposed.phase == "refine"]
     last = refined[-budget.patience :]
     kept = any(e.kept for e in last)
     return "saturated" if len(last) >= budget.patience and not kept else None
+
+
+def next_leg(view: SearchView, stopped: Stopped) -> HandedOver | None:
+    """The leg of a relay that goes on where the one before has ended; None where the search has."""
+    following = view.leg + 1
+    if following > len(view.started.legs) or len(view.finished) >= view.budget:
+        return None
+    reason = stopped.reason
+    if reason == "hours" or reason == "user":
+        return None
+    agent = view.started.legs[following - 1].agent
+    return HandedOver(following, agent, "planned" if reason == "budget" else reason, stopped.detail)
 
 
 def decide(outcome: Outcome, view: SearchView) -> Status:

@@ -7,14 +7,14 @@ import importlib.metadata
 import math
 import platform
 import secrets
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
 from asia._plugins import parts
-from asia.agents import Agent, packages_of
+from asia.agents import Agent, check_relay_budget, packages_of
 from asia.agents.lessons import Lesson, encode_lessons
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
@@ -24,6 +24,7 @@ from asia.ledger import (
     RESUMABLE,
     Chain,
     Extended,
+    Leg,
     Resumed,
     SearchView,
     Started,
@@ -81,17 +82,19 @@ def prepare(
     isolation_strict: bool = False,
     agent_settings: Mapping[str, str] | None = None,
     lessons: Sequence[Lesson] | None = None,
+    legs: Sequence[Leg] = (),
 ) -> Prepared:
     """Check everything a search needs and compare with what is on disk. Writes nothing.
 
     isolation_strict: the folds of a candidate run one after the other. agent_settings: what shapes
     the agent's proposals beside its name. lessons: of earlier searches, None for a
     search without; a run that exists keeps those that it began with.
+    legs: those of a relay, `legs_of` its agent.
 
-    Raises UserError when the folds cannot be made, the test does not fit, or the run exists with
-    other settings.
+    Raises UserError when the folds cannot be made, the test does not fit, the legs do not fit into
+    the budget, or the run exists with other settings.
     """
-    folds = _check(problem)
+    folds = _check(problem, legs)
     sealed = replace(seal(problem), guard=guard_digest(problem))
     run_name = name or _default_name(problem, agent_name, seed)
     directory = runs / run_name
@@ -112,7 +115,7 @@ def prepare(
         test_digest=sealed.sha256,
         isolation=found.level.value,
         isolation_notes=found.notes,
-        environment=environment(agent_name),
+        environment=environment(agent_name, *(leg.agent for leg in legs)),
         early_stopping=problem.protocol.early_stopping,
         residuals=problem.protocol.residuals,
         agent_settings=dict(agent_settings or {}),
@@ -123,6 +126,7 @@ def prepare(
         isolation_strict=isolation_strict,
         lessons=hashlib.sha256(taught).hexdigest() if taught else None,
         folds=fold_names(folds, problem.protocol),
+        legs=_recorded_legs(legs),
     )
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
@@ -235,10 +239,17 @@ def check_baseline(problem: Problem) -> None:
         raise UserError(f"baseline.py of problem '{problem.name}': {error.reason.advice}") from None
 
 
-def _check(problem: Problem) -> tuple[Fold, ...]:
+def _recorded_legs(legs: Sequence[Leg]) -> tuple[Leg, ...]:
+    """Without the number of the last one, which is the budget's: a larger budget extends it."""
+    return (*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:]))
+
+
+def _check(problem: Problem, legs: Sequence[Leg]) -> tuple[Fold, ...]:
     """The folds of a problem whose baseline and budget are in order."""
     check_baseline(problem)
     _check_budget(problem.budget)
+    if legs:
+        check_relay_budget(legs, problem.budget.experiments)
     return make_folds(problem.train, problem.protocol)
 
 
@@ -257,10 +268,14 @@ def _probe(wanted: Isolation | None) -> Probe:
         raise UserError(f"{error}; leave --isolation out for the strongest that works") from None
 
 
-def environment(agent_name: str) -> dict[str, str]:
+def environment(*agents: str) -> dict[str, str]:
     """Python, platform and the versions of the packages that outcomes or prompts may depend on,
     those that bring parts included. Raises UserError as `asia._plugins.parts` does."""
-    names = (*installed_libraries(), *PACKAGES, *packages_of(agent_name))
+    names = (
+        *installed_libraries(),
+        *PACKAGES,
+        *(package for name in agents for package in packages_of(name)),
+    )
     versions = {name: importlib.metadata.version(name) for name in names}
     plugged = {part.package: part.version for part in parts()}
     python = {"python": platform.python_version(), "platform": platform.platform()}
@@ -306,14 +321,14 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             f"run '{start.run}' started with a layer of isolation that is not available "
             f"({', '.join(lost)}): continue it where it started, or choose another --name"
         )
-    settings = start.agent_settings, wanted.agent_settings
-    for what in dict.fromkeys([*settings[0], *settings[1]]):
-        there, now = (s.get(what, "its default") for s in settings)
-        if there != now:
-            raise UserError(
-                f"run '{start.run}' has an agent with {what} {there}, not {now}: choose another "
-                "--name"
-            )
+    for settings in _settings_beside(start, wanted):
+        for what in dict.fromkeys([*settings[0], *settings[1]]):
+            there, now = (s.get(what, "its default") for s in settings)
+            if there != now:
+                raise UserError(
+                    f"run '{start.run}' has an agent with {what} {there}, not {now}: choose "
+                    "another --name"
+                )
     for what, there, now in (
         ("experiments", view.budget, wanted.experiments),
         ("hours", _hours(view.hours), _hours(wanted.hours)),
@@ -329,6 +344,15 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         raise UserError(
             f"run '{start.run}' was unsealed, which ended the search: choose another --name"
         )
+
+
+def _settings_beside(
+    there: Started, now: Started
+) -> Iterator[tuple[Mapping[str, str], Mapping[str, str]]]:
+    """The settings of each agent, those of its leg in a relay; the names are the same."""
+    yield there.agent_settings, now.agent_settings
+    for one, other in zip(there.legs, now.legs, strict=True):
+        yield one.settings, other.settings
 
 
 def _hours(value: float | None) -> float:

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[3]
 PACKAGE = ROOT / "src" / "asia"
 SHOWN = (
     "errors.py",
-    "ledger/_events.py",
+    "ledger/_events/search.py",
     "ledger/_run.py",
     "protocol/_rules.py",
     "sandbox/_types.py",

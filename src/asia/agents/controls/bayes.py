@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from asia.agents._view import AgentView, Facts, Proposal, Trial
@@ -51,10 +52,30 @@ class BayesAgent:
                     family=row.name,
                     title=f"{row.label}, estimated",
                     hypothesis="Configurations like the better ones so far, by a tree-structured "
-                    "Parzen estimator.",
+                    f"Parzen estimator.{_record_of_others(view, rows)}",
                     expected="With luck below the best; where little is known, to learn something.",
                 )
         return None
+
+
+def _record_of_others(view: AgentView, rows: Sequence[Family]) -> str:
+    """What it could use of the experiments of other agents in a relay, and what not."""
+    others = [trial for trial in view.trials if _by_other(trial)]
+    if not others:
+        return ""
+    read = [(trial.number, _as_asked(trial, view.facts, rows)) for trial in others]
+    known = [
+        f"#{number:02d} ({len(asked.params)} of {len(asked.params) + asked.lost} settings)"
+        for number, asked in read
+        if asked is not None
+    ]
+    strange = [f"#{number:02d}" for number, asked in read if asked is None]
+    used = f" Of the experiments of others it uses {', '.join(known) or 'none'}"
+    return used + (f"; not in its space: {', '.join(strange)}." if strange else ".")
+
+
+def _by_other(trial: Trial) -> bool:
+    return trial.agent not in ("", BayesAgent.name)
 
 
 def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> Study:
@@ -70,9 +91,10 @@ def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> Study:
         asked = _as_asked(trial, view.facts, rows)
         if asked is not None:
             value = trial.value if trial.value is not None else _FAILED * worst
-            params, distributions = asked
             study.add_trial(
-                optuna.trial.create_trial(params=params, distributions=distributions, value=value)
+                optuna.trial.create_trial(
+                    params=asked.params, distributions=asked.distributions, value=value
+                )
             )
     return study
 
@@ -93,11 +115,22 @@ def _asked(study: Study, facts: Facts, rows: Sequence[Family]) -> tuple[Recipe, 
     return _built(row, facts, pick), row
 
 
-def _as_asked(
-    trial: Trial, facts: Facts, rows: Sequence[Family]
-) -> tuple[dict[str, Number], dict[str, BaseDistribution]] | None:
+@dataclass(frozen=True)
+class _Asked:
+    """A trial as the estimator would have asked for it."""
+
+    params: dict[str, Number]
+    """What it would have chosen."""
+    distributions: dict[str, BaseDistribution]
+    """Among what."""
+    lost: int = 0
+    """How many settings of another agent's trial have a value that it does not vary them over."""
+
+
+def _as_asked(trial: Trial, facts: Facts, rows: Sequence[Family]) -> _Asked | None:
     """An earlier trial as the estimator would have asked for it; None for a source that is no
-    recipe of the library, or lies outside what may be varied."""
+    recipe of the library, or lies outside what may be varied. Of another agent's trial all that
+    lies inside is taken: the estimator looks at each setting on its own."""
     recipe = read_recipe(trial.source)
     names = [row.name for row in rows]
     if recipe is None or recipe.family not in names:
@@ -105,16 +138,22 @@ def _as_asked(
     row = rows[names.index(recipe.family)]
     params: dict[str, Number] = {_FAMILY: names.index(row.name)}
     distributions: dict[str, BaseDistribution] = {_FAMILY: _choices(len(rows))}
+    lost: list[str] = []
     space = row.space(facts)
 
     def read(name: str, distribution: BaseDistribution) -> Number:
         word = name.rpartition(".")[2]
-        if word == _METHOD:
-            number: Number = _method(row, facts, recipe)
-        else:
-            parameter = space.find(word)
-            assert parameter is not None
-            number = _number(parameter, recipe.get(word))
+        parameter = None if word == _METHOD else space.find(word)
+        try:
+            if parameter is None:
+                number: Number = _method(row, facts, recipe)
+            else:
+                number = _number(parameter, recipe.get(word))
+        except ValueError:
+            if not _by_other(trial):
+                raise
+            lost.append(word)
+            return _any_number(parameter)
         params[name], distributions[name] = number, distribution
         return number
 
@@ -122,7 +161,7 @@ def _as_asked(
         _built(row, facts, read)
     except ValueError:
         return None
-    return params, distributions
+    return _Asked(params, distributions, len(lost))
 
 
 def _built(row: Family, facts: Facts, pick: Pick) -> Recipe:
@@ -181,6 +220,11 @@ def _number(p: Parameter, value: Value) -> Number:
     if not isinstance(value, int | float) or not p.low <= value <= p.high:
         raise ValueError(p.name)
     return float(value)
+
+
+def _any_number(p: Parameter | None) -> Number:
+    """To go on with where a value is outside the space."""
+    return p.low if isinstance(p, Span) else 0
 
 
 def _value(p: Parameter, number: Number) -> Value:

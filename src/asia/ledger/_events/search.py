@@ -1,23 +1,37 @@
-"""What a search records. One dataclass an event; every field is JSON."""
+"""The course of a search: its start, its experiments, its end."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
-
-from pydantic import Field, TypeAdapter
+from typing import Literal
 
 from asia._stopwatch import TimeSpent
 from asia.protocol import EarlyStopping, ShownResidual
-from asia.scoring import Diagnostics, Failure, MeeTable, Outcome, TestScore
+from asia.scoring import Diagnostics, Outcome
 
 Status = Literal["keep", "discard", "crash", "timeout", "invalid"]
 Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
 ]
+HandOverReason = Literal[
+    "planned", "saturated", "exhausted", "stuck", "tokens", "cost", "time", "agent"
+]
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """The part of a relay in which one agent proposes."""
+
+    agent: str
+    """Name of the agent."""
+    experiments: int | None = None
+    """How many experiments it has; the baseline counts as one of the first leg. None for all that
+    are left, which the last leg takes."""
+    settings: dict[str, str] = field(default_factory=dict[str, str])
+    """Settings of the agent that shape the search."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +43,7 @@ class Started:
     problem: str
     """Name of the problem."""
     agent: str
-    """Name of the agent."""
+    """Name of the agent, of a relay the names of all."""
     seed: int
     """Seed of the search."""
     experiments: int
@@ -71,6 +85,8 @@ class Started:
     """What each fold holds out, in words; () in older ledgers."""
     residuals: ShownResidual = "train"
     """With `held_out` those who propose saw residuals of the held-out samples."""
+    legs: tuple[Leg, ...] = ()
+    """The agents that propose one after the other; () where one agent does."""
     event: Literal["started"] = "started"
 
     @property
@@ -114,6 +130,10 @@ class Proposed:
     """Digest of its normalised AST."""
     ticket: str = ""
     """The submission it came by; "" where an agent was asked."""
+    leg: int = 0
+    """The leg of a relay that it belongs to, 1-based; 0 where one agent proposes."""
+    agent: str = ""
+    """The agent of that leg; "" where one agent proposes, and for the baseline."""
     event: Literal["proposed"] = "proposed"
 
 
@@ -169,6 +189,21 @@ class Evaluated:
 
 
 @dataclass(frozen=True)
+class HandedOver:
+    """A leg of a relay is over and the next one begins."""
+
+    leg: int
+    """The leg that begins, 1-based."""
+    agent: str
+    """Its agent."""
+    reason: HandOverReason
+    """Why the one before is over."""
+    detail: str = ""
+    """More about it, for people."""
+    event: Literal["handed_over"] = "handed_over"
+
+
+@dataclass(frozen=True)
 class Extended:
     """The budget was raised."""
 
@@ -207,81 +242,6 @@ class Steered:
 
 
 @dataclass(frozen=True)
-class Usage:
-    """What a language model consumed."""
-
-    input_tokens: int = 0
-    """Tokens of the requests."""
-    output_tokens: int = 0
-    """Tokens of the replies."""
-    cached_tokens: int = 0
-    """The part of `input_tokens` that the provider had cached."""
-    cost: float | None = None
-    """USD; None where it is not known."""
-    turns: int = 0
-    """Replies of the model."""
-
-    @property
-    def tokens(self) -> int:
-        """Input and output together."""
-        return self.input_tokens + self.output_tokens
-
-
-@dataclass(frozen=True)
-class Exchanged:
-    """A request to a language model and its reply. Headers are not kept."""
-
-    experiment: int
-    """The experiment it was made for."""
-    path: str
-    """Path of the request."""
-    request: str
-    """Artifact of its body."""
-    response: str
-    """Artifact of the reply's body."""
-    status: int
-    """HTTP status; 0 when there was no reply."""
-    usage: Usage | None = None
-    """What the exchange consumed."""
-    event: Literal["exchanged"] = "exchanged"
-
-
-@dataclass(frozen=True)
-class Streamed:
-    """Output lines of an agent that runs as a command, as they came, in an artifact."""
-
-    session: int
-    """Number of the session."""
-    lines: str
-    """The artifact."""
-    event: Literal["streamed"] = "streamed"
-
-
-@dataclass(frozen=True)
-class SessionStarted:
-    """A command agent's process begins."""
-
-    session: int
-    """Number of the session."""
-    grant: float | None
-    """USD that it may spend; None where money has no cap."""
-    event: Literal["session_started"] = "session_started"
-
-
-@dataclass(frozen=True)
-class SessionEnded:
-    """A command agent's process has ended."""
-
-    session: int
-    """Number of the session."""
-    outcome: str
-    """How it ended."""
-    usage: Usage | None
-    """What it consumed."""
-    event: Literal["session_ended"] = "session_ended"
-
-
-@dataclass(frozen=True)
 class Again:
     """A fold of the winner fitted a second time, with the same seed."""
 
@@ -309,92 +269,3 @@ class Refitted:
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
     """As in `Evaluated`."""
     event: Literal["refitted"] = "refitted"
-
-
-@dataclass(frozen=True)
-class GuardScore:
-    """The ensemble of an experiment's fold models on the guard records."""
-
-    experiment: int
-    """1-based."""
-    outcome: Outcome
-    """The search's metric over the standard deviations of the training records."""
-
-
-@dataclass(frozen=True)
-class GuardLooked:
-    """The guard records were looked at."""
-
-    look: int
-    """Number of this look."""
-    scores: tuple[GuardScore, ...]
-    """Of the last new bests."""
-    pick: int | None
-    """The best of them on the guard records."""
-    spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
-    """As in `Evaluated`."""
-    event: Literal["guard"] = "guard"
-
-
-@dataclass(frozen=True)
-class TestedModel:
-    """One model on the sealed test."""
-
-    scores: tuple[TestScore, ...]
-    """One a test metric."""
-    y_hat: str
-    """Artifact of its simulation."""
-    mee: MeeTable | None = None
-    """The table of Mean Euclidean Errors, where the protocol asks for one."""
-
-
-@dataclass(frozen=True)
-class Unsealing:
-    """The sealed test is about to be opened; from here on the search is over."""
-
-    experiment: int
-    """The winner."""
-    test_digest: str
-    """Digest of the test."""
-    opened_before: tuple[str, ...]
-    """Runs beside this one that had opened the same test."""
-    process_consent: bool = False
-    """A person agreed to open it though candidates ran at level process, where they could read
-    it."""
-    event: Literal["unsealing"] = "unsealing"
-
-
-@dataclass(frozen=True)
-class Unsealed:
-    """What the sealed test said."""
-
-    experiment: int
-    """The winner."""
-    test_digest: str
-    """Digest of the test."""
-    channels: tuple[str, ...]
-    """Names of the outputs."""
-    trajectories: tuple[str, ...]
-    """Names of the test trajectories."""
-    lengths: tuple[int, ...]
-    """Samples of each, from the first simulated one on."""
-    skip: int
-    """Samples at the start of each that the scores leave out."""
-    measured: str
-    """Artifact of the test outputs, one (lengths[i], ny) array a trajectory."""
-    ensemble: TestedModel | Failure
-    """The mean of the fold models."""
-    refit: TestedModel | Failure | None
-    """The winner fitted on all training data."""
-    horizon: int | None = None
-    """Samples of a window, None for long simulations. A trajectory's windows stand one after the
-    other; the last may repeat some samples."""
-    event: Literal["unsealed"] = "unsealed"
-
-
-Event = (
-    Started | RungScored | Proposed | Evaluated | Extended | Stopped | Resumed | Steered | Exchanged
-    | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked | Unsealing | Unsealed
-)  # fmt: skip
-
-adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

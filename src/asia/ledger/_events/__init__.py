@@ -1,0 +1,83 @@
+"""What a search records. One dataclass an event; every field is JSON."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, TypeAdapter
+
+from asia.ledger._events.agent import (
+    Exchanged,
+    SessionEnded,
+    SessionStarted,
+    Streamed,
+    Usage,
+)
+from asia.ledger._events.search import (
+    RESUMABLE,
+    Again,
+    Evaluated,
+    Extended,
+    FoldEvidence,
+    HandedOver,
+    HandOverReason,
+    Leg,
+    Phase,
+    Proposed,
+    Refitted,
+    Resumed,
+    RungScored,
+    Started,
+    Status,
+    Steered,
+    Stopped,
+    StopReason,
+)
+from asia.ledger._events.test import (
+    GuardLooked,
+    GuardScore,
+    TestedModel,
+    Unsealed,
+    Unsealing,
+)
+
+__all__ = [
+    "RESUMABLE",
+    "Again",
+    "Evaluated",
+    "Event",
+    "Exchanged",
+    "Extended",
+    "FoldEvidence",
+    "GuardLooked",
+    "GuardScore",
+    "HandOverReason",
+    "HandedOver",
+    "Leg",
+    "Phase",
+    "Proposed",
+    "Refitted",
+    "Resumed",
+    "RungScored",
+    "SessionEnded",
+    "SessionStarted",
+    "Started",
+    "Status",
+    "Steered",
+    "StopReason",
+    "Stopped",
+    "Streamed",
+    "TestedModel",
+    "Unsealed",
+    "Unsealing",
+    "Usage",
+    "adapter",
+]
+
+Event = (
+    Started | RungScored | Proposed | Evaluated | HandedOver | Extended | Stopped | Resumed
+    | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked
+    | Unsealing | Unsealed
+)  # fmt: skip
+
+adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

@@ -1,0 +1,90 @@
+"""The guard records and the sealed test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from asia._stopwatch import TimeSpent
+from asia.scoring import Failure, MeeTable, Outcome, TestScore
+
+
+@dataclass(frozen=True)
+class GuardScore:
+    """The ensemble of an experiment's fold models on the guard records."""
+
+    experiment: int
+    """1-based."""
+    outcome: Outcome
+    """The search's metric over the standard deviations of the training records."""
+
+
+@dataclass(frozen=True)
+class GuardLooked:
+    """The guard records were looked at."""
+
+    look: int
+    """Number of this look."""
+    scores: tuple[GuardScore, ...]
+    """Of the last new bests."""
+    pick: int | None
+    """The best of them on the guard records."""
+    spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
+    """As in `Evaluated`."""
+    event: Literal["guard"] = "guard"
+
+
+@dataclass(frozen=True)
+class TestedModel:
+    """One model on the sealed test."""
+
+    scores: tuple[TestScore, ...]
+    """One a test metric."""
+    y_hat: str
+    """Artifact of its simulation."""
+    mee: MeeTable | None = None
+    """The table of Mean Euclidean Errors, where the protocol asks for one."""
+
+
+@dataclass(frozen=True)
+class Unsealing:
+    """The sealed test is about to be opened; from here on the search is over."""
+
+    experiment: int
+    """The winner."""
+    test_digest: str
+    """Digest of the test."""
+    opened_before: tuple[str, ...]
+    """Runs beside this one that had opened the same test."""
+    process_consent: bool = False
+    """A person agreed to open it though candidates ran at level process, where they could read
+    it."""
+    event: Literal["unsealing"] = "unsealing"
+
+
+@dataclass(frozen=True)
+class Unsealed:
+    """What the sealed test said."""
+
+    experiment: int
+    """The winner."""
+    test_digest: str
+    """Digest of the test."""
+    channels: tuple[str, ...]
+    """Names of the outputs."""
+    trajectories: tuple[str, ...]
+    """Names of the test trajectories."""
+    lengths: tuple[int, ...]
+    """Samples of each, from the first simulated one on."""
+    skip: int
+    """Samples at the start of each that the scores leave out."""
+    measured: str
+    """Artifact of the test outputs, one (lengths[i], ny) array a trajectory."""
+    ensemble: TestedModel | Failure
+    """The mean of the fold models."""
+    refit: TestedModel | Failure | None
+    """The winner fitted on all training data."""
+    horizon: int | None = None
+    """Samples of a window, None for long simulations. A trajectory's windows stand one after the
+    other; the last may repeat some samples."""
+    event: Literal["unsealed"] = "unsealed"
