@@ -96,14 +96,13 @@ def prepare(
     """
     folds = _check(problem, legs)
     sealed = replace(seal(problem), guard=guard_digest(problem))
-    run_name = name or _default_name(problem, agent_name, seed)
-    directory = runs / run_name
+    directory = runs / (name or _default_name(problem, agent_name, seed))
     found = _probe(isolation)
     check_run_is_hidden(problem, directory, found.level)
     lock = lock_text(problem, sealed)
     taught = b"" if lessons is None else encode_lessons(lessons)
     started = Started(
-        run=run_name,
+        run=directory.name,
         problem=problem.name,
         agent=agent_name,
         seed=seed,
