@@ -1,7 +1,7 @@
 """Do lessons from other systems shorten a search, and do wrong ones harm it?
 
 python benchmarks/searches/lessons.py --out DIR [--jobs 2] [--systems linear-0,duffing-1]
-    [--arms without,with] [--experiments 10] [--ship FILE]
+    [--arms without,with] [--experiments 10] [--ship FILE] [--lessons FILE]
 
 The expert searches each system without lessons, then with the lessons of all other systems, with
 those of all others the wrong way round, what helped harms, and with those of the systems of other
@@ -11,7 +11,8 @@ V without lessons, one more than the budget where it does not come there.
 Candidates are the library's own, so they are fitted in this process, without a sandbox; one that
 was fitted before, in whatever search, is not fitted again. The same command goes on where it was
 interrupted; DIR/table.md has what there is so far. With --ship the lessons of the searches without
-lessons are written.
+lessons are written; --lessons FILE is such a file for the arm `with`, on systems that it does not
+hold.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from asia.agents import AgentView, Effort, ExpertAgent, Proposal, Trial
-from asia.agents.lessons import Lesson, encode_lessons, learn
+from asia.agents.lessons import Lesson, decode_lessons, encode_lessons, learn
 from asia.candidate import Context, source_digest
 from asia.data import Array
 from asia.errors import CandidateError
@@ -336,8 +337,9 @@ def main() -> None:
     with processes:
         for arm in options.arms:
             known = [one for (other, _), one in found.items() if other == "without"]
+            given = options.lessons if arm == "with" else ()
             asked = [
-                processes.submit(searched, bench, arm, s, lessons_for(arm, s, known))
+                processes.submit(searched, bench, arm, s, given or lessons_for(arm, s, known))
                 for s in options.systems
             ]
             for done in as_completed(asked):
@@ -349,6 +351,10 @@ def main() -> None:
     print(table(found, options.systems))
 
 
+def _read(path: str) -> tuple[Lesson, ...]:
+    return decode_lessons(Path(path).read_bytes(), path)
+
+
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     every = [f"{kind}-{seed}" for seed in SEEDS for kind in KINDS]
@@ -356,6 +362,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=2, help="searches at the same time")
     parser.add_argument("--systems", type=lambda t: t.split(","), default=every, metavar="A-0,B-1")
     parser.add_argument("--arms", type=lambda t: t.split(","), default=ARMS, metavar="A,B")
+    parser.add_argument("--lessons", type=_read, default=(), help="with these, in that arm")
     parser.add_argument("--experiments", type=int, default=10)
     parser.add_argument("--ship", type=Path, help="write the lessons of the first arm here")
     return parser.parse_args()

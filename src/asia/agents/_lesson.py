@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 FIRST_FIT = "first fit"
 """The move that tries a family for the first time."""
+LARGEST_GAIN = 50.0
+"""Beyond this a gain says no more."""
 
 
 @dataclass(frozen=True)

@@ -241,7 +241,17 @@ def test_lessons_are_kept_and_forgotten(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert not forget_lessons()
 
 
-@pytest.mark.parametrize("text", ["", "{}", '[["a", ["b"], [["c"]]]]', '[["a", ["b"], 3]]'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{}",
+        '[["a", ["b"], [["c"]]]]',
+        '[["a", ["b"], 3]]',
+        '[["a", [], [["b", "c", NaN]]]]',
+        '[["a", [], [["b", "c", 1e9]]]]',
+    ],
+)
 def test_what_is_no_file_of_lessons_is_said(text: str) -> None:
     with pytest.raises(UserError, match=r"mine\.json holds no lessons: expected a file that"):
         decode_lessons(text.encode(), "mine.json")

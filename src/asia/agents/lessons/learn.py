@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from functools import cache
 
-from asia.agents._lesson import FIRST_FIT, Lesson
+from asia.agents._lesson import FIRST_FIT, LARGEST_GAIN, Lesson
 from asia.agents._view import AgentView, Facts, Trial
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.recipe import read_recipe
@@ -91,4 +91,5 @@ def _reference(view: AgentView) -> float | None:
 def _gain(before: float, trial: Trial) -> float | None:
     if trial.value is None:
         return None
-    return math.log(before / max(trial.value, 1e-12))
+    gain = math.log(before) - math.log(max(trial.value, 1e-12))
+    return min(max(gain, -LARGEST_GAIN), LARGEST_GAIN)

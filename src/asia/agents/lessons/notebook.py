@@ -7,20 +7,20 @@ import os
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import TypeAdapter
+from pydantic import Field, TypeAdapter
 
 from asia._files import read_file
-from asia.agents._lesson import Lesson, merge
+from asia.agents._lesson import LARGEST_GAIN, Lesson, merge
 from asia.errors import UserError
 from asia.ledger import write_whole
 
 FOLDER_VARIABLE = "ASIA_LESSONS"
 _FILE = "lessons.json"
-_ROWS: TypeAdapter[list[tuple[str, list[str], list[tuple[str, str, float | None]]]]] = TypeAdapter(
-    list[tuple[str, list[str], list[tuple[str, str, float | None]]]]
-)
+_Gain = Annotated[float, Field(ge=-LARGEST_GAIN, le=LARGEST_GAIN)]
+_Row = tuple[str, list[str], list[tuple[str, str, _Gain | None]]]
+_ROWS: TypeAdapter[list[_Row]] = TypeAdapter(list[_Row])
 
 
 def encode_lessons(lessons: Sequence[Lesson]) -> bytes:
