@@ -66,7 +66,11 @@ class Context:
 
 
 class Model(Protocol):
-    """A fitted model."""
+    """A fitted model.
+
+    It may also have `parameters() -> Mapping[str, float]`, by which the folds are compared: names
+    of up to 48 characters and at most 64 finite numbers. It is asked for once, after the fit.
+    """
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """Open-loop simulation in physical units.

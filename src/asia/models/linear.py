@@ -121,8 +121,8 @@ class LinearStateSpace:
         found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
         found = found if len(found) <= _MOST_GAINS else {}
         slowest = f.system.time_constants[:_MOST_TIME_CONSTANTS]
-        found |= {f"time constant {k}, samples": float(t) for k, t in enumerate(slowest, 1)}
-        return found | {"delay, samples": float(f.delay)}
+        found |= {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
+        return found | {"delay [samples]": float(f.delay)}
 
 
 def build(config: Config, context: Context) -> LinearStateSpace:

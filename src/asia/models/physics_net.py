@@ -129,7 +129,7 @@ class PhysicsNet:
         found = {name: float(value) for name, value in zip(names, values, strict=True)}
         if cell.lag:
             lags = np.exp(np.asarray(params["log_lag"], np.float64)).ravel()
-            found |= {f"lag {k}, s": float(lag) for k, lag in enumerate(lags, 1)}
+            found |= {f"lag {k} [s]": float(lag) for k, lag in enumerate(lags, 1)}
         return found
 
 

@@ -81,6 +81,8 @@ context), and fit that calls both.
 - Python with {libraries} and asia.models, one CPU thread, no network, no
   files. A fit has {seconds:g} s a fold; stop by iteration counts, not by the clock. Take random
   numbers from context.seed. Everything that simulate needs belongs in the model, which is pickled.
+- The model may have parameters(), a dict of at most 64 names and floats: you are shown them fold by
+  fold, and the end of what fit prints. What simulate prints is not kept.
 - {stopping}
 - {model}"""
 

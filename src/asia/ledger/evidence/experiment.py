@@ -59,7 +59,7 @@ class ComparedScore:
     experiment: int
     """The other one."""
     role: str
-    """`parent` or `best before`."""
+    """`parent`, `best before` or `parent and best before`."""
     value: float
     """V of this one less V of the other."""
     share: float
@@ -141,7 +141,9 @@ def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScor
     kept = [e for e in view.finished if e.number < experiment.number and e.kept]
     others = [("best before", kept[-1])] if kept else []
     parent = experiment.proposed.parent
-    if parent is not None and parent != experiment.number:
+    if kept and parent == kept[-1].number:
+        others = [("parent and best before", kept[-1])]
+    elif parent is not None and parent != experiment.number:
         others.insert(0, ("parent", view.experiment(parent)))
     found: list[ComparedScore] = []
     for role, other in others:

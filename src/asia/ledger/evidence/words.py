@@ -56,7 +56,8 @@ def fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str]
         parts.append(f"training {error_value(fold.diagnostics.train_error)}")
         if measured:
             parts += _cost(fold, evidence)
-        yield f"fold {number}  {name:<{width}}  {'  '.join(parts)}".replace("    ", "  ")
+        where = f"{name:<{width}}  " if width else ""
+        yield f"fold {number}  {where}{'  '.join(parts)}"
 
 
 def _cost(fold: FoldShown, evidence: ExperimentEvidence) -> Iterator[str]:
