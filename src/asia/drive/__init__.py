@@ -5,11 +5,13 @@ from asia.drive._desk import Desk, RunDesk, wait
 from asia.drive._detached import SearchRequest, start_search
 from asia.drive._ending import end_idle
 from asia.drive._evidence import EvidenceSummary, FoldSummary
+from asia.drive._program import Confinement
 from asia.drive._serve import prepare_request
 from asia.drive._workspace import CANDIDATE, Workspace, make_workspace
 
 __all__ = [
     "CANDIDATE",
+    "Confinement",
     "Desk",
     "DryRunSummary",
     "EvidenceSummary",

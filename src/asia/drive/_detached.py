@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from pydantic import TypeAdapter
@@ -51,6 +51,8 @@ class SearchRequest:
     """Whether the folds of a candidate run one after the other."""
     records: int = 0
     """Lines that the ledger had when this was asked for."""
+    settings: dict[str, str] = field(default_factory=dict[str, str])
+    """What the ledger holds of whoever hands in beside the name: the jail."""
 
     def save(self, directory: Path) -> None:
         """Write it, with the number of lines the ledger has now: a request made after a stop

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from enum import Enum
 
 from asia.agents import MODEL_RULES, equations, ladder_rule, library, symmetries
 from asia.candidate import installed_libraries
@@ -27,9 +28,36 @@ class Model:                                    # what fit returns
 ```'''
 
 
-def program(problem: Problem, experiments: int) -> str:
+class Confinement(Enum):
+    """What keeps whoever works in the folder from the rest of the machine."""
+
+    OPEN = "open"
+    JAIL = "jail"
+    JAIL_WITH_NETWORK = "jail with network"
+
+
+_CONFINED = {
+    Confinement.OPEN: (
+        "> **Open folder, no jail.** A program that is started here by hand can read all that its "
+        "user can read: this run's ledger, the test data, the network. Use only what lies in this "
+        "folder. `asia workspace PROBLEM DIR --jail CMD` starts a program that sees nothing else."
+    ),
+    Confinement.JAIL: (
+        "> **Jail.** You see this folder, the programs of the machine and the search behind "
+        "`asia try`. There is no network."
+    ),
+    Confinement.JAIL_WITH_NETWORK: (
+        "> **Jail with network.** You see this folder, the programs of the machine and the search "
+        "behind `asia try`. Use the network for your own language model, and for nothing about "
+        "this problem or its data."
+    ),
+}
+
+
+def program(problem: Problem, experiments: int, confinement: Confinement = Confinement.OPEN) -> str:
     """The text, Markdown."""
     sections = (
+        _CONFINED[confinement],
         _task(problem),
         _judgement(problem),
         _contract(problem),

@@ -54,7 +54,7 @@ def prepare_request(request: SearchRequest, runs: Path, name: str | None) -> Pre
     def prepared(problem: Problem) -> Prepared:
         return prepare(
             problem, request.agent, seed=request.seed, runs=runs, name=name, isolation=level,
-            isolation_strict=request.isolation_strict,
+            isolation_strict=request.isolation_strict, agent_settings=request.settings,
         )  # fmt: skip
 
     problem = requested_problem(request)

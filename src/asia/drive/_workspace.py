@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 from asia.data import Trajectory
 from asia.drive._desk import Desk, RunDesk
 from asia.drive._detached import SearchRequest, start_search
-from asia.drive._program import models_page, program
+from asia.drive._program import Confinement, models_page, program
 from asia.drive._scripts import PLOT, TOOLS
 from asia.drive._socket import SocketDesk
 from asia.drive._write_file import write_file
@@ -67,7 +67,15 @@ class Workspace:
         path = os.environ.get(DESK_VARIABLE)
         if path:
             return SocketDesk(Path(path))
-        return RunDesk(self._own_run(), start_search)
+        run = self._own_run()
+        request = SearchRequest.find(run)
+        if request is not None and request.settings.get("jail"):
+            raise UserError(
+                f"the ledger of {run.name} says that its candidates come from a jail: submit from "
+                "the program that asia workspace --jail starts, or make another workspace with "
+                "another --name"
+            )
+        return RunDesk(run, start_search)
 
     def _own_run(self) -> Path:
         if self.run is None:
@@ -97,7 +105,12 @@ def _run_of(link: Path) -> Path | None:
     return Path(run) if run else None
 
 
-def make_workspace(folder: Path, prepared: Prepared, request: SearchRequest) -> Workspace:
+def make_workspace(
+    folder: Path,
+    prepared: Prepared,
+    request: SearchRequest,
+    confinement: Confinement = Confinement.OPEN,
+) -> Workspace:
     """Write the folder; what its user has written stays. Raises UserError for a folder with other
     things in it, or of another run."""
     folder = folder.resolve()
@@ -117,17 +130,23 @@ def make_workspace(folder: Path, prepared: Prepared, request: SearchRequest) -> 
             "must not show the ledger; choose another folder"
         )
     started = prepared.started
-    write_folder(folder, prepared.problem, started.experiments, run, started.seed)
+    problem, experiments = prepared.problem, started.experiments
+    write_folder(folder, problem, experiments, run, started.seed, confinement)
     request.save(run)
     return Workspace(folder, run)
 
 
 def write_folder(
-    folder: Path, problem: Problem, experiments: int, run: Path | None = None, seed: int = 0
+    folder: Path,
+    problem: Problem,
+    experiments: int,
+    run: Path | None = None,
+    seed: int = 0,
+    confinement: Confinement = Confinement.OPEN,
 ) -> None:
     """The files of a workspace; `run` as in `Workspace`, `seed` of its search."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_file(folder, "PROGRAM.md", program(problem, experiments))
+    write_file(folder, "PROGRAM.md", program(problem, experiments, confinement))
     write_file(folder, "description.md", problem.description)
     write_file(folder, "models.md", models_page(problem))
     write_file(folder, "plot.py", PLOT)

@@ -29,6 +29,12 @@ _LIMITED = (
     "    resource.setrlimit(getattr(resource, 'RLIMIT_' + what), (most, most))\n"
     "os.execvp(sys.argv[1], sys.argv[1:])\n"
 )
+# For Ctrl-C and the shell's own jobs. The terminal is the jail's own.
+_CONTROLLED = (
+    "import contextlib, fcntl, os, termios\n"
+    "with contextlib.suppress(OSError): os.setsid()\n"
+    "with contextlib.suppress(OSError): fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
+)
 _NET = ("resolv.conf", "hosts", "nsswitch.conf", "services", "protocols", "gai.conf")
 
 
@@ -53,8 +59,9 @@ class Jail:
         """None if there can be a jail here, else the reason in plain words."""
         return LEVELS[Isolation.NAMESPACE].why_not()
 
-    def command(self, arguments: list[str]) -> list[str]:
-        """The command line that runs `arguments` inside."""
+    def command(self, arguments: list[str], *, terminal: bool = False) -> list[str]:
+        """The command line that runs `arguments` inside. terminal: with standard input as the
+        terminal that controls them."""
         memory = {"/dev/shm": _SHM_BYTES, "/tmp": _TMPFS_BYTES, _HOME: _TMPFS_BYTES}
         files = [f"/etc/{name}" for name in (*_ETC, *(_NET if self.network else ()))]
         shown = [word for path in self.mounts for word in ("--ro-bind", str(path), str(path))]
@@ -65,7 +72,8 @@ class Jail:
         shared = ("net",) if self.network else ()
         options = walls(memory, SOCKET_FOLDER, shown, files=files, shared=shared)
         options += ["--uid", "1000", "--gid", "1000", "--hostname", "workspace"]
-        options += ["--", interpreter(), "-I", "-S", "-c", _LIMITED]
+        first = (_CONTROLLED if terminal else "") + _LIMITED
+        options += ["--", interpreter(), "-I", "-S", "-c", first]
         return [shutil.which("bwrap") or "bwrap", *options, *arguments]
 
     def find(self, program: str) -> str | None:

@@ -29,6 +29,12 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     folder, runs = tmp_path / "work", tmp_path / "runs"
     made = asia("workspace", problem, folder, "--experiments", 4, "--runs", runs)
     assert made.code == 0, made.err
+    # The baseline is judged before the folder is worked in, with a line for each step.
+    lines = made.out.splitlines()
+    steps = ("rung linear model: V = ", "#01, the baseline, is being evaluated", "#01 keep    V = ")
+    places = [next(i for i, line in enumerate(lines) if line.startswith(s)) for s in steps]
+    assert places == sorted(places)
+    assert len((folder / "results.tsv").read_text().splitlines()) == 2
     program = (folder / "PROGRAM.md").read_text()
     for words in ("asia try", "4 experiments", "2 blocks", "def simulate", "`u`"):
         assert words in program
@@ -56,11 +62,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert answer["best"] == {"experiment": 2, "V": answer["V"]}
     assert answer["remaining"] == 2
     assert answer["repeated"] is False
-    # The search was started by this call: its rungs and its baseline are reported before the
-    # result, apart from the JSON.
-    told = good.err.splitlines()
-    assert any(line.startswith("rung linear model: V = ") for line in told)
-    assert any(line.startswith("#01 keep    V = ") for line in told)
+    assert "#02 is being evaluated" in good.err
     again = asia("try", "-m", "the same again", "--dir", folder / "data")
     assert again.out.startswith("not judged again: comments apart, this is the source of #02.")
     assert "2 of 4 experiments left" in again.out
@@ -129,7 +131,8 @@ def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state:
     if state == "queued":
         (problem / "baseline.py").write_text(SLOW)
     folder, runs = tmp_path / "work", tmp_path / "runs"
-    assert asia("workspace", problem, folder, "--experiments", 3, "--runs", runs).code == 0
+    options = ("--experiments", 3, "--runs", runs, "--no-start")
+    assert asia("workspace", problem, folder, *options).code == 0
     (folder / "candidate.py").write_text(SLOW.replace("60", "61"))
     (run,) = runs.iterdir()
     command = [sys.executable, "-c", ASIA, "try", "-m", "a slow one", "--dir", str(folder)]
@@ -140,7 +143,16 @@ def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state:
         said = "#02 is being evaluated"
         if state == "queued":
             said = "#01, the baseline, is being evaluated; yours is next"
-        assert any(line.rstrip("\n") == said for line in waiting.stdout)
+        lines: list[str] = []
+        for line in waiting.stdout:
+            lines.append(line.rstrip("\n"))
+            if lines[-1] == said:
+                break
+        assert lines[-1] == said
+        if state == "running":
+            # This call has started the search: its rungs and its baseline come first.
+            assert any(line.startswith("rung linear model: V = ") for line in lines)
+            assert any(line.startswith("#01 keep    V = ") for line in lines)
         end_searches(run)
         last = waiting.stderr.read()
     assert waiting.returncode == 2
@@ -182,7 +194,8 @@ def test_no_file_as_candidate(
 ) -> None:
     folder = tmp_path / "work"
     problem = write_problem(tmp_path / "toy")
-    assert asia("workspace", problem, folder, "--runs", tmp_path / "runs").code == 0
+    options = ("--runs", tmp_path / "runs", "--no-start")
+    assert asia("workspace", problem, folder, *options).code == 0
     (folder / "candidate.py").unlink()
     make(folder / "candidate.py")
     done = asia("try", "-m", "no file", "--dir", folder)

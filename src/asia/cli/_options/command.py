@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asia.cli._driver import Driver
+from asia.cli._options.jail import JailOptions, access_settings, jail_words
 from asia.cli._options.llm import ModelOptions
 
 if TYPE_CHECKING:
@@ -26,7 +23,7 @@ _option = partial(
 
 
 @dataclass(frozen=True)
-class CommandOptions:
+class CommandOptions(JailOptions):
     """How a coding agent is started, and what it may use."""
 
     command: Annotated[
@@ -39,23 +36,6 @@ class CommandOptions:
     stuck_minutes: Annotated[
         float, _option(help="Stop the agent after this many minutes without a new experiment.")
     ] = 30.0
-    network: Annotated[
-        bool, _option("--network", help="Allow network access, which hosted models need.")
-    ] = False
-    agent_config: Annotated[
-        list[Path] | None,
-        _option(
-            help="Configuration folder or file of the agent, such as ~/.claude; it gets a copy."
-        ),
-    ] = None
-    agent_mount: Annotated[
-        list[Path] | None,
-        _option(help="Folder that the agent may read, such as its installation."),
-    ] = None
-    pass_env: Annotated[
-        list[str] | None,
-        _option(help="Environment variable to pass to the agent, such as its key."),
-    ] = None
 
     def driver(self, agent: str, caps: ModelOptions) -> Driver:
         """The program, its rules and its jail. Raises UserError for what is not there, and for a
@@ -77,18 +57,16 @@ class CommandOptions:
         from asia.drive.command import CommandRules
         from asia.sandbox import Jail
 
-        configs, mounts = self.agent_config or (), self.agent_mount or ()
-        _check_given((*configs, *mounts), self.pass_env or ())
+        access = self.access(keys)
         return CommandRules(
             minutes=self.agent_minutes,
             tokens=caps.max_tokens,
             cost=caps.max_cost,
             stuck_minutes=self.stuck_minutes,
-            network=self.network,
-            mounts=tuple(p.expanduser().resolve() for p in mounts),
-            # Not resolved: a link keeps its own name below the agent's home.
-            configs=tuple(Path(os.path.abspath(p.expanduser())) for p in configs),
-            variables=(*keys, *(self.pass_env or ())),
+            network=access.network,
+            mounts=access.mounts,
+            configs=access.configs,
+            variables=access.variables,
             jail=Jail.why_not() is None,
             model=caps.model,
         )
@@ -115,26 +93,8 @@ def _settings(command: str, rules: CommandRules) -> dict[str, str]:
         "command": command,
         "model": rules.model or "its default",
         "jail": "namespace" if rules.jail else "none",
-        "network": "yes" if rules.network else "no",
-        "mounts": _names(rules.mounts),
-        "configs": _names(rules.configs),
+        **access_settings(rules),
     }
-
-
-def _names(paths: Sequence[Path]) -> str:
-    home = str(Path.home())
-    return ", ".join(re.sub(f"^{re.escape(home)}(?=/|$)", "~", str(p)) for p in paths) or "none"
-
-
-def _check_given(paths: Sequence[Path], variables: Sequence[str]) -> None:
-    from asia.errors import UserError
-
-    for path in paths:
-        if not path.expanduser().exists():
-            raise UserError(f"{path} does not exist: give a folder or file that does")
-    for variable in variables:
-        if variable not in os.environ:
-            raise UserError(f"--pass-env {variable}: it is not set; export it first")
 
 
 def _jail_words(name: str, rules: CommandRules) -> str:
@@ -145,6 +105,4 @@ def _jail_words(name: str, rules: CommandRules) -> str:
             "files that lie open, your keys. Its score still comes from the evaluator alone. "
             "Install bubblewrap for a jail."
         )
-    network = "the network" if rules.network else "no network (hosted models need --network)"
-    shown = ", ".join(str(p) for p in (*rules.mounts, *rules.configs)) or "nothing else of yours"
-    return f"agent {name}: in a jail (level namespace) with its workspace, {network}, {shown}"
+    return f"agent {name}: {jail_words(rules)}"

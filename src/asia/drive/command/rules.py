@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 from asia.agents import Proposal
+from asia.drive.command.access import Access
 from asia.drive.command.presets import Preset
 from asia.drive.command.stream import Stream
 from asia.errors import UserError
 from asia.ledger import SearchView, StopReason, Usage
-from asia.sandbox import Jail
 
 _SHORTEST_SECRET = 6
 _HIDDEN = "[hidden]"
@@ -31,8 +29,8 @@ class StopCause(NamedTuple):
 
 
 @dataclass(frozen=True)
-class CommandRules:
-    """What a command agent may use."""
+class CommandRules(Access):
+    """What a command agent may use: beside what is opened to it, its caps."""
 
     minutes: float | None = None
     """Most minutes of wall-clock time in one sitting; None for no cap."""
@@ -44,14 +42,6 @@ class CommandRules:
     """Minutes without a new experiment, while the search waits for one, that end it."""
     failures: int = 10
     """Experiments of one sitting in a row without a score that end it."""
-    network: bool = False
-    """Whether it reaches the network."""
-    mounts: tuple[Path, ...] = ()
-    """Folders that it sees, read-only."""
-    configs: tuple[Path, ...] = ()
-    """Its own files and folders, of which it gets a copy."""
-    variables: tuple[str, ...] = ()
-    """Names of environment variables passed on."""
     jail: bool = True
     """False to run it without a jail."""
     model: str | None = None
@@ -151,28 +141,4 @@ def check_rules(preset: Preset, rules: CommandRules) -> None:
         raise UserError(
             "--max-tokens: this agent reports its tokens only at the end of a turn or "
             "session, when they may be far above the limit; give --agent-minutes as well"
-        )
-
-
-def check_places(preset: Preset, rules: CommandRules, directory: Path) -> None:
-    """Raises UserError when the agent's program cannot be run, or a mount would show the runs."""
-    program = preset.start[0]
-    if rules.jail:
-        runs = directory.resolve().parent
-        for path in (*rules.mounts, *rules.configs):
-            real = path.resolve()
-            if real == runs or real in runs.parents or runs in real.parents:
-                raise UserError(
-                    f"{path} would show the agent the runs in {runs}, whose ledgers it must "
-                    "not see: give a smaller folder, or another folder for the runs with "
-                    "--runs"
-                )
-        found = Jail(directory, directory, rules.mounts).find(program)
-    else:
-        found = shutil.which(program)
-    if found is None:
-        raise UserError(
-            f"the agent's program '{program}' cannot be run: install it. If it is installed "
-            "in your home, give --agent-mount for its folder and for the folder that its "
-            "link leads to"
         )

@@ -15,18 +15,19 @@ from pathlib import Path
 from asia._text import one_line
 from asia.agents import AgentStoppedError, Journal, Proposal, SubmittedAgent
 from asia.drive._desk import RunDesk
+from asia.drive._program import Confinement
 from asia.drive._queue import Queue
 from asia.drive._serve import clear_known, clearing
 from asia.drive._socket import DeskServer
 from asia.drive._workspace import DESK_VARIABLE, write_folder, write_views
 from asia.drive._write_file import write_file
+from asia.drive.command.access import check_access, check_program, copied_configs
 from asia.drive.command.presets import Preset, filled
 from asia.drive.command.rules import (
     CommandRules,
     Secrets,
     Spent,
     StopCause,
-    check_places,
     check_rules,
 )
 from asia.drive.command.session import Session
@@ -47,7 +48,6 @@ from asia.ledger import (
 from asia.sandbox import INSIDE, SOCKET_FOLDER, Jail, jail_environment
 from asia.search._loop import OnEvent
 from asia.search._run import Prepared, search
-from asia.search._secrecy import check_hidden_from_agent
 from asia.search._steering import Steering
 
 SOCKET = "desk.sock"
@@ -82,7 +82,8 @@ class CommandAgent(SubmittedAgent):
         self._private = Path(tempfile.mkdtemp(prefix="asia-agent-"))
         self._socket = self._private / "desk"
         self._socket.mkdir()
-        self._rules = replace(rules, configs=self._copied(rules))
+        configs = copied_configs(rules, self._private / "home") if rules.jail else ()
+        self._rules = replace(rules, configs=configs)
         self._server = DeskServer(self._socket / SOCKET, RunDesk(prepared.directory))
         self._quiet_since = self._looked = time.monotonic()
         self._idle = 0
@@ -290,21 +291,6 @@ class CommandAgent(SubmittedAgent):
                     stream.feed(text)
         return replace(stream.usage, cost=None)
 
-    def _copied(self, rules: CommandRules) -> tuple[Path, ...]:
-        """The agent's configuration, as its own copy: what it changes there is lost with it."""
-        if not rules.jail:
-            return ()
-        home = self._private / "home"
-        home.mkdir()
-        for path in rules.configs:
-            if path.is_dir():
-                # Sockets and what cannot be read are left out.
-                with contextlib.suppress(shutil.Error):
-                    shutil.copytree(path, home / path.name, symlinks=True, dirs_exist_ok=True)
-            else:
-                shutil.copy(path, home / path.name)
-        return tuple(home / path.name for path in rules.configs)
-
 
 def run_command(
     prepared: Prepared,
@@ -317,14 +303,18 @@ def run_command(
     when a cap cannot be kept or the agent's program cannot be run."""
     check_rules(preset, rules)
     directory = prepared.directory
-    check_places(preset, rules, directory)
-    check_hidden_from_agent((*rules.mounts, *rules.configs) if rules.jail else (), prepared.problem)
+    if rules.jail:
+        check_access(rules, directory, prepared.problem)
+    check_program(preset.start[0], rules if rules.jail else None)
     # A level further down than the runs are looked for: what lies in it is never taken for one.
     folder = directory.resolve().parent / WORKSPACES / directory.name
     if os.path.lexists(folder / "ledger.jsonl"):
         raise UserError(f"{folder} contains ledger.jsonl, so it looks like a run: remove this file")
     started = prepared.started
-    write_folder(folder, prepared.problem, started.experiments, seed=started.seed)
+    write_folder(
+        folder, prepared.problem, started.experiments, seed=started.seed,
+        confinement=rules.confinement if rules.jail else Confinement.OPEN,
+    )  # fmt: skip
     agent = CommandAgent(prepared.started.agent, preset, rules, prepared, folder)
     store = Store(directory / "artifacts")
 
