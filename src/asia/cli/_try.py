@@ -41,6 +41,10 @@ def try_(
             "--dry-run", help="Only fit and simulate on some training samples: no experiment."
         ),
     ] = False,
+    plot: Annotated[
+        bool,
+        typer.Option("--plot", help="Also draw the simulation and its residuals into plots/."),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Evaluate candidate.py of this workspace, and wait for the result.
@@ -63,10 +67,14 @@ def try_(
     result = _waited(desk, submission, sys.stderr if json else sys.stdout)
     progress, evidence = desk.progress(), desk.evidence(result.experiment)
     place.renew_views()
+    drawn: tuple[str, ...] = ()
+    if plot and result.value is not None:
+        drawn = place.draw(result.experiment, desk.simulated(result.experiment))
     if json:
         answer = {
             **_object(result, progress),
             "repeated": submission.repeated,
+            "pictures": list(drawn),
             "evidence": asdict(evidence),
         }
         say(jsonlib.dumps(answer, allow_nan=False))
@@ -75,6 +83,8 @@ def try_(
             say(_repeated_line(result))
         for line in result_lines(result, progress, evidence.lines):
             say(line)
+        for name in drawn:
+            say(f"    picture {name}")
     if result.value is None:
         raise typer.Exit(NO_SCORE)
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -33,7 +34,8 @@ from asia.drive._serve import requested_problem
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR
 from asia.ledger import Experiment, Run, Stopped, open_run, published
-from asia.search import dry_run
+from asia.report import SimulatedCases
+from asia.search import dry_run, simulated_excerpts
 from asia.search._agent_view import digest
 
 _POLL = 0.1
@@ -76,6 +78,11 @@ class Desk(Protocol):
         """Whether a process is there that judges what is handed in."""
         ...
 
+    def simulated(self, experiment: int) -> SimulatedCases:
+        """Some training cases of an experiment, simulated again; held-out ones too where the
+        problem shows their residuals."""
+        ...
+
     def dry_run(self, source: str) -> DryRunSummary:
         """Try a candidate on a short cut of training records: no experiment, no score."""
         ...
@@ -89,7 +96,7 @@ class RunDesk:
         self._directory = directory.resolve()
         self._queue = Queue(self._directory)
         self._keep_alive = keep_alive
-        self._drying = threading.Lock()
+        self._aside = threading.Lock()
         self._seen: tuple[tuple[int, ...], Run] | None = None
 
     def run(self) -> Run:
@@ -235,17 +242,30 @@ class RunDesk:
         """See `Desk.attended`."""
         return attended(self._directory)
 
+    def simulated(self, experiment: int) -> SimulatedCases:
+        """See `Desk.simulated`; one at a time."""
+        run = self.run()
+        with self._beside_the_search():
+            return simulated_excerpts(run, experiment)
+
     def dry_run(self, source: str) -> DryRunSummary:
         """See `Desk.dry_run`; one at a time."""
         run = self.run()
-        if not self._drying.acquire(blocking=False):
-            raise UserError("a dry run is under way: wait until it has ended")
-        try:
+        with self._beside_the_search():
             return dry_run_summary(dry_run(run, source))
+
+    @contextmanager
+    def _beside_the_search(self) -> Generator[None]:
+        """While workers run that no experiment asks for. Raises UserError where some run already,
+        or the sandbox fails."""
+        if not self._aside.acquire(blocking=False):
+            raise UserError("a dry run or a picture is under way: wait until it has ended")
+        try:
+            yield
         except SandboxError as error:
-            raise UserError(f"the dry run could not be carried out ({error}); try again") from None
+            raise UserError(f"the sandbox failed ({error}); try again") from None
         finally:
-            self._drying.release()
+            self._aside.release()
 
 
 def _ticket_of(experiment: Experiment) -> str:

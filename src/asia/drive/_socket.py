@@ -22,6 +22,7 @@ from asia.drive._answers import DryRunSummary, ExperimentSummary, SearchProgress
 from asia.drive._desk import Desk
 from asia.drive._evidence import EvidenceSummary
 from asia.errors import UserError
+from asia.report import SimulatedCases
 
 MOST_BYTES = 1_000_000
 _SILENCE_SECONDS = 30.0
@@ -50,7 +51,7 @@ class _TicketCall(_Call):
 
 
 class _ExperimentCall(_Call):
-    op: Literal["source", "evidence"]
+    op: Literal["source", "evidence", "simulated"]
     experiment: int
 
 
@@ -67,6 +68,7 @@ _AnyCall = _SubmitCall | _TicketCall | _ExperimentCall | _DryRunCall | _PlainCal
 _calls: TypeAdapter[_AnyCall] = TypeAdapter(Annotated[_AnyCall, Field(discriminator="op")])
 _results = TypeAdapter(tuple[ExperimentSummary, ...])
 _evidence = TypeAdapter(EvidenceSummary)
+_simulated = TypeAdapter(SimulatedCases)
 _progress = TypeAdapter(SearchProgress)
 _dry_run = TypeAdapter(DryRunSummary)
 
@@ -159,6 +161,8 @@ def _call(desk: Desk, call: _AnyCall) -> Any:
             return asdict(desk.withdraw(call.ticket))
         case _ExperimentCall(op="source"):
             return desk.source(call.experiment)
+        case _ExperimentCall(op="simulated"):
+            return asdict(desk.simulated(call.experiment))
         case _ExperimentCall():
             return asdict(desk.evidence(call.experiment))
         case _DryRunCall():
@@ -211,6 +215,11 @@ class SocketDesk:
     def attended(self) -> bool:
         """See `Desk.attended`."""
         return bool(self._ask({"op": "attended"}))
+
+    def simulated(self, experiment: int) -> SimulatedCases:
+        """See `Desk.simulated`."""
+        request = {"op": "simulated", "experiment": experiment}
+        return _simulated.validate_python(self._ask(request, _WORK_SECONDS))
 
     def dry_run(self, source: str) -> DryRunSummary:
         """See `Desk.dry_run`."""

@@ -23,6 +23,7 @@ from asia.errors import UserError
 from asia.evaluation import LINEAR
 from asia.ledger import SearchView, Store, journal, open_run, published, results_table
 from asia.problem.load import Problem, training_text
+from asia.report import SimulatedCases, draw_cases
 from asia.search._run import Prepared
 
 DESK_VARIABLE = "ASIA_DESK"
@@ -76,6 +77,15 @@ class Workspace:
                 "another --name"
             )
         return RunDesk(run, start_search)
+
+    def draw(self, experiment: int, cases: SimulatedCases) -> tuple[str, ...]:
+        """Pictures of an experiment in `plots/`; the names of the files. Raises UserError."""
+        names: list[str] = []
+        for what, picture in draw_cases(cases).items():
+            ending = "" if what == "simulation" else f"-{what}"
+            names.append(f"plots/{experiment:03d}{ending}.png")
+            write_file(self.folder, names[-1], picture)
+        return tuple(names)
 
     def _own_run(self) -> Path:
         if self.run is None:

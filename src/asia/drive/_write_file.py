@@ -13,7 +13,7 @@ _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
-def write_file(folder: Path, name: str, text: str, mode: int = 0o644) -> None:
+def write_file(folder: Path, name: str, content: str | bytes, mode: int = 0o644) -> None:
     """Replace `name`, which may lie in folders below `folder`; those are made. What stands in the
     way, such as a link where a folder belongs, is moved aside. Raises UserError."""
     *places, last = name.split("/")
@@ -24,7 +24,8 @@ def write_file(folder: Path, name: str, text: str, mode: int = 0o644) -> None:
                 below = _enter(here, place)
                 os.close(here)
                 here = below
-            _replace(here, last, text.encode("utf-8", "replace"), mode)
+            data = content.encode("utf-8", "replace") if isinstance(content, str) else content
+            _replace(here, last, data, mode)
         finally:
             os.close(here)
     except OSError as error:

@@ -17,6 +17,7 @@ from asia.report._comparison import (
     PublishedMee,
 )
 from asia.report._leaderboard import Entry, leaderboard
+from asia.report._simulated import SimulatedCase, SimulatedCases, simulated_cases
 
 if TYPE_CHECKING:
     from asia.problem.load import Problem
@@ -29,9 +30,13 @@ __all__ = [
     "Curve",
     "Entry",
     "PublishedMee",
+    "SimulatedCase",
+    "SimulatedCases",
     "draw_bench",
+    "draw_cases",
     "draw_problem",
     "leaderboard",
+    "simulated_cases",
     "write_report",
 ]
 
@@ -59,6 +64,14 @@ def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
     from asia.report._write import write_problem
 
     return write_problem(problem, directory)
+
+
+def draw_cases(cases: SimulatedCases) -> dict[str, bytes]:
+    """Two pictures as PNG: `simulation`, each fold's model on the cases, and `residuals`, along the
+    output, with their own past and with the inputs."""
+    from asia.report._write import as_png
+
+    return as_png(cases)
 
 
 def draw_bench(pictures: BenchPictures, directory: Path) -> tuple[Path, ...]:

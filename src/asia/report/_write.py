@@ -19,7 +19,9 @@ from asia.report._pictures.progress import draw_progress
 from asia.report._pictures.residuals import draw_residuals
 from asia.report._pictures.simulation import draw_simulation, draw_test
 from asia.report._pictures.standing import draw_standing
+from asia.report._pictures.tried import draw_tried, draw_tried_residuals
 from asia.report._pictures.windows import draw_horizon, draw_test_horizon
+from asia.report._simulated import SimulatedCases
 
 Picture = tuple[str, Callable[[], Figure]]
 
@@ -98,6 +100,17 @@ def save(drawn: Iterator[Picture], directory: Path) -> tuple[Path, ...]:
                 path.write_bytes(stream.getvalue())
                 paths.append(path)
     return tuple(paths)
+
+
+def as_png(cases: SimulatedCases) -> dict[str, bytes]:
+    """See `asia.report.draw_cases`."""
+    drawn: dict[str, bytes] = {}
+    for name, draw in (("simulation", draw_tried), ("residuals", draw_tried_residuals)):
+        with drawing():
+            figure, stream = draw(cases), BytesIO()
+            figure.savefig(stream, format="png", dpi=DPI, metadata=_METADATA[0])
+            drawn[name] = stream.getvalue()
+    return drawn
 
 
 def _files(directory: Path, name: str) -> tuple[Path, Path]:

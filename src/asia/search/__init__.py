@@ -2,6 +2,7 @@
 
 from asia.search._agent_view import agent_view, problem_facts
 from asia.search._dry_run import dry_run
+from asia.search._excerpts import simulated_excerpts
 from asia.search._lessons import RunLessons, learn_from_run, learn_from_runs
 from asia.search._loop import OnEvent
 from asia.search._replay import Replayed, ReplayReport, replay_run
@@ -48,6 +49,7 @@ __all__ = [
     "replay_run",
     "search",
     "simulate",
+    "simulated_excerpts",
     "unseal",
     "with_early_stopping",
 ]

@@ -56,6 +56,26 @@ def draw_residuals(
     return figure
 
 
+def draw_correlations(
+    row: Sequence[Axes],
+    e: Sequence[Array],
+    inputs: Sequence[Sequence[Array]],
+    signals: Sequence[Signal],
+    *,
+    last: bool,
+) -> None:
+    """Residuals e, one (H,) array a block, with their own past and with each input, on a row of
+    axes; last: the row that names the lags."""
+    lags = max(1, min(_LAGS, min(len(r) for r in e) // 4))
+    _whiteness(row[0], e, None, lags)
+    for axes, u, signal in zip(row[1:], inputs, signals, strict=True):
+        _independence(axes, e, u, signal, lags)
+    for place, axes in enumerate(row):
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+        if last:
+            axes.set_xlabel("Lag of the input [samples]" if place else "Lag [samples]")
+
+
 def _left_out(problem: Problem) -> str:
     outputs, inputs = len(problem.outputs), len(problem.inputs)
     return shown(
@@ -64,11 +84,12 @@ def _left_out(problem: Problem) -> str:
     )
 
 
-def _whiteness(axes: Axes, e: Sequence[Array], output: Signal, lags: int) -> None:
+def _whiteness(axes: Axes, e: Sequence[Array], output: Signal | None, lags: int) -> None:
     values = cross_correlation(e, e, lags)[lags:]
     _stems(axes, np.arange(lags + 1), values, white_band(sum(len(r) for r in e)))
     axes.set_title("residual with its own past")
-    axes.set_ylabel(f"{plain(output.name, 20)}\ncorrelation [-]")
+    name = "" if output is None else f"{plain(output.name, 20)}\n"
+    axes.set_ylabel(f"{name}correlation [-]")
 
 
 def _independence(

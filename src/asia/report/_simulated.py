@@ -1,0 +1,69 @@
+"""Simulated cases of one experiment, as whoever draws them is given them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array, Signal
+from asia.protocol import Block
+
+
+@dataclass(frozen=True)
+class SimulatedCase:
+    """One case with what was measured and what a fold's model simulates."""
+
+    fold: int
+    """Number of the fold, from 1."""
+    held_out: bool
+    """Whether the fold holds it out; otherwise its model was fitted to it."""
+    record: str
+    """Name of the record."""
+    start: int
+    """First sample in that record, from 0."""
+    u: tuple[tuple[float, ...], ...]
+    """Inputs, a row a sample."""
+    y: tuple[tuple[float, ...], ...]
+    """Measured outputs, a row a sample."""
+    y_hat: tuple[tuple[float, ...], ...]
+    """Simulated outputs, a row a sample."""
+
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """u (H, nu), y (H, ny) and y_hat (H, ny)."""
+        return np.array(self.u), np.array(self.y), np.array(self.y_hat)
+
+
+@dataclass(frozen=True)
+class SimulatedCases:
+    """Some cases of an experiment's fold models."""
+
+    title: str
+    """What the picture is of."""
+    sampling_time: float
+    """In s."""
+    windows: bool
+    """Whether a case is a window, not a record."""
+    inputs: tuple[Signal, ...]
+    """Names and units of the inputs."""
+    outputs: tuple[Signal, ...]
+    """Names and units of the outputs."""
+    cases: tuple[SimulatedCase, ...]
+    """By fold, those it trains on before those it holds out."""
+
+
+def simulated_cases(
+    fold: int, blocks: Sequence[Block], y_hat: Sequence[Array], *, held_out: bool
+) -> tuple[SimulatedCase, ...]:
+    """Blocks with their simulations (H, ny); fold: its number, from 1."""
+    return tuple(
+        SimulatedCase(
+            fold, held_out, b.case.name, b.start, _rows(b.case.u), _rows(b.y), _rows(simulated)
+        )
+        for b, simulated in zip(blocks, y_hat, strict=True)
+    )
+
+
+def _rows(values: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in values.tolist())
