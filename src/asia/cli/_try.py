@@ -16,7 +16,8 @@ from asia.cli._options.shared import Json
 from asia.errors import Reason
 
 if TYPE_CHECKING:
-    from asia.drive import Desk, ExperimentSummary, SearchProgress, Submission
+    from asia.agents import Proposal
+    from asia.drive import Desk, ExperimentSummary, SearchProgress, Submission, Workspace
 
 NO_SCORE = 3
 # What ASIA says of a candidate, not the candidate of itself.
@@ -62,14 +63,17 @@ def try_(
     if dry_run:
         _dry_run(desk, source, json=json)
         return
-    submission = desk.submit(Proposal(source, family, message, message, expect, parent))
+    proposal = Proposal(source, family, message, message, expect, parent)
+    _submit(place, desk, proposal, plot=plot, json=json)
+
+
+def _submit(place: Workspace, desk: Desk, proposal: Proposal, *, plot: bool, json: bool) -> None:
+    submission = desk.submit(proposal)
     # One stream, so that the lines keep their order where the output is captured.
     result = _waited(desk, submission, sys.stderr if json else sys.stdout)
     progress, evidence = desk.progress(), desk.evidence(result.experiment)
     place.renew_views()
-    drawn: tuple[str, ...] = ()
-    if plot and result.value is not None:
-        drawn = place.draw(result.experiment, desk.simulated(result.experiment))
+    drawn = _drawn(place, desk, result.experiment) if plot and result.value is not None else ()
     if json:
         answer = {
             **_object(result, progress),
@@ -87,6 +91,17 @@ def try_(
             say(f"    picture {name}")
     if result.value is None:
         raise typer.Exit(NO_SCORE)
+
+
+def _drawn(place: Workspace, desk: Desk, experiment: int) -> tuple[str, ...]:
+    """The pictures of an experiment; none where they fail, for its result stands."""
+    from asia.errors import UserError
+
+    try:
+        return place.draw(experiment, desk.simulated(experiment))
+    except UserError as error:
+        say(f"no picture: {error}", file=sys.stderr)
+        return ()
 
 
 def _dry_run(desk: Desk, source: str, *, json: bool) -> None:

@@ -81,7 +81,9 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert crash.err == ""
     assert "best #02" in crash.out
     (folder / "candidate.py").write_text(arx(3))
-    last = asia("try", "-m", "three lags", "--dir", folder)
+    last = asia("try", "-m", "three lags", "--plot", "--dir", folder)
+    assert "picture plots/004.png" in last.out
+    assert (folder / "plots" / "004-residuals.png").is_file()
     assert "0 of 4 experiments left" in last.out
     assert len((folder / "results.tsv").read_text().splitlines()) == 5
     assert not os.access(folder / "results.tsv", os.W_OK) or os.geteuid() == 0
