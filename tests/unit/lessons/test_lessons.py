@@ -25,12 +25,13 @@ from asia.agents.lessons import (
     summaries,
     summary_lines,
 )
+from asia.agents.lessons.learn import move_named
 from asia.agents.lessons.summary import MOST_LINES
 from asia.agents.library.table import all_families, family
 from asia.agents.llm.search import Task, search_text
 from asia.errors import UserError
 from asia.problem import Physics
-from tests.unit.agents.searches import recipe_of, search, simulation, trial, view, windows
+from tests.unit.agents.searches import CLEAN, recipe_of, search, simulation, trial, view, windows
 
 NONLINEAR = kind_of(simulation(physics=False), 0.5)
 MOVE = "median of several fits"
@@ -172,6 +173,26 @@ def test_the_expert_tries_first_what_helped_elsewhere() -> None:
     assert taught is not None
     assert without.family != "block_oriented"
     assert taught.family == "block_oriented"
+
+
+def test_what_its_own_residuals_show_is_not_held_back_by_lessons() -> None:
+    """A move that interrupts the ladder without lessons does so with bad ones."""
+    facts = simulation(physics=True)
+    first = ExpertAgent().propose(view(facts, (), "explore"))
+    assert first is not None
+    seen = view(facts, (trial(first, 1, 0.3, replace(CLEAN, top_error=2.0)),), "explore")
+    plain = ExpertAgent().propose(seen)
+    assert plain is not None
+    assert plain.parent == 1
+    sure = move_named(plain.title.removeprefix("grey-box: "))
+    assert sure is not None
+    bad = tuple(
+        Lesson(run, kind_of(facts, None), first.family, move, gain)
+        for run in "abcdefgh"
+        for move, gain in ((sure, -2.0), ("more starts", 1.0))
+    )
+    assert LessonWeights(bad, seen).multiplier(first.family, sure) == 0.5
+    assert ExpertAgent().propose(replace(seen, lessons=bad)) == plain
 
 
 def test_lessons_of_no_use_leave_the_search_as_it_is() -> None:

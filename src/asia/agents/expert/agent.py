@@ -128,7 +128,8 @@ def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Opt
                 weight *= move.fade ** _failures(at, move)
                 sure = weight >= SURE
                 if taught is not None:
-                    weight *= taught.multiplier(at.row.name, move.name)
+                    # What this search's own residuals make near certain, lessons do not hold back.
+                    weight *= max(taught.multiplier(at.row.name, move.name), float(sure))
                 recipe = at.recipe if move.same_effort else move.change(at)
                 seconds = at.row.seconds(at.facts, recipe)
                 yield _Option(weight, partial(_moved, at, move), seconds, sure=sure)
