@@ -51,6 +51,8 @@ class EvidenceSummary:
     """Each fold in numbers; () for a failure."""
     residuals: tuple[str, ...]
     """Where the model is too high or too low on the training records."""
+    held_out_residuals: tuple[str, ...]
+    """The same on the held-out samples; () unless the problem shows these."""
     disagreeing: tuple[str, ...]
     """Parameters that the folds disagree on."""
     differences: tuple[ComparedScore, ...]
@@ -77,6 +79,9 @@ def evidence_summary(run: Run, number: int) -> EvidenceSummary:
         folds=tuple(_fold(fold, setting.outputs) for fold in found.folds),
         residuals=tuple(
             one.residual.words(setting.inputs, setting.outputs) for one in found.residuals
+        ),
+        held_out_residuals=tuple(
+            one.residual.words(setting.inputs, setting.outputs) for one in found.held_out_residuals
         ),
         disagreeing=tuple(one.name for one in found.parameters if one.disagrees),
         differences=found.differences,

@@ -11,7 +11,7 @@ from asia.data import Array
 from asia.evaluation._results import FoldFindings, FoldResult, StepErrors
 from asia.protocol import Fold, ProtocolRule, find_metric, whole
 from asia.sandbox import FitReply
-from asia.scoring import Ranges, diagnose, score_fold, signed_residuals
+from asia.scoring import Ranges, SignedResidual, diagnose, score_fold, signed_residuals
 
 _MOST_RESIDUALS = 120
 
@@ -58,11 +58,21 @@ def fold_result(
         compile_seconds=fitted.compile_seconds,
         memory_mb=fitted.memory_mb,
         printed=fitted.reply.output,
+        held_out_residuals=_held_out_residuals(fold, fitted, rule, ranges),
     )
     return FoldResult(
         score, fitted.model, fitted.y_hat, fitted.reply.curve, evidence, fitted.reply.seconds,
         validation_scores, findings,
     )  # fmt: skip
+
+
+def _held_out_residuals(
+    fold: Fold, fitted: Fitted, rule: ProtocolRule, ranges: Ranges
+) -> tuple[SignedResidual, ...]:
+    if rule.residuals == "train":
+        return ()
+    u, y = [b.case.u for b in fold.validation], [b.y for b in fold.validation]
+    return signed_residuals(u, y, fitted.y_hat, fold.scale, ranges)[:_MOST_RESIDUALS]
 
 
 def _errors(

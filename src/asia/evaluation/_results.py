@@ -52,6 +52,8 @@ class FoldFindings:
     """The largest address space of the worker; None where the system does not say."""
     printed: str = ""
     """What the candidate printed during the fit, its middle left out where it is long."""
+    held_out_residuals: tuple[SignedResidual, ...] = ()
+    """Of the simulation of the held-out part; () unless the protocol shows these."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import pytest
 
 import asia
 from asia.cli._output.words import RESIDUALS_SHOWN
+from asia.drive import RunDesk
 from asia.errors import UserError
 from asia.ledger import open_run
 from asia.problem._problem import Seal
@@ -76,3 +77,32 @@ def test_the_ladder_and_held_out_residuals_rule_each_other_out(tmp_path: Path) -
         load_problem(toy(tmp_path / "toy", setting))
     with pytest.raises(UserError, match='residuals is "all"'):
         load_problem(toy(tmp_path / "other", SHOWN.replace("held_out", "all")))
+
+
+@pytest.mark.parametrize("setting", ["train", "held_out"])
+def test_held_out_residuals_are_said_where_the_problem_shows_them(
+    tmp_path: Path, setting: str
+) -> None:
+    """The baseline is blind to the input, so that its residual is all but notable."""
+    problem = toy(tmp_path / "toy", f'[protocol]\nresiduals = "{setting}"\n')
+    (problem / "baseline.py").write_text(CONSTANT)
+    runs = tmp_path / "runs"
+    directory = asia.run(problem, agent=Scripted(()), runs=runs, experiments=1).directory
+    answer = RunDesk(directory).evidence(1)
+    held_out = [line for line in answer.lines if "on the held-out samples" in line]
+    assert any("on the training records" in line for line in answer.lines)
+    assert bool(held_out) == bool(answer.held_out_residuals) == (setting == "held_out")
+
+
+CONSTANT = """
+import numpy as np
+
+
+class Model:
+    def simulate(self, past_u, past_y, u):
+        return np.ones((*u.shape[:2], 1)) + 0.2 * u
+
+
+def fit(trajectories, context):
+    return Model()
+"""

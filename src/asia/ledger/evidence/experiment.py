@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from asia.data import Signal
@@ -84,6 +84,8 @@ class ExperimentEvidence:
     """The standard deviation of V over repeats; None where it was not measured."""
     printed: str
     """What a failed fit printed; "" where there are folds."""
+    held_out_residuals: tuple[SharedResidual, ...] = ()
+    """The same as `residuals` on the held-out samples; () unless the problem shows these."""
 
     @property
     def recorded(self) -> bool:
@@ -128,6 +130,9 @@ def evidence_of(
             for name, value, kept, one in rows
         ),
         residuals=shared_residuals(findings),
+        held_out_residuals=shared_residuals(
+            [replace(one, residuals=one.held_out_residuals) for one in findings]
+        ),
         parameters=parameter_spreads(findings),
         differences=_differences(experiment, view),
         noise=None if bounded else noise_of_repeats(view),

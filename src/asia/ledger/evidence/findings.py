@@ -41,7 +41,7 @@ def findings_of(store: Store, experiment: Experiment, *, bounded: bool) -> tuple
     names = [fold.findings for fold in result.folds] if result else []
     found = [get_findings(store, name) for name in names if name is not None]
     if score is None or not score.folds:
-        found = [replace(one, errors=(), steps=()) for one in found]
+        found = [replace(one, errors=(), steps=(), held_out_residuals=()) for one in found]
     if bounded:
         found = [replace(one, parameters=(), printed="") for one in found]
     return tuple(found)

@@ -30,6 +30,7 @@ def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> li
         *fold_lines(evidence, measured=measured),
         *output_lines(evidence, findings),
         *residual_lines(evidence),
+        *held_out_residual_lines(evidence),
         *parameter_lines(evidence.parameters),
         *printed_lines(evidence),
     ]
@@ -102,18 +103,30 @@ def output_lines(evidence: ExperimentEvidence, findings: Sequence[FoldFindings])
 
 def residual_lines(evidence: ExperimentEvidence) -> Iterator[str]:
     """Where the model is too high or too low on the training records."""
-    if not any(fold.findings for fold in evidence.folds):
-        return
+    if any(fold.findings for fold in evidence.folds):
+        yield from _residual_lines(evidence, evidence.residuals, "on the training records")
+
+
+def held_out_residual_lines(evidence: ExperimentEvidence) -> Iterator[str]:
+    """The same of the held-out samples, where the problem shows it."""
+    if any(fold.findings and fold.findings.held_out_residuals for fold in evidence.folds):
+        where = "on the held-out samples"
+        yield from _residual_lines(evidence, evidence.held_out_residuals, where)
+
+
+def _residual_lines(
+    evidence: ExperimentEvidence, residuals: Sequence[SharedResidual], where: str
+) -> Iterator[str]:
     setting = evidence.setting
     kept: list[SharedResidual] = []
-    for one in evidence.residuals:
+    for one in residuals:
         of_output = sum(k.residual.output == one.residual.output for k in kept)
         if of_output < _OF_ONE_OUTPUT and len(kept) < MOST_RESIDUALS:
             kept.append(one)
     if not kept:
-        yield "on the training records it is nowhere clearly too high or too low"
+        yield f"{where} it is nowhere clearly too high or too low"
         return
-    yield "where it is wrong on the training records (mean ± standard error, share of the MSE):"
+    yield f"where it is wrong {where} (mean ± standard error, share of the MSE):"
     for one in kept:
         words = one_line(one.residual.words(setting.inputs, setting.outputs), 90)
         yield f"  {words}, {_folds(one.folds, evidence)}, {100 * one.share:.0f} %"
