@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import select
 import shlex
 import subprocess
 import sys
@@ -111,6 +112,7 @@ def test_the_program_has_a_terminal_of_its_own(tmp_path: Path) -> None:
         "import os, signal, time\n"
         "signal.signal(signal.SIGINT, lambda *a: (print('got it', flush=True), os._exit(3)))\n"
         "os.close(os.open('/dev/tty', os.O_RDWR))\n"
+        "print('ask' + 'ing', flush=True)\n"
         "print('ready for ' + input(), flush=True)\n"
         "time.sleep(60)\n"
     )
@@ -120,21 +122,26 @@ def test_the_program_has_a_terminal_of_its_own(tmp_path: Path) -> None:
     try:
         with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs) as process:
             os.close(theirs)
-            os.write(ours, b"keys\n")
-            shown = _until(ours, b"ready for keys")
-            os.write(ours, b"\x03")
-            assert b"got it" in _until(ours, b"got it"), shown
-            assert process.wait(60) == 3
+            try:
+                shown = _until(ours, b"asking")
+                os.write(ours, b"keys\n")
+                shown += _until(ours, b"ready for keys")
+                os.write(ours, b"\x03")
+                assert b"got it" in _until(ours, b"got it"), shown
+                assert process.wait(60) == 3
+            finally:
+                process.kill()
     finally:
         os.close(ours)
         end_searches(runs / "toy-workspace-s0")
 
 
 def _until(terminal: int, words: bytes) -> bytes:
-    shown, end = b"", time.monotonic() + 60
-    while words not in shown and time.monotonic() < end:
-        try:
-            shown += os.read(terminal, 4096)
-        except OSError:
-            break
+    shown, end = b"", time.monotonic() + 120
+    while words not in shown and (left := end - time.monotonic()) > 0:
+        if select.select([terminal], [], [], left)[0]:
+            try:
+                shown += os.read(terminal, 4096)
+            except OSError:
+                break
     return shown
