@@ -39,16 +39,14 @@ class RelayAgent:
     """Asks the agent whose turn it is. The search hands over, and knows whose turn it is."""
 
     def __init__(self, runners: Sequence[Runner]) -> None:
-        """Raises UserError where one agent follows itself, or a leg but the last is open."""
+        """Raises UserError where one agent follows itself."""
         self.runners = tuple(runners)
-        _check([runner.leg for runner in self.runners])
+        check_legs([runner.leg for runner in self.runners])
 
     @property
     def name(self) -> str:
-        """`expert5+bayes`: the names and numbers of all. The last number is left out, so that a
-        larger budget is the same relay."""
-        *first, last = (runner.leg for runner in self.runners)
-        return "+".join([*(f"{leg.agent}{leg.experiments}" for leg in first), last.agent])
+        """As `relay_name` has it."""
+        return relay_name(self.legs)
 
     @property
     def legs(self) -> tuple[Leg, ...]:
@@ -58,6 +56,12 @@ class RelayAgent:
     def propose(self, view: AgentView) -> Proposal | None:
         """What the agent of the view's leg proposes."""
         return self.runners[view.leg - 1].agent.propose(view)
+
+
+def relay_name(legs: Sequence[Leg]) -> str:
+    """`expert5+bayes`: the names and numbers of all. The last number is left out, so that a larger
+    budget is the same relay."""
+    return "+".join([*(f"{leg.agent}{leg.experiments}" for leg in legs[:-1]), legs[-1].agent])
 
 
 def legs_of(agent: object) -> tuple[Leg, ...]:
@@ -129,7 +133,8 @@ def check_relay_budget(legs: Sequence[LegPlan | Leg], budget: int) -> None:
         )
 
 
-def _check(legs: Sequence[Leg]) -> None:
+def check_legs(legs: Sequence[Leg]) -> None:
+    """Raises UserError where one agent follows itself."""
     for one, other in pairwise(legs):
         if (one.agent, one.settings) == (other.agent, other.settings):
             raise UserError(f"a relay in which {one.agent} follows itself: join its two legs")

@@ -13,7 +13,7 @@ from typing import cast
 
 from asia._plugins import load_target, parts_of
 from asia.agents._driving import settings_of
-from asia.agents._relay import RelayAgent, Runner, is_relay, read_relay
+from asia.agents._relay import LegPlan, RelayAgent, Runner, is_relay, read_relay
 from asia.agents._view import Agent
 from asia.agents.controls.bayes import BayesAgent
 from asia.agents.controls.random import SPACES, RandomAgent
@@ -96,12 +96,19 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
     brought = {part.name: part for part in parts_of(GROUP)}
     if name in brought and name not in RESERVED:
         return _called(brought[name].target)
-    if is_relay(name):
-        return NamedAgent(RelayAgent([_runner(p.agent, p.experiments) for p in read_relay(name)]))
+    if plans := asked_relay(name):
+        return NamedAgent(RelayAgent([_runner(p.agent, p.experiments) for p in plans]))
     if ":" in name:
         return _called(name)
     known = ", ".join((*AGENTS, *sorted(brought.keys() - RESERVED)))
     raise UserError(f"no agent '{name}'; there is: {known}, or module:Class for one of your own")
+
+
+def asked_relay(text: str) -> tuple[LegPlan, ...]:
+    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent. Raises
+    UserError for legs that make no sense."""
+    brought = {part.name for part in parts_of(GROUP)}
+    return read_relay(text) if is_relay(text) and text not in brought else ()
 
 
 def _runner(name: str, experiments: int | None) -> Runner:

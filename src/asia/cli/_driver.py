@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from asia.agents import Agent, NamedAgent
-    from asia.ledger import SearchView
+    from asia.agents import Agent, LegPlan, NamedAgent
+    from asia.ledger import Leg, SearchView
+    from asia.problem.load import Problem
     from asia.search import OnEvent, Prepared
-
-    Search = Callable[[Prepared, OnEvent, Callable[[SearchView], None]], SearchView]
 
 
 @dataclass(frozen=True)
@@ -20,12 +19,26 @@ class Driver:
 
     name: str
     """The agent's name, part of the run's name."""
-    search: Search
-    """Runs the search."""
+    make: Callable[[Prepared, int], Agent]
+    """Makes the agent for a search, in the leg of a relay or, with 0, alone."""
     settings: dict[str, str] = field(default_factory=dict[str, str])
     """What the ledger holds of the agent's settings, no keys among them."""
     words: tuple[str, ...] = ()
     """Said to the person beforehand."""
+    legs: tuple[Leg, ...] = ()
+    """The legs of a relay, the last one with the number that was asked for."""
+
+    def search(
+        self, ready: Prepared, on_event: OnEvent, on_start: Callable[[SearchView], None]
+    ) -> SearchView:
+        """Run the search; what the agent has started is ended afterwards."""
+        from asia.agents import RelayAgent
+        from asia.drive.command import CommandAgent, search_beside
+
+        agent = self.make(ready, 0)
+        agents = [r.agent for r in agent.runners] if isinstance(agent, RelayAgent) else [agent]
+        processes = [each for each in agents if isinstance(each, CommandAgent)]
+        return search_beside(ready, agent, processes, on_event, on_start)
 
 
 def named_agent(name: str, space: str | None) -> NamedAgent:
@@ -39,29 +52,53 @@ def named_agent(name: str, space: str | None) -> NamedAgent:
     return choose_agent(name, space)
 
 
-def refuse_for_others(agent: str, *, owners: Sequence[str], **given: object) -> None:
-    """Raises UserError when an option of some agents was given to another: it would be lost."""
+def refuse_for_others(agents: Sequence[str], *, owners: Sequence[str], **given: object) -> None:
+    """Raises UserError when an option of some agents was given to others: it would be lost."""
     from asia.errors import UserError
 
-    kind = agent.partition(":")[0]
+    kinds = [agent.partition(":")[0] for agent in agents]
     whose = " or ".join("command:NAME" if o == "command" else o for o in owners)
     for name, value in given.items():
-        if kind not in owners and value is not None:
+        if not set(kinds) & set(owners) and value is not None:
             raise UserError(
-                f"--{name.replace('_', '-')} is for --agent {whose}, and the agent is '{agent}': "
-                "leave it out"
+                f"--{name.replace('_', '-')} is for --agent {whose}, and the agent is "
+                f"'{', '.join(agents)}': leave it out"
             )
 
 
 def agent_driver(chosen: Agent | NamedAgent) -> Driver:
     """An agent that is asked."""
     from asia.agents import NamedAgent, settings_of
-    from asia.search import search
 
     if not isinstance(chosen, NamedAgent):
         chosen = NamedAgent(chosen, settings_of(chosen))
-    return Driver(
-        chosen.agent.name,
-        lambda ready, on_event, on_start: search(ready, chosen.agent, on_event, on_start),
-        dict(chosen.settings),
-    )
+    return Driver(chosen.agent.name, lambda ready, leg: chosen.agent, dict(chosen.settings))
+
+
+def relay_driver(plans: Sequence[LegPlan], drivers: Sequence[Driver]) -> Driver:
+    """Several agents, one after the other. Raises UserError as `RelayAgent`."""
+    from asia.agents import RelayAgent, Runner, check_legs, relay_name
+    from asia.ledger import Leg
+
+    pairs = zip(plans, drivers, strict=True)
+    legs = tuple(Leg(d.name, plan.experiments, d.settings) for plan, d in pairs)
+    check_legs(legs)
+
+    def make(ready: Prepared, leg: int) -> Agent:
+        del leg
+        made = [driver.make(ready, place) for place, driver in enumerate(drivers, 1)]
+        return RelayAgent([Runner(a, each) for a, each in zip(made, legs, strict=True)])
+
+    words = tuple(word for driver in drivers for word in driver.words)
+    return Driver(relay_name(legs), make, words=words, legs=legs)
+
+
+def with_relay_budget(problem: Problem, driver: Driver, asked: int | None) -> Problem:
+    """The problem with the experiments that the legs of a relay have together, where nobody asked
+    for another number and the problem allows as many."""
+    from asia.agents import relay_budget
+
+    total = relay_budget(driver.legs) if driver.legs else None
+    if asked is not None or total is None or total > problem.budget.experiments:
+        return problem
+    return replace(problem, budget=replace(problem.budget, experiments=total))

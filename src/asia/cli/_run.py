@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia._text import say
-from asia.cli._driver import agent_driver, named_agent, refuse_for_others
+from asia.cli._driver import (
+    agent_driver,
+    named_agent,
+    refuse_for_others,
+    relay_driver,
+    with_relay_budget,
+)
 from asia.cli._lessons import chosen_lessons
 from asia.cli._options.command import PREFIX, CommandOptions
 from asia.cli._options.groups import given
@@ -51,7 +57,8 @@ def run(
     agent: Annotated[
         str,
         typer.Option(
-            help="Who proposes: expert, random, bayes, llm, command:NAME, or your module:Class."
+            help="Who proposes: expert, random, bayes, llm, command:NAME, or your module:Class; "
+            "several after one another: expert*8,bayes."
         ),
     ] = "expert",
     space: Space = None,
@@ -78,6 +85,7 @@ def run(
     watch = Stopwatch()
     with watch.activity(Activity.PREPARE):
         loaded = options.applied(load_problem(problem))
+        loaded = with_relay_budget(loaded, driver, options.experiments)
         ready = prepare(
             loaded,
             driver.name,
@@ -87,6 +95,7 @@ def run(
             isolation=options.level,
             isolation_strict=options.isolation_strict,
             agent_settings=driver.settings,
+            legs=driver.legs,
             lessons=chosen_lessons(lessons, agent),
         )
     view = _search(driver, loaded, ready, sink or (), watch, profile=profile, json=json)
@@ -129,13 +138,26 @@ def _driver(
     agent: str, space: str | None, models: ModelOptions, llm: LlmOptions, command: CommandOptions
 ) -> Driver:
     """Who proposes. Raises UserError for an option that the agent does not have."""
+    from asia.agents import asked_relay
+
+    plans = asked_relay(agent)
+    agents = [plan.agent for plan in plans] or [agent]
     for owners, options in (
         (("llm",), given(llm, leave_out=("base_url", "api_key_env"))),
         (("command",), given(command, leave_out=("stuck_minutes",))),
         (("llm", "command"), given(models)),
         (("random",), {"space": space}),
     ):
-        refuse_for_others(agent, owners=owners, **options)
+        refuse_for_others(agents, owners=owners, **options)
+    drivers = [_one_driver(each, space, models, llm, command) for each in agents]
+    return relay_driver(plans, drivers) if plans else drivers[0]
+
+
+def _one_driver(
+    agent: str, space: str | None, models: ModelOptions, llm: LlmOptions, command: CommandOptions
+) -> Driver:
     if agent.startswith(PREFIX):
         return command.driver(agent, models)
-    return agent_driver(llm.agent(models) if agent == "llm" else named_agent(agent, space))
+    if agent == "llm":
+        return agent_driver(llm.agent(models))
+    return agent_driver(named_agent(agent, space if agent == "random" else None))

@@ -192,7 +192,7 @@ def progress_of(run: Run) -> SearchProgress:
         problem=view.started.problem,
         state=run.state,
         experiments=len(view.finished),
-        budget=view.budget,
+        budget=view.leg_end,
         v_name=view.v_name,
         best=best.number if best else None,
         best_value=best.score.value if best and best.score else None,

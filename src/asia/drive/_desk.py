@@ -335,7 +335,8 @@ def _baseline_digest(directory: Path) -> str | None:
 
 
 def _budget(directory: Path, run: Run) -> int:
-    """Experiments in all; a larger request counts before the search has seen it."""
+    """Experiments in all, in a relay up to the turn of the next agent; a larger request counts
+    before the search has seen it."""
     request = SearchRequest.find(directory)
     requested = request.experiments if request is not None else None
-    return max(run.view.budget, requested or 0)
+    return max(run.view.leg_end, requested or 0)

@@ -40,7 +40,7 @@ class CommandOptions(JailOptions):
     def driver(self, agent: str, caps: ModelOptions) -> Driver:
         """The program, its rules and its jail. Raises UserError for what is not there, and for a
         cap that cannot be kept."""
-        from asia.drive.command import check_rules, make_preset, run_command
+        from asia.drive.command import check_rules, command_agent, make_preset
 
         name = _name(agent)
         preset = make_preset(name, self.command)
@@ -48,7 +48,7 @@ class CommandOptions(JailOptions):
         check_rules(preset, rules)
         return Driver(
             name,
-            lambda ready, on_event, on_start: run_command(ready, preset, rules, on_event, on_start),
+            lambda ready, leg: command_agent(ready, preset, rules, leg),
             _settings(self.command or name, rules),
             (_jail_words(name, rules),),
         )

@@ -60,12 +60,12 @@ class Spent:
     """Upper bound of the cost of sessions that ended without telling it, USD."""
 
     @classmethod
-    def of(cls, view: SearchView, stream: Stream | None) -> Spent:
-        """As the ledger and the stream of the present session tell it."""
+    def of(cls, view: SearchView, stream: Stream | None, leg: int = 0) -> Spent:
+        """As the ledger and the stream of the present session tell it; in a relay, of one leg."""
         now = stream.usage if stream is not None else Usage()
         grants = {event.session: event.grant for event in view.begun}
         tokens, cost, unknown = now.tokens, now.cost or 0.0, 0.0
-        for session in view.sessions:
+        for session in (each for each in view.sessions if each.leg == leg):
             usage = session.usage or Usage()
             tokens += usage.tokens
             cost += usage.cost or 0.0

@@ -8,12 +8,12 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from asia._text import one_line
-from asia.agents import AgentStoppedError, Journal, Proposal, SubmittedAgent
+from asia.agents import Agent, AgentStoppedError, Journal, Proposal, SubmittedAgent
 from asia.drive._desk import RunDesk
 from asia.drive._program import Confinement
 from asia.drive._queue import Queue
@@ -62,15 +62,27 @@ _AGAIN = (
     "Go on with the search that PROGRAM.md describes: read results.tsv and search_journal.md "
     "first. There are experiments left."
 )
+_FROM_OTHERS = (
+    " Another agent made experiments 1 to {before}: read results.tsv, search_journal.md and the "
+    "best candidate first. Yours are those up to number {end}."
+)
 
 
 class CommandAgent(SubmittedAgent):
     """Brings what its process hands in through the socket."""
 
     def __init__(
-        self, name: str, preset: Preset, rules: CommandRules, prepared: Prepared, folder: Path
+        self,
+        name: str,
+        preset: Preset,
+        rules: CommandRules,
+        prepared: Prepared,
+        folder: Path,
+        leg: int = 0,
     ) -> None:
+        """leg: its place in a relay, 1-based; its caps count from there."""
         super().__init__(name, self._take, self._watch)
+        self._leg = leg
         self._preset, self._folder = preset, folder
         self._directory = prepared.directory
         self._queue = Queue(prepared.directory)
@@ -89,16 +101,19 @@ class CommandAgent(SubmittedAgent):
         self._idle = 0
         self._resumable = ""
         self._totals = Usage(cost=0.0)
-        self._until = None if rules.minutes is None else time.monotonic() + 60 * rules.minutes
+        self._until: float | None = None
 
     def attach(self, journal: Journal) -> None:
         """Begin to serve the socket; account for sessions that were cut off."""
         super().attach(journal)
         view = self._view
         assert view is not None
+        self._finished_before = len(view.finished)
+        minutes = self._rules.minutes
+        self._until = None if minutes is None else time.monotonic() + 60 * minutes
         ended = {event.session for event in view.sessions}
         for event in view.begun:
-            if event.session not in ended:
+            if event.leg == self._leg and event.session not in ended:
                 usage = self._streamed(event.session, journal)
                 journal.record(SessionEnded(event.session, "cut off with the search", usage))
         self._server.__enter__()
@@ -123,7 +138,6 @@ class CommandAgent(SubmittedAgent):
     def started(self, view: SearchView, store: Store) -> None:
         """The search begins or goes on."""
         self._view = view
-        self._finished_before = len(view.finished)
         clear_known(self._queue, view)
         write_views(self._folder, view, store)
 
@@ -168,7 +182,7 @@ class CommandAgent(SubmittedAgent):
         outcome = self._finish(session)
         view = self._view
         assert view is not None
-        stop = session.stopped or Spent.of(view, None).over(self._rules)
+        stop = session.stopped or Spent.of(view, None, self._leg).over(self._rules)
         if stop is not None:
             raise AgentStoppedError(stop.reason, f"{stop.detail}; last session: {outcome}")
         brought = len(view.experiments) > session.experiments
@@ -187,7 +201,7 @@ class CommandAgent(SubmittedAgent):
         elif self._steering.paused:
             self._quiet_since += now - self._looked
         self._looked = now
-        over = Spent.of(view, stream).over(rules)
+        over = Spent.of(view, stream, self._leg).over(rules)
         if over is not None:
             return over
         if self._until is not None and now > self._until:
@@ -209,9 +223,9 @@ class CommandAgent(SubmittedAgent):
         resumes = bool(number > 1 and self._resumable and preset.resume and kept)
         template = preset.resume if resumes else preset.start
         notes = "".join(f"\n\nThe person says: {n.text}" for n in view.notes)
-        prompt = (_AGAIN if number > 1 else _FIRST) + notes
+        prompt = self._words(number, view) + notes
         write_file(self._folder, "PROMPT.md", prompt)
-        spent = Spent.of(view, None)
+        spent = Spent.of(view, None, self._leg)
         left = None if rules.cost is None else rules.cost - spent.cost - spent.unknown
         if left is not None and preset.dollars:
             template = (*template, *preset.dollars)
@@ -232,6 +246,15 @@ class CommandAgent(SubmittedAgent):
         process = self._spawn(filled(template, values))
         stream = Stream(preset.format, self._totals)
         return Session(process, stream, number, len(view.experiments), self._keep, self._judge)
+
+    def _words(self, session: int, view: SearchView) -> str:
+        """What the process is asked to do."""
+        own = [event for event in view.begun if event.leg == self._leg]
+        if session > 1 and (own or not self._leg):
+            return _AGAIN
+        before = len(view.finished)
+        others = "" if self._leg < 2 else _FROM_OTHERS.format(before=before, end=view.leg_end)
+        return _FIRST + others
 
     def _spawn(self, arguments: list[str]) -> subprocess.Popen[bytes]:
         rules = self._rules
@@ -292,6 +315,28 @@ class CommandAgent(SubmittedAgent):
         return replace(stream.usage, cost=None)
 
 
+def command_agent(
+    prepared: Prepared, preset: Preset, rules: CommandRules, leg: int = 0
+) -> CommandAgent:
+    """A coding agent with its folder, to be closed after the search; leg: its place in a relay.
+    Raises UserError when a cap cannot be kept or the agent's program cannot be run."""
+    check_rules(preset, rules)
+    directory, started = prepared.directory, prepared.started
+    if rules.jail:
+        check_access(rules, directory, prepared.problem)
+    check_program(preset.start[0], rules if rules.jail else None)
+    # A level further down than the runs are looked for: what lies in it is never taken for one.
+    folder = directory.resolve().parent / WORKSPACES / directory.name
+    if os.path.lexists(folder / "ledger.jsonl"):
+        raise UserError(f"{folder} contains ledger.jsonl, so it looks like a run: remove this file")
+    write_folder(
+        folder, prepared.problem, started.experiments, seed=started.seed,
+        confinement=rules.confinement if rules.jail else Confinement.OPEN,
+    )  # fmt: skip
+    name = started.legs[leg - 1].agent if leg else started.agent
+    return CommandAgent(name, preset, rules, prepared, folder, leg)
+
+
 def run_command(
     prepared: Prepared,
     preset: Preset,
@@ -300,33 +345,34 @@ def run_command(
     on_start: Callable[[SearchView], None],
 ) -> SearchView:
     """As `search`, with candidates from a coding agent. Raises UserError before anything starts
-    when a cap cannot be kept or the agent's program cannot be run."""
-    check_rules(preset, rules)
-    directory = prepared.directory
-    if rules.jail:
-        check_access(rules, directory, prepared.problem)
-    check_program(preset.start[0], rules if rules.jail else None)
-    # A level further down than the runs are looked for: what lies in it is never taken for one.
-    folder = directory.resolve().parent / WORKSPACES / directory.name
-    if os.path.lexists(folder / "ledger.jsonl"):
-        raise UserError(f"{folder} contains ledger.jsonl, so it looks like a run: remove this file")
-    started = prepared.started
-    write_folder(
-        folder, prepared.problem, started.experiments, seed=started.seed,
-        confinement=rules.confinement if rules.jail else Confinement.OPEN,
-    )  # fmt: skip
-    agent = CommandAgent(prepared.started.agent, preset, rules, prepared, folder)
-    store = Store(directory / "artifacts")
+    as `command_agent` does."""
+    agent = command_agent(prepared, preset, rules)
+    return search_beside(prepared, agent, (agent,), on_event, on_start)
+
+
+def search_beside(
+    prepared: Prepared,
+    agent: Agent,
+    processes: Sequence[CommandAgent],
+    on_event: OnEvent,
+    on_start: Callable[[SearchView], None],
+) -> SearchView:
+    """As `search`; the coding agents among those who propose hear of every event, and are closed
+    afterwards."""
+    store = Store(prepared.directory / "artifacts")
 
     def both(event: Event, view: SearchView) -> None:
-        agent.told(event, view, store)
+        for process in processes:
+            process.told(event, view, store)
         on_event(event, view)
 
     def begun(view: SearchView) -> None:
-        agent.started(view, store)
+        for process in processes:
+            process.started(view, store)
         on_start(view)
 
     try:
         return search(prepared, agent, both, begun)
     finally:
-        agent.close()
+        for process in processes:
+            process.close()
