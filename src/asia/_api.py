@@ -6,13 +6,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from asia.agents import Agent, NamedAgent, SpaceName, choose_agent, settings_of
+from asia.agents import Agent, NamedAgent, SpaceName, choose_agent, legs_of, settings_of
 from asia.agents.lessons import Lesson
 from asia.executor import Executor, make_executor
 from asia.ledger import Event, Run, SearchView, open_run
 from asia.problem.load import Problem, load_problem
 from asia.protocol import EarlyStopping
-from asia.search import OpenSink, open_sinks, prepare, search, with_early_stopping
+from asia.search import (
+    OpenSink,
+    open_sinks,
+    prepare,
+    search,
+    with_early_stopping,
+    with_relay_budget,
+)
 
 
 def run(
@@ -33,12 +40,12 @@ def run(
 
     problem: a loaded problem, a built-in name or a path. The same call again resumes; more
     `experiments` extends. agent: an agent, or its name as in `asia run --agent`, `module:Class` for
-    one of your own. early_stopping: instead of the problem's own setting. space: what the agent
-    "random" draws from. executor: what runs the evaluations, one of `executor_names()` or one of
-    your own. sinks: where events go as they come, by the name of an installed one, `module:Name`,
-    or what opens one; see `asia.search.Sink`. lessons: of earlier searches, such as
-    `asia.agents.lessons.kept_lessons()`; None for a search without. Raises UserError for anything
-    the caller can mend.
+    one of your own, `expert*5+bayes` for several one after the other. early_stopping: instead of
+    the problem's own setting. space: what the agent "random" draws from. executor: what runs the
+    evaluations, one of `executor_names()` or one of your own. sinks: where events go as they come,
+    by the name of an installed one, `module:Name`, or what opens one; see `asia.search.Sink`.
+    lessons: of earlier searches, such as `asia.agents.lessons.kept_lessons()`; None for a search
+    without. Raises UserError for anything the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
@@ -50,6 +57,9 @@ def run(
         if isinstance(agent, str)
         else NamedAgent(agent, settings_of(agent))
     )
+    legs = legs_of(chosen.agent)
+    if experiments is None:
+        loaded = with_relay_budget(loaded, legs)
     ready = prepare(
         loaded,
         chosen.agent.name,
@@ -58,6 +68,7 @@ def run(
         name=name,
         agent_settings=chosen.settings,
         lessons=lessons,
+        legs=legs,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:

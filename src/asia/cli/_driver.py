@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from asia.agents import Agent, LegPlan, NamedAgent
     from asia.ledger import Leg, SearchView
-    from asia.problem.load import Problem
     from asia.search import OnEvent, Prepared
 
 
@@ -91,14 +90,3 @@ def relay_driver(plans: Sequence[LegPlan], drivers: Sequence[Driver]) -> Driver:
 
     words = tuple(word for driver in drivers for word in driver.words)
     return Driver(relay_name(legs), make, words=words, legs=legs)
-
-
-def with_relay_budget(problem: Problem, driver: Driver, asked: int | None) -> Problem:
-    """The problem with the experiments that the legs of a relay have together, where nobody asked
-    for another number and the problem allows as many."""
-    from asia.agents import relay_budget
-
-    total = relay_budget(driver.legs) if driver.legs else None
-    if asked is not None or total is None or total > problem.budget.experiments:
-        return problem
-    return replace(problem, budget=replace(problem.budget, experiments=total))

@@ -14,7 +14,6 @@ from asia.cli._driver import (
     named_agent,
     refuse_for_others,
     relay_driver,
-    with_relay_budget,
 )
 from asia.cli._lessons import chosen_lessons
 from asia.cli._options.command import PREFIX, CommandOptions
@@ -78,14 +77,15 @@ def run(
     """
     from asia._stopwatch import Activity, Stopwatch
     from asia.problem.load import load_problem
-    from asia.search import prepare
+    from asia.search import prepare, with_relay_budget
 
     options.check()
     driver = _driver(agent, space, models, llm, command)
     watch = Stopwatch()
     with watch.activity(Activity.PREPARE):
         loaded = options.applied(load_problem(problem))
-        loaded = with_relay_budget(loaded, driver, options.experiments)
+        if options.experiments is None:
+            loaded = with_relay_budget(loaded, driver.legs)
         ready = prepare(
             loaded,
             driver.name,

@@ -46,6 +46,10 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "run": view.started.run,
         "problem": view.started.problem,
         "agent": view.started.agent,
+        "legs": [{"agent": leg.agent, "experiments": leg.experiments} for leg in view.started.legs],
+        "handed_over": [
+            {"agent": e.agent, "after": e.after, "reason": e.reason} for e in view.handed_over
+        ],
         "seed": view.started.seed,
         "state": found.state,
         "stopped": view.stopped.reason if view.stopped else None,
@@ -79,7 +83,7 @@ def _print(directory: Path, found: Brief) -> None:
         validation_words,
         value_words,
     )
-    from asia.ledger import control, control_words, metric_of
+    from asia.ledger import control, control_words, hand_over_words, metric_of
     from asia.protocol import metric_label
 
     view = found.view
@@ -92,6 +96,8 @@ def _print(directory: Path, found: Brief) -> None:
         f"{found.state}: {found.finished} of {view.budget} experiments in "
         f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
     )
+    for event in view.handed_over:
+        say(f"relay   {hand_over_words(event)}")
     if view.stopped is not None:
         words = stop_words(view.stopped.reason, view)
         say(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))

@@ -49,7 +49,7 @@ from asia.ledger._run import Run, RunState, find_run, metric_of, open_run
 from asia.ledger._store import Store
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
-from asia.ledger._words import error_line
+from asia.ledger._words import error_line, hand_over_words
 from asia.ledger.evidence.experiment import (
     ComparedScore,
     ExperimentEvidence,
@@ -120,6 +120,7 @@ __all__ = [
     "evidence_of",
     "find_run",
     "findings_of",
+    "hand_over_words",
     "in_use",
     "journal",
     "metric_of",

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from asia._text import markdown_line, printable_line
 from asia.ledger._disk import write_whole
-from asia.ledger._events import Evaluated, Proposed
+from asia.ledger._events import Evaluated, HandedOver, Proposed
 from asia.ledger._view import Experiment, SearchView
-from asia.ledger._words import error_line
+from asia.ledger._words import error_line, hand_over_words
 
 
 def write_exports(directory: Path, view: SearchView) -> None:
@@ -18,11 +18,14 @@ def write_exports(directory: Path, view: SearchView) -> None:
 
 
 def results_table(view: SearchView) -> str:
-    """Tab-separated: experiment, val, status, description, parent, seconds of the evaluation and
-    val of each fold. No number stands for a failure. With validation early stopping the second
-    column says so."""
+    """Tab-separated: experiment, val, status, description, parent, seconds of the evaluation, val
+    of each fold, and in a relay the agent. No number stands for a failure. With validation early
+    stopping the second column says so."""
     val = view.v_name.replace("V", "val", 1)
-    rows = [f"experiment\t{val}\tstatus\tdescription\tparent\tseconds\tfolds"]
+    rows = [
+        f"experiment\t{val}\tstatus\tdescription\tparent\tseconds\tfolds"
+        + ("\tagent" if view.leg else "")
+    ]
     for e in view.finished:
         assert e.result is not None
         cells = (
@@ -34,7 +37,8 @@ def results_table(view: SearchView) -> str:
             f"{e.result.seconds:.1f}",
             " ".join(f"{fold.value:.6f}" for fold in e.score.folds) if e.score else "",
         )
-        rows.append("\t".join(cells))
+        agent = (printable_line(e.proposed.agent),) if view.leg else ()
+        rows.append("\t".join((*cells, *agent)))
     return "\n".join(rows) + "\n"
 
 
@@ -52,7 +56,9 @@ def journal(view: SearchView) -> str:
         f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
         f"seed {start.seed}, isolation {start.isolation_words}.\n{_setting(view)}"
     ]
-    parts += [_entry(view, e, i) for i, e in enumerate(view.finished)]
+    for i, e in enumerate(view.finished):
+        parts += [_hand_over(event) for event in view.handed_over if event.after == e.number - 1]
+        parts.append(_entry(view, e, i))
     return "\n".join(parts)
 
 
@@ -79,15 +85,20 @@ def _validation_setting(view: SearchView) -> str:
     )
 
 
+def _hand_over(event: HandedOver) -> str:
+    return f"## Hand-over\n\n{markdown_line(hand_over_words(event))}.\n"
+
+
 def _entry(view: SearchView, e: Experiment, position: int) -> str:
     p, r = e.proposed, e.result
     assert r is not None
     origin = f" (from experiment {p.parent})" if p.parent else ""
+    by = f", by {markdown_line(p.agent)}" if p.agent else ""
     later = view.finished[position + 1 : position + 2]
     following = markdown_line(later[0].proposed.title) if later else "none yet"
     return (
         f"## Experiment {e.number}: {markdown_line(p.title)}\n\n"
-        f"- **Changed:** {markdown_line(p.family)}, {p.phase} phase{origin}\n"
+        f"- **Changed:** {markdown_line(p.family)}, {p.phase} phase{origin}{by}\n"
         f"- **Hypothesis:** {markdown_line(p.hypothesis)}\n"
         f"- **Expected:** {markdown_line(p.expected)}\n"
         f"- **Result:** {markdown_line(describe_result(e, view))}\n"

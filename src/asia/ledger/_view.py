@@ -62,10 +62,10 @@ class Experiment:
 @dataclass(frozen=True)
 class SearchView:
     """A search as its ledger tells it. `budget` experiments and `hours` as last extended, which was
-    after experiment `extended_after`; the leg of a relay that proposes began after experiment
-    `leg_after`; `unsealing` once the test was about to be opened; `notes` of the person; `looks` at
-    the guard, `looked` since the search stopped; `exchanges` of the agent, its `sessions` that
-    ended and all that were `begun`."""
+    after experiment `extended_after`; `handed_over` between the legs of a relay; `unsealing` once
+    the test was about to be opened; `notes` of the person; `looks` at the guard, `looked` since the
+    search stopped; `exchanges` of the agent, its `sessions` that ended and all that were
+    `begun`."""
 
     started: Started
     budget: int
@@ -84,7 +84,11 @@ class SearchView:
     unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
     handed_over: tuple[HandedOver, ...] = ()
-    leg_after: int = 0
+
+    @property
+    def leg_after(self) -> int:
+        """Experiments that were made before the leg of the relay that proposes."""
+        return self.handed_over[-1].after if self.handed_over else 0
 
     @property
     def leg(self) -> int:
@@ -277,7 +281,7 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
             )
         case HandedOver():
             handed_over = (*view.handed_over, event)
-            return replace(view, handed_over=handed_over, leg_after=experiments)
+            return replace(view, handed_over=handed_over)
         case Stopped():
             return replace(view, stopped=event)
         case Resumed():

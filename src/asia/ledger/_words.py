@@ -5,8 +5,30 @@ from __future__ import annotations
 import re
 
 from asia._text import one_line
+from asia.ledger._events import HandedOver, HandOverReason
 
 _FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
+
+
+_ENDED: dict[HandOverReason, str] = {
+    "planned": "its experiments are done",
+    "saturated": "its last experiments found nothing better",
+    "exhausted": "it has nothing left to try",
+    "stuck": "it was stuck",
+    "tokens": "its tokens are spent",
+    "cost": "its money is spent",
+    "time": "its time is spent",
+    "agent": "it ended",
+}
+
+
+def hand_over_words(event: HandedOver) -> str:
+    """`bayes takes over after #05; of the agent before: its experiments are done`."""
+    detail = f" ({event.detail})" if event.detail else ""
+    return (
+        f"{event.agent} takes over after #{event.after:02d}; of the agent before: "
+        f"{_ENDED[event.reason]}{detail}"
+    )
 
 
 def error_line(error: str, most: int = 300) -> str:

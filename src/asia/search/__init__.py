@@ -14,6 +14,7 @@ from asia.search._run import (
     prepare,
     search,
     with_early_stopping,
+    with_relay_budget,
 )
 from asia.search._secrecy import check_hidden_from_workers
 from asia.search._simulate import simulate
@@ -52,4 +53,5 @@ __all__ = [
     "simulated_excerpts",
     "unseal",
     "with_early_stopping",
+    "with_relay_budget",
 ]

@@ -43,7 +43,8 @@ def next_leg(view: SearchView, stopped: Stopped) -> HandedOver | None:
     if reason == "hours" or reason == "user":
         return None
     agent = view.started.legs[following - 1].agent
-    return HandedOver(following, agent, "planned" if reason == "budget" else reason, stopped.detail)
+    why = "planned" if reason == "budget" else reason
+    return HandedOver(following, agent, why, len(view.finished), stopped.detail)
 
 
 def decide(outcome: Outcome, view: SearchView) -> Status:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import get_args
 
 from asia._plugins import parts
-from asia.agents import Agent, check_relay_budget, packages_of
+from asia.agents import Agent, check_relay_budget, packages_of, relay_budget
 from asia.agents.lessons import Lesson, encode_lessons
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
@@ -226,6 +226,15 @@ def with_early_stopping(problem: Problem, setting: str) -> Problem:
         f"early stopping '{setting}': expected {' or '.join(get_args(EarlyStopping))}; "
         "choose one, or leave it out for the problem's own"
     )
+
+
+def with_relay_budget(problem: Problem, legs: Sequence[Leg]) -> Problem:
+    """The problem with the experiments that all legs have together, where it allows as many; for a
+    search whose number of experiments nobody gave."""
+    total = relay_budget(legs) if legs else None
+    if total is None or total > problem.budget.experiments:
+        return problem
+    return replace(problem, budget=replace(problem.budget, experiments=total))
 
 
 def check_baseline(problem: Problem) -> None:

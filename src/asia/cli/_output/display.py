@@ -37,12 +37,14 @@ from asia.ledger import (
     Evaluated,
     Event,
     Extended,
+    HandedOver,
     Refitted,
     RungScored,
     SearchView,
     control,
     control_words,
     error_value,
+    hand_over_words,
     open_run,
 )
 from asia.problem.load import Problem
@@ -142,6 +144,9 @@ class TextDisplay:
         for rung in view.rungs:
             self._rung(rung)
         for experiment in view.finished:
+            for event in view.handed_over:
+                if event.after == experiment.number - 1:
+                    self._print(f"relay   {hand_over_words(event)}")
             self._experiment(experiment.number, view)
         if self.console.is_terminal:
             self.footer = self.console.status("")
@@ -155,6 +160,8 @@ class TextDisplay:
                 self._rung(event)
             case Evaluated():
                 self._experiment(event.experiment, view)
+            case HandedOver():
+                self._print(f"relay   {hand_over_words(event)}")
             case Extended():
                 self._print(f"extended to {event.experiments} experiments")
             case Refitted():

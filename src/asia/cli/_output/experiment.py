@@ -37,6 +37,10 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     parent = f", made from #{p.parent:02d}" if p.parent else ""
     title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
     console.print(title, printable_line(f"({p.family}, {p.phase}{parent})"))
+    if p.leg:
+        who = p.agent or "nobody: the baseline"
+        legs = len(run.view.started.legs)
+        console.print(printable_line(f"agent       {who}, in leg {p.leg} of {legs}"))
     console.print(printable_line(f"hypothesis  {p.hypothesis}"))
     console.print(printable_line(f"expected    {p.expected}"))
     console.print(printable_line(f"result      {describe_result(experiment, run.view)}"))

@@ -9,6 +9,7 @@ from asia.ledger import (
     Event,
     Experiment,
     GuardLooked,
+    HandedOver,
     Refitted,
     RungScored,
     SearchView,
@@ -76,7 +77,8 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     tail = "best none"
     if best and best.score:
         tail = f"best #{best.number:02d} {error_value(best.score.value)}"
-    title = experiment.proposed.title
+    proposed = experiment.proposed
+    title = f"{proposed.agent}: {proposed.title}" if proposed.agent else proposed.title
     asked = "" if view.started.early_stopping == "inner" else f" | {validation_score_words(r):<21}"
     return (
         f"#{experiment.number:02d} {r.status:<8}{found:<25}  {duration(r.seconds):>6}  "
@@ -156,6 +158,13 @@ def event_object(event: Event, view: SearchView) -> dict[str, Any]:
             "seconds": round(event.seconds, 3),
             "validation_scores": event.validation_scores,
             "best": best.number if best else None,
+        }
+    if isinstance(event, HandedOver):
+        return {
+            "event": "handed_over",
+            "agent": event.agent,
+            "after": event.after,
+            "reason": event.reason,
         }
     if isinstance(event, RungScored):
         value = event.outcome.value if isinstance(event.outcome, Score) else None

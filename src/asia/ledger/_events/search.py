@@ -198,6 +198,8 @@ class HandedOver:
     """Its agent."""
     reason: HandOverReason
     """Why the one before is over."""
+    after: int
+    """Experiments that were made before."""
     detail: str = ""
     """More about it, for people."""
     event: Literal["handed_over"] = "handed_over"

@@ -84,6 +84,7 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
     _scale(axes, search, metric)
     axes.set_title(_title(view), fontweight="bold", fontsize=9.5, pad=11.0)
     _mark(axes, search)
+    _hand_overs(axes, view)
     labels = [_rung(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
     if axes.get_legend_handles_labels()[1]:
         figure.legend(loc="outside lower center", ncols=4, handletextpad=0.5, columnspacing=2.2)
@@ -135,7 +136,7 @@ def _point(e: Experiment, value: float) -> _Point:
 
 def _title(view: SearchView) -> str:
     start, best = view.started, view.best
-    head = f"{plain(start.problem, 28)}, agent {plain(start.agent, 14)}, seed {start.seed}"
+    head = f"{plain(start.problem, 28)}, agent {plain(start.agent, 28)}, seed {start.seed}"
     if best is None or best.score is None:
         return f"{head}: no model yet"
     total = len(view.finished)
@@ -209,6 +210,29 @@ def _mark(axes: Axes, search: _Points) -> None:
                 clip_on=False,
                 zorder=6,
                 label=label,
+            )
+
+
+def _hand_overs(axes: Axes, view: SearchView) -> None:
+    """In a relay, a line where the next agent takes over, and the agents between the lines."""
+    legs = view.started.legs
+    if not legs:
+        return
+    ends = [0.5, *(event.after + 0.5 for event in view.handed_over), axes.get_xlim()[1]]
+    edge = blended_transform_factory(axes.transData, axes.transAxes)
+    for x in ends[1:-1]:
+        axes.axvline(x, color=INK, lw=0.9, ls=(0, (4.0, 3.0)), zorder=3)
+    for leg, (start, end) in zip(legs, pairwise(ends), strict=False):
+        if end > start:
+            axes.text(
+                (start + end) / 2,
+                0.015,
+                plain(leg.agent, 16),
+                transform=edge,
+                ha="center",
+                va="bottom",
+                fontsize=_TAG_FONT,
+                color=INK,
             )
 
 
