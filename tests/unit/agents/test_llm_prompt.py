@@ -169,3 +169,15 @@ def test_it_is_an_agent_like_the_others() -> None:
         return made
 
     check_agent(make)
+
+
+def test_evidence_of_the_best_and_of_the_last_is_told_and_renamed() -> None:
+    level = simulation(physics=True).outputs[0].name
+    best = trial(1, 0.1, evidence=(f"{level} above 8: too low", "  | printed by #1"))
+    last = trial(3, 0.5, evidence=(f"after {level} steps up", "  | printed by #3"))
+    text = search_text(now(best, trial(2, 0.4), last), Task("refine", 1))
+    for words in (f"{level} above 8: too low", "  | printed by #1", "  | printed by #3"):
+        assert words in text
+    hidden = search_text(anonymous(now(best, trial(2, 0.4), last)), Task("refine", 1))
+    assert f"{level} above" not in hidden
+    assert "y1 above 8: too low" in hidden

@@ -63,6 +63,10 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert answer["remaining"] == 2
     assert answer["repeated"] is False
     assert "#02 is being evaluated" in good.err
+    evidence = answer["evidence"]
+    assert [fold["held_out"][:12] for fold in evidence["folds"]] == ["block 1 of 2", "block 2 of 2"]
+    assert evidence["folds"][0]["errors"]["y"] == pytest.approx(answer["folds"][0])
+    assert evidence["noise"] is None
     again = asia("try", "-m", "the same again", "--dir", folder / "data")
     assert again.out.startswith("not judged again: comments apart, this is the source of #02.")
     assert "2 of 4 experiments left" in again.out
@@ -84,6 +88,8 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     last = asia("try", "-m", "three lags", "--plot", "--dir", folder)
     assert "picture plots/004.png" in last.out
     assert (folder / "plots" / "004-residuals.png").is_file()
+    assert "to #02, the best before; noise of repeats not measured" in last.out
+    assert "fold 2  block 2 of 2: samples 123 to 240 of train  V " in last.out
     assert "0 of 4 experiments left" in last.out
     assert len((folder / "results.tsv").read_text().splitlines()) == 5
     assert not os.access(folder / "results.tsv", os.W_OK) or os.geteuid() == 0

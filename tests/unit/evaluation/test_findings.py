@@ -22,8 +22,13 @@ PRINTING = NAMED.replace("    context.log(", "    print('loss', 0.5)\n    contex
 SPEAKING = PRINTING.replace("        n = 2\n", "        n = 2\n        print('held out', past_y)\n")
 
 
-def evaluated(root: Path, source: str) -> Evaluation:
-    problem = load_problem(write_problem(root / "toy"))
+def evaluated(root: Path, source: str, residuals: str = "train") -> Evaluation:
+    directory = write_problem(root / "toy")
+    path = directory / "problem.toml"
+    path.write_text(
+        path.read_text().replace("[protocol]", f'[protocol]\nresiduals = "{residuals}"')
+    )
+    problem = load_problem(directory)
     ready = prepare(problem, "scripted", seed=0, runs=root / "runs", isolation=Isolation.PROCESS)
     return make_evaluator(problem, replay([ready.started])).evaluate(source)
 
@@ -56,6 +61,18 @@ def test_a_fit_is_heard_and_a_simulation_of_held_out_cases_is_not(evaluation: Ev
     for fold in evaluation.folds:
         assert fold.findings is not None
         assert fold.findings.printed == "loss 0.5\n"
+
+
+def test_held_out_residuals_are_found_only_where_the_problem_shows_them(
+    evaluation: Evaluation, tmp_path: Path
+) -> None:
+    shown = evaluated(tmp_path, NAMED, "held_out")
+    for hidden, fold in zip(evaluation.folds, shown.folds, strict=True):
+        assert hidden.findings is not None
+        assert fold.findings is not None
+        assert hidden.findings.held_out_residuals == ()
+        assert fold.findings.held_out_residuals != ()
+        assert fold.findings.held_out_residuals != fold.findings.residuals
 
 
 def test_a_fit_that_fails_is_heard(tmp_path: Path) -> None:

@@ -111,14 +111,16 @@ def test_a_screen_says_what_an_engineer_asks(store: Store) -> None:
     ):
         assert words in text
     assert "loss 14" not in text
+    order = [text.index(words) for words in ("fold 1  ", "by output", "k2  1", "x above 8", "| ")]
+    assert order == sorted(order)
     assert len(text.splitlines()) < 40
 
 
 def test_folds_of_opposite_sign_are_no_shared_residual() -> None:
-    found = shared_residuals([findings(1), findings(2)])
+    found = shared_residuals([findings(1).residuals, findings(2).residuals])
     assert [one.residual.part for one in found] == [4]
     assert found[0].folds == (1, 2)
-    alone = shared_residuals([findings(1), findings(2, residuals=(residual(0.02),))])
+    alone = shared_residuals([findings(1).residuals, (residual(0.02),)])
     assert [one.folds for one in alone if one.residual.part == 4] == [(1,)]
 
 
@@ -135,14 +137,26 @@ def test_parameters_that_disagree_come_first() -> None:
 def test_a_suspect_experiment_shows_no_held_out_figure(store: Store) -> None:
     """By how much a relation was broken, and V, would tell of held-out outputs."""
     failed = Failure(Reason.SUSPECT, "table: no sample changes", 1)
-    seen = view(store, failed)
+    seen = view(store, failed, held_out_residuals=(residual(0.5),))
     for one in findings_of(store, seen.experiment(1), bounded=False):
-        assert (one.errors, one.steps) == ((), ())
+        assert (one.errors, one.steps, one.held_out_residuals) == ((), (), ())
         assert one.train_errors
     text = "\n".join(lines(store, seen, 1))
     assert "V " not in text
     assert "step 10" not in text
     assert "training 0.2000" in text
+    assert "held-out samples" not in text
+    assert "it failed in fold 1, block 1 of 2" in text
+
+
+def test_held_out_residuals_are_a_block_of_their_own(store: Store) -> None:
+    """They are there only where the problem chose that they are shown."""
+    text = "\n".join(lines(store, view(store, SCORE), 1))
+    assert "held-out samples" not in text
+    shown = view(store, SCORE, held_out_residuals=(residual(0.5, part=2),))
+    text = "\n".join(lines(store, shown, 1))
+    assert "where it is wrong on the held-out samples" in text
+    assert "too low by 0.5 ± 0.04 s.d., both folds" in text
 
 
 def test_the_ladder_tells_neither_held_out_errors_nor_what_a_candidate_writes(
@@ -184,7 +198,7 @@ def test_many_outputs_and_folds_stay_one_screen(store: Store) -> None:
         replace(fold, findings=one) for fold, one in zip(shown.folds, (many, other), strict=True)
     )
     shown = replace(
-        shown, folds=folds, residuals=shared_residuals([many, other]),
+        shown, folds=folds, residuals=shared_residuals([many.residuals, other.residuals]),
         parameters=parameter_spreads([many, other]),
     )  # fmt: skip
     assert len(evidence_lines(shown)) <= 50

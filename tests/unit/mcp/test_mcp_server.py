@@ -57,6 +57,9 @@ async def search(client: Client, directory: Path) -> None:
     assert best == await agent.call("show", experiment=found["best"]["experiment"])
     assert best["code"] == arx(2 if best["experiment"] == 2 else 4)
     assert best["training"][0]["train_error"] < 0.05
+    assert any(line.startswith("fold 1  block 1 of 2: ") for line in best["evidence"])
+    assert last["evidence"]
+    assert "evidence" not in found["results"][0]
     assert best["hypothesis"] == "it helps"
 
     ledger = await agent.text("asia://ledger")

@@ -75,12 +75,15 @@ class SharedResidual:
         return abs(one.mean) > _STANDARD_ERRORS * one.error and self.share > _SMALLEST_SHARE
 
 
-def shared_residuals(folds: Sequence[FoldFindings]) -> tuple[SharedResidual, ...]:
-    """Those of all parts that stand out, the largest gain first."""
+def shared_residuals(
+    folds: Sequence[Sequence[SignedResidual]],
+) -> tuple[SharedResidual, ...]:
+    """Of the signed residuals of each fold those that stand out in all of them together, the
+    largest gain first."""
     found: defaultdict[tuple[int, PartKind, int, int], list[tuple[int, SignedResidual]]]
     found = defaultdict(list)
     for number, fold in enumerate(folds, 1):
-        for one in fold.residuals:
+        for one in fold:
             found[one.output, one.kind, one.signal, one.part].append((number, one))
     shared = (_shared(ones, len(folds)) for ones in found.values())
     kept = [one for one in shared if one.stands_out]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from asia.data import Signal
@@ -76,6 +76,8 @@ class ExperimentEvidence:
     """Its folds; () for a failure."""
     residuals: tuple[SharedResidual, ...]
     """Where the model is too high or too low on the training records, what weighs most first."""
+    held_out_residuals: tuple[SharedResidual, ...]
+    """The same on the held-out parts; () unless the protocol shows them."""
     parameters: tuple[ParameterSpread, ...]
     """Named parameters, those on which the folds agree least first."""
     differences: tuple[ComparedScore, ...]
@@ -84,13 +86,13 @@ class ExperimentEvidence:
     """The standard deviation of V over repeats; None where it was not measured."""
     printed: str
     """What a failed fit printed; "" where there are folds."""
-    held_out_residuals: tuple[SharedResidual, ...] = ()
-    """The same as `residuals` on the held-out samples; () unless the problem shows these."""
+    failed_fold: str
+    """The fold that failed, in words; "" where none did, and in older ledgers."""
 
     @property
     def recorded(self) -> bool:
         """Whether the ledger holds more than older ledgers do."""
-        return bool(self.printed) or any(fold.findings for fold in self.folds)
+        return bool(self.printed or self.failed_fold) or any(fold.findings for fold in self.folds)
 
 
 def settings_of_run(directory: Path) -> RunSettings:
@@ -129,15 +131,20 @@ def evidence_of(
             FoldShown(name, value, kept.diagnostics, kept.fit_seconds, one)
             for name, value, kept, one in rows
         ),
-        residuals=shared_residuals(findings),
-        held_out_residuals=shared_residuals(
-            [replace(one, residuals=one.held_out_residuals) for one in findings]
-        ),
+        residuals=shared_residuals([one.residuals for one in findings]),
+        held_out_residuals=shared_residuals([one.held_out_residuals for one in findings]),
         parameters=parameter_spreads(findings),
         differences=_differences(experiment, view),
         noise=None if bounded else noise_of_repeats(view),
         printed=store.text(result.output) if failed and result.output else "",
+        failed_fold=_failed_fold(experiment, view),
     )
+
+
+def _failed_fold(experiment: Experiment, view: SearchView) -> str:
+    """ "" in older ledgers, which do not name their folds."""
+    number, names = experiment.failure.fold if experiment.failure else None, view.started.folds
+    return f"fold {number}, {names[number - 1]}" if number and number <= len(names) else ""
 
 
 def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScore, ...]:

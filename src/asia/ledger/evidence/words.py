@@ -14,9 +14,9 @@ from asia.ledger.evidence.experiment import ExperimentEvidence, FoldShown
 
 WIDTH = 110
 MOST_RESIDUALS = 6
-MOST_OUTPUTS = 12
+MOST_OUTPUTS = 9
 MOST_PARAMETERS = 6
-MOST_PRINTED = 5
+MOST_PRINTED = 10
 PRINTED_BYTES = 2000
 _OF_ONE_OUTPUT = 3
 
@@ -29,9 +29,10 @@ def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> li
         *difference_lines(evidence),
         *fold_lines(evidence, measured=measured),
         *output_lines(evidence, findings),
+        *failure_lines(evidence),
+        *parameter_lines(evidence.parameters),
         *residual_lines(evidence),
         *held_out_residual_lines(evidence),
-        *parameter_lines(evidence.parameters),
         *printed_lines(evidence),
     ]
 
@@ -69,6 +70,12 @@ def _cost(fold: FoldShown, evidence: ExperimentEvidence) -> Iterator[str]:
     yield spent
     if findings is not None and findings.memory_mb is not None:
         yield f"{findings.memory_mb:.0f} of {setting.memory_mb} MB"
+
+
+def failure_lines(evidence: ExperimentEvidence) -> Iterator[str]:
+    """Which fold failed."""
+    if evidence.failed_fold:
+        yield f"it failed in {one_line(evidence.failed_fold, WIDTH)}"
 
 
 def output_lines(evidence: ExperimentEvidence, findings: Sequence[FoldFindings]) -> Iterator[str]:
@@ -135,7 +142,9 @@ def _residual_lines(
 def _folds(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:
     if len(numbers) == len(evidence.folds) > 1:
         return "all folds" if len(numbers) > 2 else "both folds"
-    return f"fold {', '.join(map(str, numbers))} alone" if numbers else "no fold alone"
+    if len(numbers) > 1:
+        return f"folds {', '.join(map(str, numbers))}"
+    return f"fold {numbers[0]} alone" if numbers else "no fold by itself"
 
 
 def parameter_lines(parameters: Sequence[ParameterSpread]) -> Iterator[str]:
@@ -166,7 +175,7 @@ def printed_lines(evidence: ExperimentEvidence) -> Iterator[str]:
     texts = [fold.findings.printed if fold.findings else "" for fold in evidence.folds]
     texts = texts or [evidence.printed]
     for number, text in enumerate(texts, 1):
-        lines = last_lines(text)
+        lines = last_lines(text, max(2, MOST_PRINTED // len(texts)))
         if not lines or (number > 1 and text == texts[0]):
             continue
         whose = f"of fold {number}" if evidence.folds and len(set(texts)) > 1 else ""
@@ -174,7 +183,7 @@ def printed_lines(evidence: ExperimentEvidence) -> Iterator[str]:
         yield from (f"  | {line}" for line in lines)
 
 
-def last_lines(text: str, most: int = MOST_PRINTED) -> list[str]:
+def last_lines(text: str, most: int) -> list[str]:
     """The end of what was printed, with the number of lines before it."""
     lines = [one_line(line, WIDTH) for line in text.splitlines() if line.strip()]
     left_out = len(lines) - most

@@ -84,6 +84,7 @@ def test_sparse_linear_terms_are_the_drag_and_nothing_else(linear: physics_net.P
 
 def test_known_kinematics_get_a_gain() -> None:
     model = fitted(physics_net.Config(linear=True, lag=False), gain=0.9)
+    assert list(model.parameters().values()) == [pytest.approx(PULL, rel=0.2)]
     assert model.network.params["gain"][0] == pytest.approx(-0.1, abs=0.02)
 
 

@@ -41,6 +41,24 @@ def test_chosen_order_simulates_below_the_noise() -> None:
     assert model.fitted.system.order == 2
 
 
+def test_gain_time_constants_and_delay_are_named_in_physical_units() -> None:
+    a = np.diag([0.9, 0.5])
+    system = LinearSystem(a, np.ones((2, 1)), np.array([[1.0, 1.0]]), np.zeros((1, 1)), np.zeros(1))
+    scaling = Scaling(np.zeros(1), np.array([2.0]), np.zeros(1), np.array([3.0]))
+    data = case(filtered)
+    model = fitted(linear.Config(order=2, delay=0), data)
+    assert model.fitted is not None
+    known = replace(model.fitted, system=system, delay=4, scaling=scaling)
+    found = linear.LinearStateSpace(linear.Config(), known).parameters()
+    assert found["gain y1/u1"] == pytest.approx((10.0 + 2.0) * 3.0 / 2.0)
+    assert found["time constant 1 [samples]"] == pytest.approx(-1 / np.log(0.9))
+    assert found["delay [samples]"] == 4.0
+    one, zero = np.ones((1, 1)), np.zeros((1, 1))
+    integrator = LinearSystem(one, one, one, zero, np.zeros(1))
+    assert not np.isfinite(integrator.gain).any()
+    assert len(integrator.time_constants) == 0
+
+
 def test_two_inputs_and_outputs_from_records_of_unequal_length() -> None:
     data = case(two_by_two, channels=2, lengths=(250, 120, 60))
     assert data.ratio(fitted(linear.Config(order=3), data)) < 0.5
