@@ -44,13 +44,14 @@ from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
 from asia.agents.controls.bayes import BayesAgent
 from asia.agents.controls.random import SPACES, RandomAgent, SpaceName
 from asia.agents.expert.agent import ExpertAgent
+from asia.agents.library.page import families_page, family_page
+from asia.agents.library.table import all_families
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.problem import (
     MODEL_RULES,
     briefing,
     equations,
     ladder_rule,
-    library,
     symmetries,
 )
 from asia.agents.llm.settings import LlmSettings
@@ -86,15 +87,17 @@ __all__ = [
     "SubmittedAgent",
     "Trial",
     "agent_of_leg",
+    "all_families",
     "asked_relay",
     "briefing",
     "check_legs",
     "check_relay_budget",
     "choose_agent",
     "equations",
+    "families_page",
+    "family_page",
     "ladder_rule",
     "legs_of",
-    "library",
     "make_agent",
     "make_runner",
     "packages_of",

@@ -9,6 +9,7 @@ from asia.ledger._disk import write_whole
 from asia.ledger._events import Evaluated, HandedOver, Proposed
 from asia.ledger._view import Experiment, SearchView
 from asia.ledger._words import error_line, hand_over_words
+from asia.scoring import Score
 
 
 def write_exports(directory: Path, view: SearchView) -> None:
@@ -54,12 +55,23 @@ def journal(view: SearchView) -> str:
     parts = [
         f"# Search journal: {markdown_line(start.run)}\n\n"
         f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
-        f"seed {start.seed}, isolation {start.isolation_words}.\n{_setting(view)}"
+        f"seed {start.seed}, isolation {start.isolation_words}.\n{_rungs(view)}{_setting(view)}"
     ]
     for i, e in enumerate(view.finished):
         parts += [_hand_over(event) for event in view.handed_over if event.after == e.number - 1]
         parts.append(_entry(view, e, i))
     return "\n".join(parts)
+
+
+def _rungs(view: SearchView) -> str:
+    if not view.rungs:
+        return ""
+    values = [
+        f"{rung.name} {error_value(rung.outcome.value)}"
+        for rung in view.rungs
+        if isinstance(rung.outcome, Score)
+    ]
+    return f"\nRungs, {view.v_name} of trivial references: {', '.join(values)}.\n"
 
 
 def _setting(view: SearchView) -> str:

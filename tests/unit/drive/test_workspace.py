@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from asia.candidate import check_source
 from asia.drive._workspace import write_folder
 from asia.drive._write_file import write_file
 from asia.errors import UserError
@@ -61,12 +60,3 @@ def test_a_workspace_that_is_a_link_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no link"):
         write_file(tmp_path / "link", "PROGRAM.md", "words")
     assert list((tmp_path / "outside").iterdir()) == []
-
-
-def test_the_page_of_models_holds_a_candidate_that_is_accepted(tmp_path: Path) -> None:
-    write_folder(tmp_path / "workspace", load_problem("two_tanks_sim"), 3)
-    page = (tmp_path / "workspace" / "models.md").read_text()
-    check_source(page.split("```python\n")[1].split("```")[0])
-    for name in ("greybox", "linear", "recurrent"):
-        assert f"- {name} (" in page
-        assert f"{name}.Config(" in page

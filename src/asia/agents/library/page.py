@@ -1,0 +1,128 @@
+"""What agents and people read of the model library: a page of the families that suit a problem, and
+the whole of one family."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from collections.abc import Iterator
+from importlib import import_module
+
+from asia.agents._view import Facts
+from asia.agents.library.family import Family
+from asia.agents.library.options import Option, about, config_of, method_of, options_of
+from asia.agents.library.recipe import MODELS, Recipe
+from asia.agents.library.space import OneOf, Span
+from asia.agents.library.table import families
+
+_WIDTH = 100
+MOST_LINES = 92
+"""Of the page. Families are explained in the order of their aptness as long as there is room."""
+
+
+def families_page(facts: Facts) -> str:
+    """The families that suit a problem, Markdown: all of them with their expected time, and as many
+    as there is room for with every option."""
+    rows = families(facts)
+    lines = [*_wrapped(_ABOUT), "", *_table(rows, facts)]
+    if rows:
+        lines += ["", *_wrapped(_EXAMPLE), "", *_example(rows[0].trial(facts), rows[0].label)]
+    explained: set[str] = set()
+    for row in rows:
+        recipe = row.trial(facts)
+        section = [*_family_lines(row)]
+        if recipe.method not in explained:
+            section += _method_lines(recipe.method, facts)
+        if len(lines) + len(section) > MOST_LINES:
+            break
+        explained.add(recipe.method)
+        lines += section
+    return "\n".join(lines) + "\n"
+
+
+def family_page(row: Family, facts: Facts | None) -> str:
+    """All there is to know of one family; with an example where there is a problem it suits."""
+    module = import_module(f"{row.package}.{row.name}")
+    parts = [f"# {row.name}: {row.label}", "", *_wrapped(f"{row.use}.".capitalize()), ""]
+    parts += [*(inspect.getdoc(module) or "").splitlines(), ""]
+    parts += [f"## {row.name}.Config", "", *_wrapped(about(config_of(row.package, row.name))), ""]
+    parts += _full_lines(options_of(config_of(row.package, row.name)))
+    if facts is None:
+        return "\n".join(parts) + "\n"
+    recipes = [row.trial(facts)]
+    recipes += [change(facts, recipes[0]) for change in row.methods]
+    for name in dict.fromkeys(recipe.method for recipe in recipes):
+        method = method_of(name)
+        parts += ["", f"## {name}, to train it", "", *_wrapped(about(method)), ""]
+        parts += _full_lines(options_of(method))
+    space = row.space(facts)
+    varied = [_varied(choice) for choice in (*space.config, *space.options)]
+    if varied:
+        parts += ["", "## Ranges that the agents of ASIA search", ""]
+        parts += [f"- {words}" for words in varied]
+    parts += ["", "## Example", "", *_example(recipes[0], row.label)]
+    return "\n".join(parts) + "\n"
+
+
+_ABOUT = """Families of `asia.models` that suit this problem, the most apt first. A candidate may
+use one, change it, or be a model of its own. The column s has the seconds that one fold's fit is
+expected to take on an ordinary core, with few and with many iterations. They come from the sizes of
+this problem and from fits that were measured. `asia models NAME` prints all about one family."""
+# Without a score on the held-out part these do nothing.
+_SCORED = ("stop", "every", "patience")
+_EXAMPLE = """Every family is called like this. An option that is left out has the default that is
+given below."""
+
+
+def _table(rows: tuple[Family, ...], facts: Facts) -> Iterator[str]:
+    yield "| family | what it is for | trained by | s |"
+    yield "|---|---|---|---|"
+    for row in rows:
+        first, long = row.trial(facts), row.full(facts)
+        seconds = [f"{max(1.0, row.seconds(facts, recipe)):.0f}" for recipe in (first, long)]
+        where = "" if row.package == MODELS else f" (package `{row.package}`)"
+        yield (
+            f"| `{row.name}`{where} | {row.use} | `{first.method}` | "
+            f"{' to '.join(dict.fromkeys(seconds))} |"
+        )
+
+
+def _example(recipe: Recipe, label: str) -> list[str]:
+    source = recipe.source(f"{label}.".capitalize()).strip().replace("\n\n\n", "\n\n")
+    return ["```python", *source.splitlines(), "```"]
+
+
+def _family_lines(row: Family) -> Iterator[str]:
+    yield from ("", f"## {row.name}.Config")
+    yield from _short_lines(options_of(config_of(row.package, row.name)))
+
+
+def _method_lines(name: str, facts: Facts) -> Iterator[str]:
+    yield from ("", f"## {name}")
+    scored = facts.early_stopping == "validation"
+    options = [one for one in options_of(method_of(name)) if scored or one.name not in _SCORED]
+    yield from _short_lines(tuple(options))
+
+
+def _short_lines(options: tuple[Option, ...]) -> Iterator[str]:
+    for option in options:
+        yield from textwrap.wrap(
+            f"- {option.line}", _WIDTH, subsequent_indent="  ", break_long_words=False
+        )
+
+
+def _full_lines(options: tuple[Option, ...]) -> Iterator[str]:
+    for option in options:
+        default = f" = {option.default}" if option.default else ""
+        text = f"- `{option.name}: {option.kind}{default}`: {option.text}"
+        yield from textwrap.wrap(text, _WIDTH, subsequent_indent="  ", break_long_words=False)
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(" ".join(text.split()), _WIDTH, break_long_words=False)
+
+
+def _varied(choice: OneOf | Span) -> str:
+    if isinstance(choice, Span):
+        return f"`{choice.name}`: {choice.low:g} to {choice.high:g}"
+    return f"`{choice.name}`: {', '.join(str(value) for value in choice.values)}"

@@ -1,0 +1,102 @@
+"""PROGRAM.md and models.md: what they must say, and in how many lines."""
+
+import csv
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.agents import families_page
+from asia.candidate import check_source
+from asia.drive import Confinement
+from asia.drive._program import models_page, program
+from asia.problem.load import Problem, load_problem
+from asia.search import problem_facts
+
+PROBLEMS = Path(__file__).parents[3] / "src" / "asia" / "problems"
+RECORDS = {
+    "cascaded_tanks": (("train.csv", 1024),),
+    "nanodrone": tuple((f"{kind}_{k}.csv", 2500) for kind in ("chirp", "random", "square")
+                       for k in (1, 2)),
+}  # fmt: skip
+SOURCES = {
+    "cascaded_tanks": 'source = "nonlinear_benchmarks:Cascaded_Tanks"',
+    "nanodrone": 'source = "nanodrone"',
+}
+MOST_LINES = {"cascaded_tanks": 200, "nanodrone": 250}
+
+
+def made_up(name: str, folder: Path) -> Problem:
+    """The built-in problem, with random records of about its own lengths."""
+    shutil.copytree(PROBLEMS / name, folder)
+    path = folder / "problem.toml"
+    text = path.read_text()
+    assert SOURCES[name] in text
+    files = ", ".join(f'"{file}"' for file, _ in RECORDS[name])
+    path.write_text(text.replace(SOURCES[name], f"train = [{files}]"))
+    names = {"cascaded_tanks": ["pump_voltage", "tank2_level"]}.get(name) or [
+        *(f"m{k}_rads" for k in range(1, 5)),
+        *("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "wx", "wy", "wz"),
+    ]
+    random = np.random.default_rng(0)
+    for file, samples in RECORDS[name]:
+        with (folder / file).open("w", newline="") as stream:
+            table = csv.writer(stream)
+            table.writerow(names)
+            table.writerows(random.normal(size=(samples, len(names))).round(3).tolist())
+    return load_problem(str(folder))
+
+
+@pytest.mark.parametrize("name", ["cascaded_tanks", "nanodrone"])
+@pytest.mark.parametrize("confinement", list(Confinement))
+def test_both_pages_together_are_short(tmp_path: Path, name: str, confinement: Confinement) -> None:
+    problem = made_up(name, tmp_path / name)
+    lines = program(problem, 15, confinement) + models_page(problem)
+    assert lines.count("\n") < MOST_LINES[name]
+
+
+def test_the_program_answers_what_agents_had_to_find_out(tmp_path: Path) -> None:
+    text = " ".join(program(made_up("cascaded_tanks", tmp_path / "p"), 15).split())
+    for words in (
+        "Experiment 1 is the baseline",
+        "14 are left for you",
+        "V covers all samples but the first 5 of each record",
+        "standard deviation over the fold's training samples (ddof 0)",
+        "**rungs**, trivial references",
+        "Your own analysis of `data/` is allowed",
+        "read off the held-out parts may not",
+        "`n_past_u` = 5",
+        "`deadline` (float",
+        "was not measured here",
+        "parameters differ between folds",
+        'noise_model="slow"',
+        'sensor="power"',
+        "lag=(NAME,)",
+    ):
+        assert words in text, words
+
+
+@pytest.mark.parametrize("confinement", list(Confinement))
+def test_the_first_line_says_what_is_open(tmp_path: Path, confinement: Confinement) -> None:
+    first = program(load_problem("two_tanks_sim"), 5, confinement).splitlines()[0]
+    jailed = confinement is not Confinement.OPEN
+    assert first.startswith("> **Jail" if jailed else "> **Open folder, no jail.**")
+
+
+def test_the_page_of_models_explains_every_option_and_holds_a_candidate() -> None:
+    page = models_page(load_problem("two_tanks_sim"))
+    check_source(page.split("```python\n")[1].split("```")[0])
+    section = page.split("## greybox.Config\n")[1].split("\n## ")[0]
+    for option in ("saturation", "spill", "sensor", "lag", "smooth", "prior_width", "priors"):
+        assert f"- `{option}=" in section
+    assert "| `linear` |" in page
+    # A family that needs measured states is none for this problem.
+    assert "physics_net" not in page
+
+
+def test_the_score_on_the_held_out_part_is_explained_where_there_is_one() -> None:
+    facts = problem_facts(load_problem("two_tanks_sim"))
+    assert "validation_score" not in families_page(facts)
+    assert "validation_score" in families_page(replace(facts, early_stopping="validation"))
