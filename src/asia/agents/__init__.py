@@ -44,7 +44,7 @@ from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
 from asia.agents.controls.bayes import BayesAgent
 from asia.agents.controls.random import SPACES, RandomAgent, SpaceName
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.library.page import families_page, family_page
+from asia.agents.library.pages import families_page, family_page
 from asia.agents.library.table import all_families
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.problem import (

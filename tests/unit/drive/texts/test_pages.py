@@ -15,7 +15,7 @@ from asia.drive._program import models_page, program
 from asia.problem.load import Problem, load_problem
 from asia.search import problem_facts
 
-PROBLEMS = Path(__file__).parents[3] / "src" / "asia" / "problems"
+PROBLEMS = Path(__file__).parents[4] / "src" / "asia" / "problems"
 RECORDS = {
     "cascaded_tanks": (("train.csv", 1024),),
     "nanodrone": tuple((f"{kind}_{k}.csv", 2500) for kind in ("chirp", "random", "square")

@@ -10,7 +10,7 @@ from importlib import import_module
 
 from asia.agents._view import Facts
 from asia.agents.library.family import Family
-from asia.agents.library.options import Option, about, config_of, method_of, options_of
+from asia.agents.library.pages.options import Option, about, config_of, method_of, options_of
 from asia.agents.library.recipe import MODELS, Recipe
 from asia.agents.library.space import OneOf, Span
 from asia.agents.library.table import families
