@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from asia._text import say
 from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
@@ -9,7 +11,14 @@ from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
 def report(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
     """Draw a run as PNG and PDF pictures."""
+    from asia.ledger import Store
     from asia.report import write_report
 
-    for path in write_report(run_directory(runs, run)):
+    directory = run_directory(runs, run)
+    for path in write_report(directory):
         say(str(path))
+    if not Store(directory / "artifacts").kept:
+        say(
+            "the other pictures need the simulations, and the ledger came without its artifacts",
+            file=sys.stderr,
+        )

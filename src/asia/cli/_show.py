@@ -47,12 +47,18 @@ def show(
         raise UserError(f"run '{opened.name}' has no experiment yet")
     shown = view.best or view.experiments[-1]
     experiment = view.experiment(numbers[0]) if numbers else shown
-    text = opened.store.text(experiment.proposed.source)
+    kept = opened.store.kept
     if source:
-        hand_over(text)
+        hand_over(opened.store.text(experiment.proposed.source))
         return
     console = wide_console()
     describe(console, opened, experiment)
+    if not kept:
+        console.print(
+            "\ncandidate.py and what it printed are not here: the ledger came without its artifacts"
+        )
+        return
+    text = opened.store.text(experiment.proposed.source)
     console.print("\ncandidate.py", style="bold")
     if console.is_terminal:
         console.print(Syntax(printable(text), "python", background_color="default"))

@@ -16,14 +16,20 @@ def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -
     Write down the head, the hash of the last line. Only the head shows whether lines at the end of
     the ledger were removed.
     """
+    from asia.ledger import Store
     from asia.ledger import verify as check
 
     directory = run_directory(runs, run)
-    found = check(directory)
+    alone = not Store(directory / "artifacts").kept
+    found = check(directory, ledger_alone=alone)
     if json:
-        say(jsonlib.dumps({"run": directory.name, **asdict(found)}))
+        say(jsonlib.dumps({"run": directory.name, "ledger_alone": alone, **asdict(found)}))
         return
-    say(f"{directory.name}: {found.records} events and {found.artifacts} artifacts verify")
+    if alone:
+        say(f"{directory.name}: {found.records} events verify; there are no artifacts to check:")
+        say("its sources, models and simulations are not in this folder")
+    else:
+        say(f"{directory.name}: {found.records} events and {found.artifacts} artifacts verify")
     say(f"head {found.head}")
     if found.torn:
         say(f"{found.torn} bytes of a line that was cut off while it was written are passed over")

@@ -46,7 +46,7 @@ from asia.ledger._index import Brief, brief, refresh
 from asia.ledger._lines import Line
 from asia.ledger._published import beats, published
 from asia.ledger._run import Run, RunState, find_run, metric_of, open_run
-from asia.ledger._store import Store
+from asia.ledger._store import Store, without_artifacts
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
 from asia.ledger._words import error_line, hand_over_words
@@ -135,6 +135,7 @@ __all__ = [
     "settings_of_run",
     "validation_score_words",
     "verify",
+    "without_artifacts",
     "write_exports",
     "write_whole",
 ]

@@ -16,11 +16,25 @@ from asia.ledger._disk import write_whole, writing
 _PART = 64 * 1024
 
 
+def without_artifacts(directory: Path) -> str:
+    """What a run directory without artifacts is good for."""
+    return (
+        f"{directory} is a ledger without its artifacts, and this needs its sources, models or "
+        "simulations: put its folder artifacts back. asia status, show, report and verify tell "
+        "what the ledger has"
+    )
+
+
 class Store:
     """`<run>/artifacts/<sha256>`; written and synced before a record names it."""
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
+
+    @property
+    def kept(self) -> bool:
+        """Whether there are artifacts at all; a ledger may be handed on without them."""
+        return self._directory.is_dir()
 
     def put(self, data: bytes) -> str:
         """Keep `data`; its sha256. Raises UserError when the disk refuses."""
@@ -43,6 +57,8 @@ class Store:
         try:
             data = _read(path)
         except OSError as error:
+            if not self.kept:
+                raise UserError(without_artifacts(self._directory.parent)) from None
             raise UserError(f"artifact {path} is missing ({error.strerror})") from None
         if hashlib.sha256(data).hexdigest() != digest:
             raise UserError(f"artifact {path} was changed after it was written")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from asia.ledger import Run, TestedModel, control, open_run
+from asia.ledger import Run, TestedModel, control, metric_of, open_run
 from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._drawing.style import DPI, drawing
@@ -32,6 +32,8 @@ _METADATA = ({"Software": None}, {"CreationDate": None})
 def write(directory: Path, *, missing_only: bool = False) -> tuple[Path, ...]:
     """See `asia.report.write_report`."""
     run, report = open_run(directory), directory / "report"
+    if not run.store.kept:
+        return save(iter([_progress(run, metric_of(directory))]), report)
     problem = load_lock(directory / "problem.lock.toml")
     drawn = pictures(run, problem)
     if missing_only:
@@ -51,12 +53,7 @@ def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
 def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     """Name and drawing of each picture the run has matter for."""
     view, metric = run.view, problem.protocol.metric
-    yield (
-        "progress",
-        lambda: draw_progress(
-            view, metric, control(run.directory, view.started, len(view.finished))
-        ),
-    )
+    yield _progress(run, metric)
     best, opened = view.best, view.unsealed
     if best is not None:
         folds = make_folds(problem.train, problem.protocol)
@@ -71,6 +68,13 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     if opened.horizon is not None:
         yield "test_horizon", lambda: draw_test_horizon(run, problem, opened, ensemble)
     yield from standing(run, problem, ensemble)
+
+
+def _progress(run: Run, metric: str) -> Picture:
+    """All that a ledger has without its artifacts."""
+    view = run.view
+    beside = control(run.directory, view.started, len(view.finished))
+    return "progress", lambda: draw_progress(view, metric, beside)
 
 
 def standing(

@@ -17,7 +17,7 @@ from asia.agents import (
     Proposal,
     recorded_agents,
 )
-from asia.errors import InternalError
+from asia.errors import InternalError, UserError
 from asia.evaluation import LINEAR, Evaluator, score_rungs
 from asia.ledger import (
     Evaluated,
@@ -37,6 +37,7 @@ from asia.ledger import (
     check_lock,
     open_run,
     replay,
+    without_artifacts,
 )
 from asia.problem.load import Problem, load_lock
 from asia.sandbox import LEVELS, Isolation, probe
@@ -115,6 +116,8 @@ def replay_run(
     """
     run = open_run(directory)
     started = run.view.started
+    if not run.store.kept:
+        raise UserError(without_artifacts(directory))
     check_lock(directory, started)
     problem = load_lock(directory / LOCK)
     agents = recorded_agents(started)

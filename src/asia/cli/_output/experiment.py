@@ -58,6 +58,8 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if experiment.failure and experiment.failure.detail:
         console.print("\ndetail", style="bold")
         console.print(experiment.failure.detail)
+    if not run.store.kept:
+        return
     evidence = evidence_of(
         experiment, run.view, run.store, settings_of_run(run.directory), bounded=False
     )

@@ -1,0 +1,71 @@
+"""A ledger that was handed on without its artifacts is read as far as it goes."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+import asia
+from asia.errors import UserError
+from asia.ledger import Run, verify
+from asia.search import replay_run
+from tests.unit.cli.conftest import command_line
+from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
+
+RUNS = Path(os.environ.get("ASIA_DATA_DIR", "")) / "runs"
+NANODRONE = "nanodrone-workspace"
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    root = tmp_path_factory.mktemp("bare")
+    problem = write_problem(root / "toy")
+    run = asia.run(problem, agent=Scripted((arx(2), CRASH)), runs=root / "runs", experiments=3)
+    shutil.rmtree(run.directory / "artifacts")
+    shutil.rmtree(problem)
+    return run
+
+
+def test_status_and_verify_read_it(bare: Run) -> None:
+    where = ("--runs", str(bare.directory.parent))
+    assert "#02 keep" in command_line("status", bare.name, *where).out
+    done = command_line("verify", bare.name, *where)
+    assert done.code == 0
+    assert "events verify; there are no artifacts to check" in done.out
+    with pytest.raises(UserError, match="without its artifacts"):
+        verify(bare.directory)
+
+
+def test_show_tells_all_but_the_source(bare: Run) -> None:
+    where = ("--runs", str(bare.directory.parent))
+    done = command_line("show", bare.name, "2", *where)
+    assert done.code == 0
+    assert "V = " in done.out
+    assert "candidate.py and what it printed are not here" in done.out
+    source = command_line("show", bare.name, "2", "--source", *where)
+    assert source.code == 2
+    assert "a ledger without its artifacts" in source.err
+
+
+def test_the_report_has_the_picture_that_needs_none(bare: Run) -> None:
+    done = command_line("report", bare.name, "--runs", str(bare.directory.parent))
+    assert done.code == 0
+    assert [Path(line).name for line in done.out.splitlines()] == ["progress.png", "progress.pdf"]
+    assert "the other pictures need the simulations" in done.err
+
+
+def test_a_replay_says_what_it_needs(bare: Run) -> None:
+    with pytest.raises(UserError, match="put its folder artifacts back"):
+        replay_run(bare.directory, lambda item: None)
+
+
+@pytest.mark.skipif(not (RUNS / NANODRONE).is_dir(), reason="no recorded runs in ASIA_DATA_DIR")
+def test_the_recorded_ledger_of_the_nanodrone_is_read(tmp_path: Path) -> None:
+    directory = tmp_path / NANODRONE
+    directory.mkdir()
+    for name in ("ledger.jsonl", "problem.lock.toml"):
+        (directory / name).write_bytes((RUNS / NANODRONE / name).read_bytes())
+    for command in ("status", "show", "report", "verify"):
+        assert command_line(command, NANODRONE, "--runs", str(tmp_path)).code == 0
+    assert command_line("replay", NANODRONE, "--runs", str(tmp_path)).code == 2
