@@ -130,8 +130,8 @@ asia try -m "what you changed, and why it should help" --expect "what you expect
 You may edit `candidate.py` and write scripts of your own. `results.tsv`, `search_journal.md` and
 `best.py`, the best candidate, are written for you; `--plot` adds pictures in `plots/`. There are
 {experiments} experiments, and each candidate that `asia try` judges is one. Experiment 1 is the
-baseline, `candidate.py` as it was made: it is judged without you, and {experiments - 1} are left for you. A source that was judged
-before is answered from the ledger and costs nothing.
+baseline, `candidate.py` as it was made: it is judged without you, and {experiments - 1} are left
+for you. A source that was judged before is answered from the ledger and costs nothing.
 First try model classes that differ, one idea an experiment. Then refine the best: change one thing
 at a time, and say beforehand what you expect. Read `results.tsv` and the journal before each idea.
 Of two candidates that are equally good, the simpler one is better. Go on until all are spent.

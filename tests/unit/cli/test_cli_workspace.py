@@ -35,7 +35,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     places = [next(i for i, line in enumerate(lines) if line.startswith(s)) for s in steps]
     assert places == sorted(places)
     assert len((folder / "results.tsv").read_text().splitlines()) == 2
-    program = (folder / "PROGRAM.md").read_text()
+    program = " ".join((folder / "PROGRAM.md").read_text().split())
     for words in ("asia try", "4 experiments", "2 blocks", "def simulate", "`u`"):
         assert words in program
     assert sorted(p.name for p in (folder / "data").iterdir()) == ["train.csv"]
