@@ -20,7 +20,11 @@ def compare(
         str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
     ],
     agents: Annotated[
-        str, typer.Option(help="Agents by name or module:Class, with commas between them.")
+        str,
+        typer.Option(
+            help="Agents by name or module:Class, or relays such as expert*5+bayes, with commas "
+            "between them."
+        ),
     ] = "expert,random,bayes",
     seeds: Annotated[
         list[int] | None,
