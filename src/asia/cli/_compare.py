@@ -14,18 +14,20 @@ if TYPE_CHECKING:
 
 LISTS = ("--seeds",)
 
+Agents = Annotated[
+    str,
+    typer.Option(
+        help="Agents by name or module:Class, or relays such as expert*5+bayes, with commas "
+        "between them."
+    ),
+]
+
 
 def compare(
     problem: Annotated[
         str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
     ],
-    agents: Annotated[
-        str,
-        typer.Option(
-            help="Agents by name or module:Class, or relays such as expert*5+bayes, with commas "
-            "between them."
-        ),
-    ] = "expert,random,bayes",
+    agents: Agents = "expert,random,bayes",
     seeds: Annotated[
         list[int] | None,
         typer.Option(
