@@ -93,12 +93,12 @@ class Move:
 
 @dataclass(frozen=True)
 class Rule:
-    """What to do about something that the residuals of every fold show."""
+    """What to do about something that the residuals show."""
 
     seen: str
     """What they show."""
     shown: Callable[[Evidence], bool]
-    """Whether those of a fold show it."""
+    """Whether they show it, in the mean over the folds."""
     moves: tuple[Move, ...]
     """What to change, the first one first."""
     factor: float
@@ -177,12 +177,12 @@ def search(tools: WorkspaceTools) -> Settings:
     tried: set[Move] = set()
     for _ in range(TRIES - 1):
         folds = tools.evaluate("candidate.py")
-        evidence = [look(one) for one in folds]
-        for one, seen in zip(folds, evidence, strict=True):
+        each = [look(one) for one in folds]
+        for one, seen in zip(folds, each, strict=True):
             print(f"fold {one.fold.index + 1}: {seen}")
-        due = next_move(known, evidence, tried)
+        due = next_move(known, mean_of(each), tried)
         if due is None:
-            print("nothing is seen in the residuals of every fold: I stop here\n")
+            print("no rule applies to the residuals any more: I stop here\n")
             break
         rule, move = due
         tried.add(move)
@@ -201,14 +201,23 @@ def search(tools: WorkspaceTools) -> Settings:
 
 
 def next_move(
-    known: Sequence[Rule], evidence: Sequence[Evidence], tried: set[Move]
+    known: Sequence[Rule], evidence: Evidence, tried: set[Move]
 ) -> tuple[Rule, Move] | None:
-    """The first rule that every fold shows, and its first move that was not tried."""
+    """The first rule that applies, and its first move that was not tried."""
     for rule in known:
         left = [move for move in rule.moves if move not in tried]
-        if left and all(rule.shown(one) for one in evidence):
+        if left and rule.shown(evidence):
             return rule, left[0]
     return None
+
+
+def mean_of(each: Sequence[Evidence]) -> Evidence:
+    """Over the folds."""
+    return Evidence(
+        float(np.mean([one.along_output for one in each])),
+        float(np.mean([one.with_input for one in each])),
+        float(np.mean([one.memory for one in each])),
+    )
 
 
 def handed_in(settings: Settings, words: str, parent: int | None) -> tuple[int, float]:

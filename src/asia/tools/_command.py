@@ -12,6 +12,7 @@ from asia._text import say
 from asia.errors import CandidateError, UserError
 from asia.protocol import Fold
 from asia.sandbox import REPEATABLE
+from asia.tools._pictures import draw
 from asia.tools._tables import tables
 from asia.tools._workspace import WorkspaceTools
 
@@ -45,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--gap", type=int, default=0, help="samples beside a part that train nothing")
     add("--hold-out", metavar="NAMES", help="a fold of your own: hold these records out (A,B)")
     add("--held-out", action="store_true", help="residuals of the held-out part as well")
+    add("--plot", action="store_true", help="draw simulation and residuals into plots/")
     return parser
 
 
@@ -53,8 +55,13 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
     own = options.blocks is not None or options.hold_out is not None
     found = tools.evaluate(options.candidate, folds)
     whole = not own and len(found) == len(tools.folds)
-    for line in tables(tools.problem, found, whole=whole, held_out=options.held_out):
+    held_out = options.held_out or tools.rule.residuals == "held_out"
+    for line in tables(tools.problem, found, whole=whole, held_out=held_out):
         say(line)
+    if options.plot:
+        title = str(options.candidate)
+        for name in draw(tools.folder, tools.problem, title, found, held_out=held_out):
+            say(f"picture {name}")
 
 
 def _folds(tools: WorkspaceTools, options: argparse.Namespace) -> Sequence[Fold]:

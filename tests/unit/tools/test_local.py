@@ -13,8 +13,9 @@ from asia.drive._workspace import write_folder
 from asia.errors import CandidateError, Reason, UserError
 from asia.ledger import Run, open_run
 from asia.problem.load import load_problem
+from asia.sandbox import REPEATABLE
 from asia.search import prepare, search
-from asia.tools import WorkspaceTools
+from asia.tools import WorkspaceTools, main
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 GREYBOX = """
@@ -116,6 +117,30 @@ def test_folds_of_your_own(tools: WorkspaceTools) -> None:
         tools.hold_out(["a_b", "train"])
     (found,) = tools.evaluate("candidate.py", [fold])
     assert np.isfinite(found.score.value)
+
+
+def test_the_command_scores_one_fold_and_draws_it(
+    tools: WorkspaceTools, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in REPEATABLE.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "argv", ["tools.py", "--fold", "2", "--plot"])
+    with pytest.raises(SystemExit) as end:
+        main(tools)
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert "folds of your own or not all of them" in said
+    assert "  fold 2: " in said
+    assert "  fold 1: " not in said
+    assert "held-out part" not in said
+    for name in ("plots/tools.png", "plots/tools-residuals.png"):
+        assert f"picture {name}" in said
+        assert (tools.folder / name).read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr(sys, "argv", ["tools.py", "--fold", "3"])
+    with pytest.raises(SystemExit) as end:
+        main(tools)
+    assert end.value.code == 2
+    assert "there is no fold 3" in capsys.readouterr().err
 
 
 def test_what_the_evaluator_refuses_is_refused(tmp_path: Path, tools: WorkspaceTools) -> None:
