@@ -28,12 +28,11 @@ def main(folder: Path, wanted: list[str], seed: int) -> None:
             [asia, "workspace", here / "problem", work, "--experiments", "7", "--runs", runs],
             check=True, stdout=subprocess.DEVNULL,
         )  # fmt: skip
-        done = subprocess.run(
-            [sys.executable, HERE / "residual_agent.py"],
-            cwd=work, stdout=subprocess.PIPE, text=True, check=True,
-        )  # fmt: skip
-        (folder / f"{name}.txt").write_text(done.stdout)
-        print(f"{name}: {done.stdout.splitlines()[-1]}", flush=True)
+        transcript = folder / f"{name}.txt"
+        with transcript.open("w") as stream:
+            agent = [sys.executable, HERE / "residual_agent.py"]
+            subprocess.run(agent, cwd=work, stdout=stream, check=True)
+        print(f"{name}: {transcript.read_text().splitlines()[-1]}", flush=True)
 
 
 if __name__ == "__main__":
