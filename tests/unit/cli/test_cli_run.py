@@ -106,7 +106,9 @@ def test_unseal_once(searched: Searched, asia: Asia) -> None:
     assert first.code == 0, first.err
     assert "already" not in first.err
     answer = json.loads(first.out)
-    assert set(answer) == {"test", "experiment", "skip", "refit", "early_stopping"}
+    assert set(answer) == {
+        "test", "experiment", "skip", "refit", "early_stopping", "residuals",
+    }  # fmt: skip
     for model in ("test", "refit"):
         assert set(answer[model]) == {"rmse", "per_channel", "per_trajectory"}
         assert set(answer[model]["per_channel"]) == {"y"}
