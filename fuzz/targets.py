@@ -19,7 +19,7 @@ import numpy as np
 from fuzz import hostile
 
 from asia.agents.llm.cassette import may_have_cost, request_key
-from asia.agents.llm.client import ChatClient, _answer
+from asia.agents.llm.client import ChatClient, read_answer
 from asia.agents.llm.reply import MalformedReplyError, read_reply
 from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source, source_digest
@@ -341,7 +341,7 @@ def _model_targets() -> tuple[Target, ...]:
             told.feed(line)
 
     def completion(data: bytes) -> None:
-        _answer(data)
+        read_answer(data)
         client._usage(data)
         request_key("/v1/chat/completions", data)
         may_have_cost(Exchanged(1, "/", "0", "0", 0), data)

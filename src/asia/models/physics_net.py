@@ -34,6 +34,7 @@ from asia.models._equations.measured_sizes import (
     made_by_inputs,
     measured_sizes,
     most_probable,
+    named_parameters,
     outputs_of_states,
     readable_signals,
     single_precision,
@@ -122,15 +123,7 @@ class PhysicsNet:
     def parameters(self) -> dict[str, float]:
         """Those of the equations in their physical units, of the first member where there are
         several, and the lag of the inputs in seconds."""
-        cell, params = self.network.cell, self.network.params
-        assert isinstance(cell, MeasuredCell)
-        values = np.asarray(cell.physical(params["physical"]), np.float64)
-        names = cell.equations.parameters[: len(cell.ranges)]
-        found = {name: float(value) for name, value in zip(names, values, strict=True)}
-        if cell.lag:
-            lags = np.exp(np.asarray(params["log_lag"], np.float64)).ravel()
-            found |= {f"lag {k} [s]": float(lag) for k, lag in enumerate(lags, 1)}
-        return found
+        return named_parameters(self.network.cell, self.network.params)
 
 
 def build(config: Config, context: Context) -> PhysicsNet:

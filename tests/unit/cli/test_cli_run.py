@@ -68,7 +68,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
     assert set(answer) == {
         "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
             "isolation_strict",
-        "early_stopping", "validation_scores", "best", "rungs",
+        "early_stopping", "validation_scores", "residuals", "best", "rungs",
         "control", "stopped", "usage", "metric", "legs", "handed_over",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)

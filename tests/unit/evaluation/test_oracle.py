@@ -157,7 +157,7 @@ def test_the_worker_that_trains_gets_a_number_and_no_case(
     assert len(fits) == len(oracles) == 2
     for requests in fits:
         names = [name for name, _, _ in requests]
-        assert names[:14] == ["fit", *["score"] * 12, "dump"]
+        assert names[:15] == ["fit", *["score"] * 12, "parameters", "dump"]
         fold = next(f for f in judge.folds if f.train[0].y.tobytes() in requests[0][2])
         for name, arguments, body in requests[:13]:
             if name == "score":

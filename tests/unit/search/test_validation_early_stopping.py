@@ -99,7 +99,7 @@ def test_a_ledger_without_the_fields_is_of_an_inner_search(problem: Path, tmp_pa
         body = adapter.dump_python(line.event, mode="json")
         body.pop("early_stopping", None)
         body.pop("validation_scores", None)
-        for fold in body.get("folds", []):
+        for fold in body.get("folds", []) if not isinstance(line.event, Started) else []:
             fold.pop("validation_scores")
         again = adapter.validate_python(json.loads(json.dumps(body)))
         assert again == line.event

@@ -160,3 +160,15 @@ def single_precision(params: Params) -> dict[str, Any]:
         return np.asarray(value, np.float32)
 
     return single(dict(params))
+
+
+def named_parameters(cell: object, params: Params) -> dict[str, float]:
+    """Parameters of the equations in their physical units, and the lags of the inputs in s."""
+    assert isinstance(cell, MeasuredCell)
+    values = np.asarray(cell.physical(params["physical"]), np.float64)
+    names = cell.equations.parameters[: len(cell.ranges)]
+    found = {name: float(value) for name, value in zip(names, values, strict=True)}
+    if cell.lag:
+        lags = np.exp(np.asarray(params["log_lag"], np.float64)).ravel()
+        found |= {f"lag {k} [s]": float(lag) for k, lag in enumerate(lags, 1)}
+    return found
