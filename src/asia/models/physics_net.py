@@ -14,13 +14,13 @@ Sources: Piga and Forgione (physics-residual LSTM, kinematic gains); Wipf and Na
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from asia.candidate import VALIDATION_SCORES, Context, Model
+from asia.candidate import VALIDATION_SCORES, Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
@@ -31,10 +31,10 @@ from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
 from asia.models._equations.measured_cell import MeasuredCell, NetworkKind
 from asia.models._equations.measured_sizes import (
+    LimitedScore,
     made_by_inputs,
     measured_sizes,
     most_probable,
-    named_parameters,
     outputs_of_states,
     readable_signals,
     single_precision,
@@ -42,7 +42,6 @@ from asia.models._equations.measured_sizes import (
 from asia.models._equations.ode import Equations, equations
 from asia.models._networks.layers import dense, zeros
 from asia.models._networks.network import NetworkModel, as_built, train_network
-from asia.models._networks.structure import Params
 from asia.models._noise.choice import refuse_noise
 from asia.models.methods import LevenbergMarquardt, NetworkMethod
 from asia.problem.physics.expressions import parse_expression
@@ -123,7 +122,9 @@ class PhysicsNet:
     def parameters(self) -> dict[str, float]:
         """Those of the equations in their physical units, of the first member where there are
         several, and the lag of the inputs in seconds."""
-        return named_parameters(self.network.cell, self.network.params)
+        cell = self.network.cell
+        assert isinstance(cell, MeasuredCell)
+        return cell.parameters(self.network.params)
 
 
 def build(config: Config, context: Context) -> PhysicsNet:
@@ -159,23 +160,21 @@ def train(
         return _average(model, trajectories, context, method)
     cell, config = model.network.cell, model.config
     assert isinstance(cell, MeasuredCell)
-    if isinstance(method, LevenbergMarquardt) and config.network is not None:
-        raise UserError(
-            "physics_net: LevenbergMarquardt fits the equations alone; train the network by Adam "
-            "or leave network at None"
-        )
     if isinstance(method, LevenbergMarquardt):
+        if config.network is not None:
+            raise UserError(
+                "physics_net: LevenbergMarquardt fits the equations alone; train the network by "
+                "Adam or leave network at None"
+            )
         refuse_noise(method, "physics_net without a network method")
     scaling = Scaling.of(trajectories)
-    start: Params = {
-        **model.network.params,
-        "fixed": measured_sizes(cell, trajectories, scaling, context),
-    }
-    network = replace(model.network, params=start, scaling=scaling)
+    sizes = measured_sizes(cell, trajectories, scaling, context)
+    network = model.network
+    network = replace(network, params={**network.params, "fixed": sizes}, scaling=scaling)
     judge = None
     if method.stop == "validation" and context.validation_score is not None:
         reserve = 0 if isinstance(method, LevenbergMarquardt) else _RESERVED
-        judge = _LimitedScore(context.validation_score, network, VALIDATION_SCORES - reserve)
+        judge = LimitedScore(context.validation_score, network, VALIDATION_SCORES - reserve)
     own = LevenbergMarquardt(iterations=config.equations)
     first = method if isinstance(method, LevenbergMarquardt) else own
     if first.iterations > 0:
@@ -208,28 +207,13 @@ def _average(
     return replace(model, network=replace(fitted[0], others=others))
 
 
-class _LimitedScore:
-    """The validation score of parameters, `most` times; after that nothing is better."""
-
-    def __init__(self, oracle: Callable[[Model], float], network: NetworkModel, most: int) -> None:
-        self._oracle, self._network, self._most = oracle, network, most
-        self.asked = 0
-
-    def __call__(self, params: Params) -> float:
-        if self.asked >= self._most:
-            return float("inf")
-        self.asked += 1
-        own = single_precision({**self._network.params, **params})
-        return self._oracle(replace(self._network, params=own))
-
-
 def _fit_equations(
     network: NetworkModel,
     config: Config,
     trajectories: Sequence[Trajectory],
     context: Context,
     method: LevenbergMarquardt,
-    judge: _LimitedScore | None,
+    judge: LimitedScore | None,
 ) -> NetworkModel:
     # Training compiles by JAX, which a trained model does without.
     from asia.models._equations.measured_terms import TermPenalties, fit_equations

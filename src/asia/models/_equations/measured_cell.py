@@ -135,6 +135,16 @@ class MeasuredCell:
         """Physical parameters (np,) from coordinates in which [-1, 1] spans their ranges."""
         return physical_parameters(self.ranges, z)
 
+    def parameters(self, params: Any) -> dict[str, float]:
+        """Those of the equations in their physical units, and the lags of the inputs in s."""
+        values = np.asarray(self.physical(params["physical"]), np.float64)
+        names = self.equations.parameters[: len(self.ranges)]
+        found = {name: float(value) for name, value in zip(names, values, strict=True)}
+        if self.lag:
+            lags = np.exp(np.asarray(params["log_lag"], np.float64)).ravel()
+            found |= {f"lag {k} [s]": float(lag) for k, lag in enumerate(lags, 1)}
+        return found
+
     def initial(self, params: Any, window: AnyArray) -> MeasuredState:
         """From the last measured outputs, and the last measured inputs where there are any."""
         fixed, xp = params["fixed"], namespace(window)

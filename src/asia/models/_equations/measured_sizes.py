@@ -1,20 +1,23 @@
-"""What a cell of measured states takes from the records and from what is known of the problem."""
+"""What a cell of measured states takes from the records, from what is known of the problem, and
+from the validation scores of a fit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from asia.candidate import Context
+from asia.candidate import Context, Model
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._data.scaling import Scaling
 from asia.models._equations.measured_cell import MeasuredCell
 from asia.models._equations.ode import Equations
 from asia.models._networks.layers import Float32
+from asia.models._networks.network import NetworkModel
 from asia.models._networks.structure import Params
 from asia.problem import Bounds
 from asia.problem.physics.expressions import Name
@@ -162,13 +165,16 @@ def single_precision(params: Params) -> dict[str, Any]:
     return single(dict(params))
 
 
-def named_parameters(cell: object, params: Params) -> dict[str, float]:
-    """Parameters of the equations in their physical units, and the lags of the inputs in s."""
-    assert isinstance(cell, MeasuredCell)
-    values = np.asarray(cell.physical(params["physical"]), np.float64)
-    names = cell.equations.parameters[: len(cell.ranges)]
-    found = {name: float(value) for name, value in zip(names, values, strict=True)}
-    if cell.lag:
-        lags = np.exp(np.asarray(params["log_lag"], np.float64)).ravel()
-        found |= {f"lag {k} [s]": float(lag) for k, lag in enumerate(lags, 1)}
-    return found
+class LimitedScore:
+    """The validation score of parameters, `most` times; after that nothing is better."""
+
+    def __init__(self, oracle: Callable[[Model], float], network: NetworkModel, most: int) -> None:
+        self._oracle, self._network, self._most = oracle, network, most
+        self.asked = 0
+
+    def __call__(self, params: Params) -> float:
+        if self.asked >= self._most:
+            return float("inf")
+        self.asked += 1
+        own = single_precision({**self._network.params, **params})
+        return self._oracle(replace(self._network, params=own))
