@@ -217,10 +217,11 @@ def test_where_the_seconds_went(searched: Searched, asia: Asia, tmp_path: Path) 
     assert done.code == 0, done.err
     table = done.out[done.out.index("profile ") :].splitlines()
     rows = {line.split()[0]: line.split()[1:] for line in table[1:]}
-    assert float(rows["workers"][0]) > 0
     assert float(rows["rungs"][0]) > 0
     assert rows["pictures"] == ["not", "recorded"]
     told = json.loads(asia("status", searched.directory, "--profile", "--json").out)["profile"]
+    # Workers that were started ahead may cost next to no wall time.
+    assert told["workers"]["wall"] + told["workers"]["processor"] > 0
     assert float(rows["total"][0]) == round(sum(one["wall"] for one in told.values()), 2)
 
     begun = asia("run", searched.problem, "--agent", "random", "--experiments", 1,
