@@ -13,7 +13,7 @@ import typer
 
 from asia._text import say
 from asia.cli._options.shared import Json
-from asia.errors import Reason
+from asia.errors import Reason, UserError
 
 if TYPE_CHECKING:
     from asia.agents import Proposal
@@ -56,6 +56,12 @@ def try_(
     from asia.agents import Proposal
     from asia.drive import CANDIDATE, Workspace
 
+    if dry_run and plot:
+        raise UserError("--plot draws a judged candidate, and --dry-run judges none: leave one out")
+    if not dry_run and not message.strip():
+        raise UserError(
+            'a candidate needs a hypothesis: asia try -m "what you changed, and why it should help"'
+        )
     place = Workspace.find(folder)
     path = place.folder / CANDIDATE
     source = read_text(path, "write the candidate there, as Python source")

@@ -2,6 +2,8 @@ from pathlib import Path
 
 import pytest
 
+from asia.problem._load import builtin_problems
+
 from .conftest import Asia
 
 
@@ -29,3 +31,9 @@ def test_short_test_record_is_said(problem: Path, asia: Asia) -> None:
     assert done.code == 0, done.err
     assert "test (5 samples, 2 scored)" in done.out
     assert "warning: test record 'test' has 2 samples to score" in done.out
+
+
+@pytest.mark.parametrize("command", ["check", "run", "workspace"])
+def test_help_names_the_built_in_problems(command: str, asia: Asia) -> None:
+    words = asia(command, "--help").out
+    assert all(name in words for name in builtin_problems())

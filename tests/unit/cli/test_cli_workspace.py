@@ -57,9 +57,12 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert dry.code == 0, dry.err
     assert "nothing fails on 118 of the 118 samples" in dry.out
     assert "V" not in dry.out
+    both = asia("try", "--dry-run", "--plot", "--dir", folder)
+    assert both.code == 2
+    assert "leave one out" in both.err
     without_words = asia("try", "--dir", folder)
     assert without_words.code == 2
-    assert "needs a hypothesis" in without_words.err
+    assert 'asia try -m "what you changed' in without_words.err
     good = asia("try", "-m", "two lags", "--expect", "half", "--dir", folder, "--json")
     assert good.code == 0, good.err
     answer = json.loads(good.out)

@@ -34,6 +34,11 @@ YesProcess = Annotated[
     ),
 ]
 ProblemName = Annotated[
-    str, typer.Argument(metavar="PROBLEM", help="Built-in name, or a directory with problem.toml.")
+    str,
+    typer.Argument(
+        metavar="PROBLEM",
+        help="Built-in name (two_tanks_sim, cascaded_tanks, nanodrone), or a directory with "
+        "problem.toml.",
+    ),
 ]
 DEFAULT_RUNS = Path("runs")
