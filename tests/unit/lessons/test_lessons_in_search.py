@@ -63,6 +63,7 @@ def directory(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_run_keeps_its_lessons_and_verifies_and_replays_with_them(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,7 @@ def test_v_carries_both_marks(tmp_path: Path) -> None:
     assert found.v_name == "V (validation early stopping, held-out residuals shown)"
 
 
+@pytest.mark.slow
 def test_the_commands_say_it(tmp_path: Path) -> None:
     problem, runs = toy(tmp_path / "toy"), tmp_path / "runs"
     words = "run", problem, "--experiments", 1, "--runs", runs, "--agent", "random"
