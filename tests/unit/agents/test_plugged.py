@@ -14,11 +14,12 @@ from asia.agents import (
     Facts,
     RandomAgent,
     choose_agent,
-    library,
+    families_page,
     recorded_agent,
 )
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.table import all_cards, all_families, families
+from asia.agents.llm.problem import library
 from asia.candidate import check_source
 from asia.errors import UserError
 from asia.testing import check_agent
@@ -128,6 +129,8 @@ def test_a_family_of_another_package_is_searched_as_those_here(plug, name: str) 
     assert moved == (name == "CARD")
     assert "static_gain (static gain): no dynamics at all" in library(known)
     assert "from plugged_models import static_gain" in library(known)
+    assert "| `static_gain` (package `plugged_models`) | no dynamics" in families_page(known)
+    assert "from plugged_models import static_gain" in families_page(known)
 
 
 @pytest.mark.parametrize(

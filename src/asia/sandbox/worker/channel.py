@@ -17,7 +17,8 @@ from asia.sandbox.worker.process import Pipes
 from asia.sandbox.worker.wire import REPLY_HEAD, REQUEST_HEAD, TOKEN_BYTES, ReplyKind
 
 _KEPT_BEGINNING = 16 * 1024
-_KEPT_END = 48 * 1024
+# With the line between them all stays within 64 KiB.
+_KEPT_END = 48 * 1024 - 64
 _LARGEST_OUTPUT = 4 * 1024 * 1024
 _SLICE_SECONDS = 0.1
 # What a library says of a system call that the sandbox denies; no word of a candidate.
