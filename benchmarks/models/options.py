@@ -38,8 +38,7 @@ from option_systems import (
     vehicle,
 )
 
-from asia.candidate import Context
-from asia.evaluation import Evaluator
+from asia.evaluation import Evaluator, search_context
 from asia.executor import LocalExecutor
 from asia.models import greybox, neural_ss, physics_net, recurrent
 from asia.models.methods import Adam, LevenbergMarquardt
@@ -300,11 +299,7 @@ def evaluated(name: str, source: str, seed: int) -> Outcome:
     """V of a candidate on the training data, or why it has none."""
     problem = load_problem(name)
     rule = problem.protocol
-    known = Context(
-        problem.inputs, problem.outputs, problem.sampling_time, rule.past_inputs,
-        rule.past_outputs, rule.horizon, rule.metric, problem.physics, seed,
-        symmetry=problem.symmetry,
-    )  # fmt: skip
+    known = search_context(problem, seed)
     budget = Budget(fit_seconds=3600.0, memory_mb=problem.budget.memory_mb)
     folds = make_folds(problem.train, rule)
     judge = Evaluator(

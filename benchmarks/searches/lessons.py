@@ -39,10 +39,10 @@ from scipy.stats import binomtest
 
 from asia.agents import AgentView, Effort, ExpertAgent, Proposal, Trial
 from asia.agents.lessons import Lesson, decode_lessons, encode_lessons, learn
-from asia.candidate import Context, source_digest
+from asia.candidate import source_digest
 from asia.data import Array
 from asia.errors import CandidateError
-from asia.evaluation import LINEAR, derive_seed
+from asia.evaluation import LINEAR, derive_seed, search_context
 from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.ledger import write_whole
 from asia.problem.load import Problem, builtin_problems, load_problem
@@ -145,18 +145,8 @@ def _evaluate(problem: Problem, source: str) -> Result:
 
 def _fold(problem: Problem, fold: Fold, source: str) -> tuple[FoldScore, Diagnostics]:
     rule = problem.protocol
-    context = Context(
-        inputs=problem.inputs,
-        outputs=problem.outputs,
-        sampling_time=problem.sampling_time,
-        n_past_u=rule.past_inputs,
-        n_past_y=rule.past_outputs,
-        horizon=rule.horizon,
-        metric=rule.metric,
-        physics=problem.physics,
-        seed=derive_seed(derive_seed(0, "search"), fold.index, 0),
-        deadline=time.monotonic() + 3600.0,
-    )
+    seed = derive_seed(derive_seed(0, "search"), fold.index, 0)
+    context = replace(search_context(problem, seed), deadline=time.monotonic() + 3600.0)
     names: dict[str, Any] = {"__name__": "candidate"}
     exec(compile(source, "candidate.py", "exec"), names)
     model = _Fitted(names["fit"](fold.train, context))

@@ -63,7 +63,7 @@ def evaluate(
     source: str, folds: Sequence[Fold], context: Context, rule: ProtocolRule, fit_seconds: float
 ) -> tuple[LocalFold, ...]:
     """Fit `source` on each fold and score it; context: that of the search, with its seed;
-    fit_seconds: what a fit is told it may take, which nothing enforces here.
+    fit_seconds: the limit that `context.deadline` states; a fit that takes longer is not stopped.
 
     Raises CandidateError for what the evaluator would refuse; what the candidate itself raises
     comes through.
