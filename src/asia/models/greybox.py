@@ -65,6 +65,8 @@ class GreyBox:
         report = dict(zip(system.parameters, effect.parameters, strict=True))
         for name in self.structure.learned.spans:
             del report[f"{name} low"], report[f"{name} high"]
+        for name in self.structure.learned.rates:
+            del report[f"{name} rate"]
         for i, name in enumerate(system.states):
             if name in config.saturation:
                 report[f"{name} limit"] = effect.limits[i]
@@ -122,7 +124,7 @@ def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:
     asked = structure.config.initial
     bent = structure.config.sensor is not None
     seen = len(structure.measured_states) == structure.nx and not bent
-    possible = context.n_past_y > 0 and seen
+    possible = context.n_past_y > 0 and seen and not structure.config.hides
     if asked == "measured" and not possible:
         raise UserError(
             'greybox.Config: initial is "measured", but the past window does not show every '

@@ -17,6 +17,7 @@ from asia.agents.library.evidence import (
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.records.switching import Cause, switching
 from asia.problem.physics.expressions import parse_expression
 
 # Of the output's deviation: a training error below it is near what a disturbance may explain.
@@ -113,6 +114,45 @@ def _smooth_weight(at: Situation, names: tuple[str, ...], weight: float) -> floa
     return weight * (1.0 if coloured(at.trial) else 0.5) * (0.6 if names_of(at, "smooth") else 1.0)
 
 
+def velocities(at: Situation) -> tuple[str, ...]:
+    """States that are the rate of change of another or, where there are none, those that outputs
+    show."""
+    physics = at.facts.physics
+    if physics is None:
+        return ()
+    named = [text.strip() for text in physics.dynamics.values()]
+    rates = tuple(state for state in physics.states if state in named)
+    shown = [physics.observation.get(s.name, s.name).strip() for s in at.facts.outputs]
+    return rates or tuple(state for state in physics.states if state in shown)
+
+
+def _switching_weight(at: Situation, setting: str, causes: tuple[Cause, ...]) -> float:
+    """Near certain where the records show it."""
+    found = switching(at.facts)
+    if not found.found or found.cause not in causes or at.recipe.get(setting):
+        return 0.0
+    return 0.92 if coloured(at.trial) else 0.6
+
+
+def _turning_input(at: Situation) -> str:
+    return at.facts.inputs[switching(at.facts).signal].name
+
+
+def _presliding_weight(at: Situation) -> float:
+    tried = at.recipe.get("friction") and not at.recipe.get("presliding")
+    return 0.7 * bool(tried) * (switching(at.facts).cause == "displacement")
+
+
+def _finer(at: Situation) -> Recipe:
+    """Sharp forces need short steps."""
+    return at.recipe.configured(substeps=4 * round(at.recipe.number("substeps", 2)))
+
+
+def _finer_weight(at: Situation) -> float:
+    sharp = at.recipe.get("friction") or at.recipe.get("hysteresis") or at.recipe.get("play")
+    return 0.65 * bool(sharp) * (at.recipe.number("substeps", 2) < 8)
+
+
 def _last_state(at: Situation) -> tuple[str, ...]:
     return at.states[::-1]
 
@@ -136,6 +176,10 @@ def _addition(
     )
 
 
+# Settings that mean nothing without another.
+_WITH = {"friction": ("presliding",)}
+
+
 def _removal(setting: str, what: str) -> Move:
     """An addition that the folds disagree about, or that the error does not miss, is taken away."""
 
@@ -147,14 +191,68 @@ def _removal(setting: str, what: str) -> Move:
     return Move(
         name=f"without {what}",
         weight=weight,
-        change=lambda c: c.recipe.without(setting),
+        change=lambda c: c.recipe.without(setting, *_WITH.get(setting, ())),
         hypothesis="What was added may follow its own fold: V does not miss it if the effect is "
         "not real, or if a later addition is the true one.",
         expected="The same training error or a little more, and a lower V.",
     )
 
 
+_SWITCHING: tuple[Move, ...] = (
+    Move(
+        name="dry friction on {state}",
+        weight=lambda c: (
+            _switching_weight(c, "friction", ("velocity", "displacement")) * bool(velocities(c))
+        ),
+        change=lambda c: c.recipe.configured(friction=velocities(c)),
+        state=lambda c: ", ".join(velocities(c)),
+        hypothesis="What a one-step model leaves over has the sign of a motion: dry friction, with "
+        "levels of its own in the two directions and more of it at rest (Stribeck).",
+        expected="A far lower error where the system sticks or turns, on every fold.",
+    ),
+    Move(
+        name="friction with presliding on {state}",
+        weight=_presliding_weight,
+        change=lambda c: c.recipe.configured(presliding=True),
+        state=lambda c: ", ".join(velocities(c)),
+        hypothesis="The records remember where the motion turned: friction gives way a little "
+        "before it slides (LuGre).",
+        expected="Lower error after each turn of the motion.",
+    ),
+    Move(
+        name="hysteresis on {state}",
+        weight=lambda c: (
+            0.97 * _switching_weight(c, "hysteresis", ("displacement",)) * bool(velocities(c))
+        ),
+        change=lambda c: c.recipe.without("friction", "presliding").configured(
+            hysteresis=velocities(c)
+        ),
+        state=lambda c: ", ".join(velocities(c)),
+        hypothesis="What a one-step model leaves over depends on where the motion turned: a "
+        "restoring force with hysteresis (Bouc-Wen).",
+        expected="A far lower error over whole loops, on every fold.",
+    ),
+    Move(
+        name="play behind {state}",
+        weight=lambda c: _switching_weight(c, "play", ("input",)),
+        change=lambda c: c.recipe.configured(play=(_turning_input(c),)),
+        state=lambda c: _turning_input(c),
+        hypothesis="What a one-step model leaves over depends on where the input turned: a play "
+        "(backlash) between the actuator and what it moves.",
+        expected="Lower error after each turn of the input, on every fold.",
+    ),
+    Move(
+        name="shorter steps of the integrator",
+        weight=_finer_weight,
+        change=_finer,
+        hypothesis="A force that switches is smoothed to what the integrator's step can follow: "
+        "shorter steps let it be sharper.",
+        expected="Lower error where the system sticks; the fit takes longer.",
+    ),
+)
+
 WRITTEN_IN: tuple[Move, ...] = (
+    *_SWITCHING,
     Move(
         name="slow disturbance",
         weight=_noise_weight,
@@ -226,4 +324,7 @@ WRITTEN_IN: tuple[Move, ...] = (
     _removal("smooth", "smooth corrections"),
     _removal("input_delay", "the delay"),
     _removal("sensor", "the bent sensor"),
+    _removal("friction", "dry friction"),
+    _removal("hysteresis", "hysteresis"),
+    _removal("play", "the play"),
 )

@@ -28,8 +28,7 @@ class Config:
     saturation: tuple[str, ...] = ()
     """States with a learned upper limit, such as the level of a tank that can be full."""
     spill: bool = False
-    """Whether a learned fraction of what a full state cannot hold goes into the next state of the
-    physics."""
+    """Whether a learned fraction of what a full state cannot hold goes into the next state."""
     linear: bool = False
     """Whether a linear term in states and inputs is added to the dynamics."""
     offset: tuple[str, ...] = ()
@@ -49,12 +48,12 @@ class Config:
     """Runge-Kutta steps a sample."""
     initial: Initial | None = None
     """How a simulation starts: "measured" at the last measured outputs, where every state is an
-    output; "estimated" from the whole past window; None is measured with a horizon, where that is
+    output; "estimated" from the whole past window. None is measured with a horizon, where that is
     possible, and else estimated."""
     sensor: Sensor | None = None
-    """A rising curve between the equations' output and the measured one, from the lowest to the
-    highest value of the state that is observed (else of the data): "power" has a learned zero and
-    exponent, "spline" a learned zero and slopes; None is none."""
+    """A rising curve from the equations' output to the measured one: "power" has a learned zero and
+    exponent, "spline" a learned zero and slopes; None is none. It goes from the lowest to the
+    highest value of the state that is observed (else of the data)."""
     lag: tuple[str, ...] = ()
     """States and inputs that act on the equations of the other states through a first-order lag
     with a learned time constant."""
@@ -67,6 +66,15 @@ class Config:
     """Factor on the standard deviations of priors on parameters; None ignores these priors."""
     priors: tuple[tuple[str, float, float, str], ...] = ()
     """Further priors: expression in parameters, its mean, standard deviation, and the reason."""
+    friction: tuple[str, ...] = ()
+    """Velocities among the states that get dry friction. It is smooth Coulomb and Stribeck friction
+    with viscous friction, each with a level of its own in the two directions."""
+    presliding: bool = False
+    """Whether dry friction gives way before it slides (LuGre, which has a state)."""
+    hysteresis: tuple[str, ...] = ()
+    """Velocities among the states that get a Bouc-Wen force, which has a state."""
+    play: tuple[str, ...] = ()
+    """States and inputs that act on other states behind a play (backlash). Its width is learned."""
 
     def __post_init__(self) -> None:
         if self.spill and not self.saturation:
@@ -86,6 +94,10 @@ class Config:
                 raise ValueError(
                     f"greybox.Config: the prior on '{expression}' needs a standard deviation > 0"
                 )
+        if self.presliding and not self.friction:
+            raise ValueError("greybox.Config: presliding needs a velocity in friction")
+        if set(self.lag) & set(self.play):
+            raise ValueError("greybox.Config: a signal has a lag or a play, not both")
         if self.robust is not None and self.robust <= 0:
             raise ValueError("greybox.Config: robust must be > 0 or None")
 
@@ -104,7 +116,19 @@ class Config:
     @property
     def extends(self) -> bool:
         """Whether anything is written into the equations."""
-        return bool(self.sensor or self.lag or self.smooth)
+        written = self.sensor or self.lag or self.smooth
+        return bool(written or self.friction or self.hysteresis or self.play)
+
+    @property
+    def drawn(self) -> bool:
+        """Whether starting points of learned numbers are drawn: forces that switch have poor
+        minima near zero."""
+        return bool(self.friction or self.hysteresis or self.play)
+
+    @property
+    def hides(self) -> bool:
+        """Whether it adds states that no measurement shows."""
+        return bool((self.friction and self.presliding) or self.hysteresis or self.play)
 
 
 @dataclass(frozen=True)
@@ -156,6 +180,9 @@ class GreyBoxStructure:
             ("offset", self.config.offset, states + outputs),
             ("lag", self.config.lag, signals),
             ("smooth", self.config.smooth, signals),
+            ("friction", self.config.friction, states),
+            ("hysteresis", self.config.hysteresis, states),
+            ("play", self.config.play, signals),
         ):
             for name in names:
                 if name not in known:

@@ -140,7 +140,7 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects
 
 
 def _parameters(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> AnyArray:
-    """Those of the person's equations, those that additions bring, and the spans of states."""
+    """Those of the person's equations, those of additions, and spans and rates of states."""
     layout, learned, xp = structure.layout, structure.learned, namespace(z)
     own = physical_parameters(structure.ranges, z[layout.parameters])
     if not learned.names:
@@ -153,6 +153,8 @@ def _parameters(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Any
         values.append(low if math.isfinite(low) else below)
         above = xp.maximum(scales.x_max[i], values[-1] + scales.x_scale[i])
         values.append(high if math.isfinite(high) else above)
+    indices = [structure.equations.states.index(name) for name in learned.rates]
+    values += [scales.rate[i] for i in indices]
     return xp.concatenate([own, rows(values, z)])
 
 

@@ -202,7 +202,7 @@ def augment(
 ) -> Starts:
     """Starting points around the best fits of the equations alone, with the additions drawn."""
     layout, size = structure.layout, structure.layout.size
-    count = len(starts.z)
+    count, learned = len(starts.z), len(structure.learned.names)
     drawn = _draws(structure, segments, count)
     # The better half of the first fits, in turn: others have often ended in a poor minimum.
     order = np.argsort(found.cost, kind="stable")[: max(1, count // 2)]
@@ -218,6 +218,8 @@ def augment(
     z[:, layout.limits] = rng.uniform(np.log(0.5), 0.0, z[:, layout.limits].shape)
     z[:, layout.spill] = rng.uniform(-2.0, 1.0, z[:, layout.spill].shape)
     z[:, layout.delay] = rng.uniform(0.0, 0.8, z[:, layout.delay].shape)
+    if structure.config.drawn:
+        z[len(order) :, layout.learned] = rng.normal(size=(drawn - len(order), learned))
     # One start with next to no effect, so that additions do not begin worse than the equations.
     z[0, layout.limits], z[0, layout.spill], z[0, layout.delay] = 0.0, -4.0, 0.0
     ranking = _ranking(segments, scales, simulate(z, scales, x0)[0])

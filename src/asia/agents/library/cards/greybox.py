@@ -58,6 +58,10 @@ def _space(facts: Facts) -> Space:
             OneOf("sensor", (None, "power", "spline")),
             OneOf("lag", ((), *_single(facts))),
             OneOf("smooth", ((), *_single(facts))),
+            OneOf("friction", ((), *_states(facts))),
+            OneOf("presliding", (False, True), needs="friction"),
+            OneOf("hysteresis", ((), *_states(facts))),
+            OneOf("play", ((), *_inputs(facts))),
             Span("smooth_width", 0.02, 0.3, needs="smooth"),
             *_widths(facts),
             Span("ridge", 1e-5, 1e-1),
@@ -78,13 +82,23 @@ def _single(facts: Facts) -> tuple[tuple[str, ...], ...]:
     return tuple((name,) for name in (*states, *(s.name for s in facts.inputs)))
 
 
+def _states(facts: Facts) -> tuple[tuple[str, ...], ...]:
+    return tuple((name,) for name in (facts.physics.states if facts.physics else ()))
+
+
+def _inputs(facts: Facts) -> tuple[tuple[str, ...], ...]:
+    return tuple((signal.name,) for signal in facts.inputs)
+
+
 def _widths(facts: Facts) -> tuple[Parameter, ...]:
     known = facts.physics is not None and facts.physics.priors
     return (Span("prior_width", 0.3, 3.0),) if known else ()
 
 
 def _settle(_: Facts, recipe: Recipe) -> Recipe:
-    """The noise model has a robust loss of its own."""
+    """The noise model has a robust loss of its own; a signal has a lag or a play."""
+    if recipe.get("lag") == recipe.get("play"):
+        recipe = recipe.without("play")
     return recipe.without("robust") if recipe.get("noise_model") == "slow" else recipe
 
 

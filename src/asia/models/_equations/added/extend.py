@@ -1,4 +1,4 @@
-"""The person's equations with a config's lags, smooth corrections and sensors in them."""
+"""The person's equations with what a config adds to them written in."""
 
 from __future__ import annotations
 
@@ -7,6 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from asia.data import Array
+from asia.models._equations.added.friction import (
+    BOUND,
+    Force,
+    bouc_wen,
+    lugre,
+    play,
+    stribeck,
+)
 from asia.models._equations.added.numbers import (
     KNOTS,
     LENGTH,
@@ -50,37 +58,68 @@ class _Builder:
         structure, config, system = self._structure, self._config, self._system
         signals = (*system.states, *system.inputs)
         late = {name: Name(f"{name} lagged") for name in signals if name in config.lag}
+        behind = {name: self._play(name) for name in signals if name in config.play}
         read = {name: self._as_read(name) for name in signals}
-        others = {n: substituted(read[n], {n: late[n]}) if n in late else read[n] for n in signals}
+        instead = late | {name: Name(state) for name, (state, _) in behind.items()}
+        others = {
+            n: substituted(read[n], {n: instead[n]}) if n in instead else read[n] for n in signals
+        }
+        forces = self._forces()
         dynamics = [
-            _expression(substituted(_inlined(system, e), {**others, state: read[state]}))
+            substituted(_inlined(system, e), {**others, state: read[state]})
             for state, e in zip(system.states, system.dynamics, strict=True)
         ]
-        dynamics += [_expression(self._lag(name)) for name in late]
+        for velocity, force in forces:
+            place = system.states.index(velocity)
+            dynamics[place] = Binary("-", dynamics[place], force.node)
+        dynamics += [self._lag(name) for name in late]
+        # States of additions, each with its derivative, behind those of the lags.
+        new = [*behind.values(), *(pair for _, force in forces for pair in force.states)]
+        dynamics += [derivative for _, derivative in new]
         observation = [_inlined(system, e) for e in system.observation]
         if config.sensor is not None:
             observation = [self._sensor(k, node) for k, node in enumerate(observation)]
         learned = self._extension.finished()
         spans = [f"{name} {end}" for name in learned.spans for end in ("low", "high")]
+        rates = [f"{name} rate" for name in learned.rates]
+        free = len(late) + len(behind)
+        bound = (BOUND,) * (len(new) - len(behind))
         return replace(
             structure,
             equations=replace(
                 system,
-                states=(*system.states, *(node.name for node in late.values())),
-                parameters=(*system.parameters, *learned.names, *spans),
+                states=(
+                    *system.states,
+                    *(node.name for node in late.values()),
+                    *(name for name, _ in new),
+                ),
+                parameters=(*system.parameters, *learned.names, *spans, *rates),
                 definitions=(),
-                dynamics=tuple(dynamics),
+                dynamics=tuple(_expression(node) for node in dynamics),
                 observation=tuple(_expression(node) for node in observation),
             ),
-            low=(*structure.low, *(-math.inf for _ in late)),
-            high=(*structure.high, *(math.inf for _ in late)),
+            low=(*structure.low, *(-math.inf,) * free, *(-b for b in bound)),
+            high=(*structure.high, *(math.inf,) * free, *bound),
             learned=learned,
             person_states=len(system.states),
-            shown=self._shown(list(late)),
+            shown=self._shown([*late, *behind]),
         )
 
+    def _forces(self) -> list[tuple[str, Force]]:
+        """Forces on velocities."""
+        config, step = self._config, self._structure.sampling_time / self._config.substeps
+        dry = lugre if config.presliding else stribeck
+        found = [(name, dry(self._extension, name, step)) for name in config.friction]
+        return found + [(name, bouc_wen(self._extension, name, step)) for name in config.hysteresis]
+
+    def _play(self, name: str) -> tuple[str, Node]:
+        # As fast as steps of Runge and Kutta follow without a swing.
+        time = self._structure.sampling_time / (1.5 * self._config.substeps)
+        return play(self._extension, name, self._span(name)[1], time)
+
     def _shown(self, lagged: list[str]) -> tuple[tuple[int, int], ...]:
-        """Outputs that show states; what shows a state shows a lag of it as well."""
+        """Outputs that show states; what shows a state shows a lag of it, or a play behind it, as
+        well."""
         shown, states = dict(self._structure.measured_states), self._system.states
         for k, name in enumerate(lagged):
             if name in states and states.index(name) in shown:

@@ -42,6 +42,8 @@ class LearnedNumbers:
     """Whether the logarithm is searched."""
     spans: tuple[str, ...] = ()
     """States whose lowest and highest value are appended, for expressions that need them."""
+    rates: tuple[str, ...] = ()
+    """States whose usual rate of change is appended after these."""
 
     def values(self, z: AnyArray) -> list[AnyArray]:
         """The numbers from their coordinates z (n, ...)."""
@@ -64,6 +66,7 @@ class Extension:
         self._positive: list[bool] = []
         self._blocks: list[np.ndarray] = []
         self._spans: list[str] = []
+        self._rates: list[str] = []
 
     def number(self, name: str, mean: float, deviation: float, positive: bool = False) -> Node:
         """A new number."""
@@ -82,6 +85,12 @@ class Extension:
             self._spans.append(state)
         low, high = Name(f"{state} low"), Name(f"{state} high")
         return low, Binary("-", high, low)
+
+    def rate(self, state: str) -> Node:
+        """The usual rate of change of a state: the root of its mean square."""
+        if state not in self._rates:
+            self._rates.append(state)
+        return Name(f"{state} rate")
 
     def _add(self, names: list[str], mean: list[float], block: np.ndarray, positive: bool) -> None:
         self._names += names
@@ -103,6 +112,7 @@ class Extension:
             tuple(tuple(float(v) for v in row) for row in factor),
             tuple(self._positive),
             tuple(self._spans),
+            tuple(self._rates),
         )
 
 

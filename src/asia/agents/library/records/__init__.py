@@ -1,0 +1,1 @@
+"""What the training records say before any model is fitted."""

@@ -1,0 +1,47 @@
+"""Dry friction, hysteresis and play in records, and the absence of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from asia.agents.library.records.switching import Cause, switching
+from asia.data import Trajectory
+from tests.unit.agents.searches import simulation
+from tests.unit.models.systems.equations import duffing_record
+from tests.unit.models.systems.friction import (
+    backlash,
+    bristle,
+    record,
+    sliding,
+    sticking,
+    yielding,
+)
+
+CASES: dict[str, tuple[Cause, Trajectory]] = {
+    "stick-slip": ("displacement", record(sliding, 2, 100)),
+    "velocity": ("velocity", record(sticking, 1, 100)),
+    "presliding": ("displacement", record(bristle, 3, 100)),
+    "Bouc-Wen": ("displacement", record(yielding, 3, 100)),
+    "play": ("input", backlash(100)),
+}
+
+
+def of_records(*records: Trajectory):
+    return switching(replace(simulation(physics=False), records=records))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_switches_is_seen_in_the_record(case: str) -> None:
+    cause, found = CASES[case][0], of_records(CASES[case][1])
+    assert found.found
+    assert (found.cause, found.signal) == (cause, 0)
+
+
+def test_a_smooth_spring_is_not_taken_for_friction() -> None:
+    assert not of_records(duffing_record(400, 100, 0.003), duffing_record(400, 101, 0.003)).found
+
+
+def test_records_too_short_to_tell_say_nothing() -> None:
+    assert not of_records(record(sliding, 2, 100)[:100]).found
