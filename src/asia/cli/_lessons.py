@@ -77,13 +77,14 @@ def lessons(
 def chosen_lessons(which: str | None, agent: str) -> tuple[Lesson, ...] | None:
     """The lessons that a search is to have; None for none. Raises UserError for an agent that has
     no use for them, and for a file that is none of lessons."""
+    from asia.agents import asked_relay
     from asia.agents.lessons import kept_lessons, merge, shipped_lessons
     from asia.errors import UserError
 
     if which is None or which == "off":
         return None
-    alone = "," not in agent
-    if alone and (agent in _WITHOUT or agent.startswith("command:")):
+    proposing = [leg.agent for leg in asked_relay(agent)] or [agent]
+    if all(name in _WITHOUT or name.startswith("command:") for name in proposing):
         raise UserError(
             f"--lessons {which}: the agent '{agent}' does not use lessons: leave it out, or choose "
             "expert, llm or a class of your own"

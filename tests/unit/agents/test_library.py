@@ -12,11 +12,13 @@ from asia.agents.controls.random import _drawn
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.cost import FEWEST_STEPS
 from asia.agents.library.family import Family
+from asia.agents.library.methods import by_lbfgs
 from asia.agents.library.move import Situation
 from asia.agents.library.protocol import under_protocol
 from asia.agents.library.table import all_families, families
 from asia.models import methods
-from asia.testing._family import check_recipe
+from asia.models._networks.objective import check_structure
+from asia.testing._family import check_recipe, family_problem
 from tests.unit.agents.searches import (
     CLEAN,
     body,
@@ -49,6 +51,27 @@ def test_what_a_row_gives_is_accepted(row: Family, known: Facts) -> None:
     rng = np.random.default_rng(0)
     for _ in range(30):
         check_recipe(under_protocol(_drawn(rng, row, known), row, known))
+
+
+@pytest.mark.parametrize(
+    "row",
+    [row for row in all_families() if by_lbfgs in row.methods],
+    ids=lambda row: row.name,
+)
+def test_what_random_draws_a_network_can_be_trained_with(row: Family) -> None:
+    """Among it all that Adam asks of a structure: a state to carry, an output fed back."""
+    known, rng = PROBLEMS["long"], np.random.default_rng(0)
+    _, context = family_problem(row)
+    module = importlib.import_module(f"{row.package}.{row.name}")
+    checked = 0
+    for _ in range(60):
+        recipe = _drawn(rng, row, known)
+        if recipe.method == "Adam":
+            config = dict(recipe.changed(**dict(row.small)).config)
+            model = module.build(module.Config(**config), context)
+            check_structure(model.cell, model.params, methods.Adam(**dict(recipe.options)))
+            checked += 1
+    assert checked > 10
 
 
 @pytest.mark.parametrize("row", all_families(), ids=lambda row: row.name)

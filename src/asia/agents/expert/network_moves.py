@@ -238,7 +238,12 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="state carried between chunks",
-        weight=lambda c: 0.3 * _chunked(c) * _absent(c, "carry") * ("long" in traits(c.facts)),
+        weight=lambda c: (
+            0.3
+            * (_chunked(c) and c.varies("carry"))
+            * _absent(c, "carry")
+            * ("long" in traits(c.facts))
+        ),
         change=lambda c: c.recipe.trained(carry=True),
         hypothesis="Chunks that start from their past window never show what the state has "
         "gathered over a long time: read in order, with the state carried over (truncated "

@@ -65,6 +65,9 @@ def network_family(
     def space(facts: Facts) -> Space:
         own = start_for(facts)
         found = network_space(facts, own.cost, own.vary)
+        if by_multiple_shooting not in methods:
+            # No state that could be carried from one chunk to the next.
+            found = replace(found, options=tuple(p for p in found.options if p.name != "carry"))
         if own.teacher is None:
             return found
         teacher = (OneOf("teacher", (0.0, 0.3, 1.0)), OneOf("teacher_end", (0.0,)))

@@ -72,6 +72,10 @@ def test_a_search_has_the_lessons_that_it_is_given(
     ("options", "words"),
     [
         (("--lessons", "own", "--agent", "random"), "the agent 'random' does not use lessons"),
+        (
+            ("--lessons", "own", "--agent", "random*1+bayes"),
+            "'random*1+bayes' does not use",
+        ),
         (("--lessons", "no.json"), "no such file: no.json"),
     ],
 )
