@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import AGENTS, AgentView, Proposal
+import asia
+from asia.agents import AGENTS, AgentView, Proposal, RelayAgent, make_runner
 from asia.agents.lessons import FIRST_FIT, Lesson, encode_lessons
 from asia.agents.library.table import family
 from asia.errors import UserError
@@ -137,3 +138,12 @@ def test_what_cannot_be_learned_from_is_left_out_with_a_reason(directory: Path) 
     assert [name for name, _ in found.left_out] == ["cut", "damaged"]
     assert found.left_out[0][1] == "the search is not finished"
     assert len(found.lessons) == 1
+
+
+@pytest.mark.slow
+def test_every_leg_of_a_relay_has_the_lessons(directory: Path) -> None:
+    first, second = Library(name="first"), Library(name="second")
+    agent = RelayAgent([make_runner(first, 2), make_runner(second, None)])
+    asia.run(directory / "toy", agent=agent, runs=directory / "runs", experiments=3, lessons=KNOWN)
+    assert len(first.seen) == len(second.seen) == 1
+    assert first.seen == second.seen == [KNOWN]

@@ -65,13 +65,7 @@ def network_family(
     def space(facts: Facts) -> Space:
         own = start_for(facts)
         found = network_space(facts, own.cost, own.vary)
-        if by_multiple_shooting not in methods:
-            # No state that could be carried from one chunk to the next.
-            found = replace(found, options=tuple(p for p in found.options if p.name != "carry"))
-        if own.teacher is None:
-            return found
-        teacher = (OneOf("teacher", (0.0, 0.3, 1.0)), OneOf("teacher_end", (0.0,)))
-        return replace(found, options=(*found.options, *teacher))
+        return _for_structure(found, by_multiple_shooting in methods, own.teacher is not None)
 
     return Family(
         name=name,
@@ -89,3 +83,11 @@ def network_family(
         seeds=True,
         package=package,
     )
+
+
+def _for_structure(space: Space, state: bool, feedback: bool) -> Space:
+    """Only settings that the structure takes. state: it has one, to be carried from one chunk to
+    the next; feedback: of its own output."""
+    options = tuple(p for p in space.options if state or p.name != "carry")
+    teacher = (OneOf("teacher", (0.0, 0.3, 1.0)), OneOf("teacher_end", (0.0,)))
+    return replace(space, options=(*options, *(teacher if feedback else ())))
