@@ -37,11 +37,12 @@ def status(
 
 
 def _object(directory: Path, found: Brief) -> dict[str, Any]:
-    from asia.ledger import control, metric_of
+    from asia.ledger import control, metric_of, model_to_use
     from asia.scoring import Score
 
     view, best = found.view, found.view.best
     beside = control(directory, view.started, found.finished)
+    named = model_to_use(view)
     return {
         "run": view.started.run,
         "problem": view.started.problem,
@@ -63,6 +64,8 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "residuals": view.started.residuals,
         "validation_scores": found.validation_scores,
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
+        "use": named.model if named else None,
+        "use_reason": named.reason if named else None,
         "control": None
         if beside is None
         else {"run": beside.run, "V": beside.value, "experiments": beside.experiments},
@@ -80,6 +83,7 @@ def _print(directory: Path, found: Brief) -> None:
         guard_words,
         stop_words,
         usage_words,
+        use_lines,
         validation_words,
         value_words,
     )
@@ -109,6 +113,8 @@ def _print(directory: Path, found: Brief) -> None:
         say("V is with held-out residuals shown")
     if words := again_words(view):
         say(f"again   {words}")
+    for line in use_lines(view):
+        say(line)
     if view.looks:
         say(f"guard   {guard_words(view)}")
     if view.unsealed is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asia._text import say
+from asia._text import one_line, say
 from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
 
@@ -60,10 +60,10 @@ def unseal(
     draw = partial(write_report, directory, missing_only=result.first_time)
     if json:
         draw()
-        answer = {**_as_object(result.record), **_settings(view)}
+        answer = {**_as_object(result.record), "use": _use(result.record, view), **_settings(view)}
         say(jsonlib.dumps(answer, allow_nan=False))
         return
-    _print_text(result.record)
+    _print_text(result.record, view)
     for line in _setting_lines(view):
         say(line)
     for picture in draw():
@@ -107,9 +107,23 @@ def _as_object(record: Unsealed) -> dict[str, Any]:
         "experiment": record.experiment,
         "skip": record.skip,
     }
-    if record.refit is not None:
-        answer["refit"] = _scores(record, record.refit)
+    for name, model in (("refit", record.refit), ("stack", record.stack)):
+        if model is not None:
+            answer[name] = _scores(record, model)
     return answer
+
+
+def _use(record: Unsealed, view: SearchView) -> dict[str, Any]:
+    """The model to use with its scores."""
+    from asia.ledger import model_to_use, tested_model
+
+    named = model_to_use(view)
+    assert named is not None
+    return {
+        "model": named.model,
+        "reason": named.reason,
+        **_scores(record, tested_model(record, named.model)),
+    }
 
 
 def _scores(record: Unsealed, model: TestedModel | Failure) -> dict[str, Any]:
@@ -138,7 +152,8 @@ def _table_lines(mee: MeeTable) -> list[str]:
     return ["mean Euclidean error", *lines]
 
 
-def _print_text(record: Unsealed) -> None:
+def _print_text(record: Unsealed, view: SearchView) -> None:
+    from asia.cli._output.words import use_lines
     from asia.ledger import error_value
     from asia.protocol import metric_label
     from asia.scoring import Failure
@@ -152,6 +167,8 @@ def _print_text(record: Unsealed) -> None:
     ]
     if record.refit is not None:
         models.append(("refit on all training data", record.refit))
+    if record.stack is not None:
+        models.append(("stack of several experiments", record.stack))
     for title, model in models:
         if isinstance(model, Failure):
             say(f"{title:<28} no score: {model.advice}")
@@ -168,3 +185,5 @@ def _print_text(record: Unsealed) -> None:
                     say(f"    {name:<24} {error_value(value)}")
         for line in _table_lines(model.mee) if model.mee is not None else ():
             say(f"    {line}")
+    for line in use_lines(view)[:1]:
+        say(f"model to {one_line(line)}")

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
-from asia._stopwatch import Activity, Stopwatch
+from asia._stopwatch import Activity
 from asia.candidate import Context, check_source, executed_source, imported_libraries
 from asia.data import Array, Trajectory
-from asia.errors import CandidateError, Reason, SandboxError, UserError
+from asia.errors import CandidateError, Reason
 from asia.evaluation._findings import Fitted, fold_result
-from asia.evaluation._metamorphic import ROUNDING, dependences, strangers, suspicions
+from asia.evaluation._metamorphic import (
+    ROUNDING,
+    dependences,
+    objection_to,
+    strangers,
+    suspicions,
+)
 from asia.evaluation._oracle import Oracle
 from asia.evaluation._relations import Suspicion, SuspicionKind
-from asia.evaluation._requests import simulate_held_out, simulate_training
+from asia.evaluation._requests import (
+    MOST_TRAINING_WINDOWS,
+    simulate_held_out,
+    simulate_training,
+    spread,
+)
 from asia.evaluation._results import (
     Evaluation,
     FoldEnd,
@@ -28,6 +38,7 @@ from asia.evaluation._results import (
     consistency,
     derive_seed,
 )
+from asia.evaluation._workers import WorkerRunner
 from asia.executor import Executor
 from asia.problem import Budget
 from asia.protocol import Block, Fold, ProtocolRule, whole
@@ -35,10 +46,7 @@ from asia.sandbox import (
     FitReply,
     Isolation,
     Limits,
-    ReadyWorkers,
     Worker,
-    WorkerKilledError,
-    open_worker,
 )
 from asia.scoring import (
     Failure,
@@ -48,14 +56,13 @@ from asia.scoring import (
 
 T = TypeVar("T")
 
-_MOST_LEFT_BEHIND = 3
 _STRANGERS_ASKED = 4
 # V over the training error, below which it takes more evidence; honest candidates lie above 0.9.
 FAR_BELOW = 0.6
 _UNLIKE = 1.5
 
 
-class Evaluator:
+class Evaluator(WorkerRunner):
     """Judges candidates on the folds of one problem, each fold in a fresh sandboxed worker."""
 
     def __init__(
@@ -72,32 +79,18 @@ class Evaluator:
     ) -> None:
         """salt: a text that no candidate or agent knows, so that none can predict which cases are
         checked; without: relations that are not checked, to show what each of them finds."""
+        limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
+        super().__init__(isolation, limits, executor, len(folds))
         self._without = frozenset(without)
         self.folds = tuple(folds)
         self.horizon = rule.horizon
         self._records = tuple(records)
+        self.training_blocks = spread(whole(records, rule), MOST_TRAINING_WINDOWS)
+        self.scale = np.concatenate([record.y for record in records]).std(axis=0)
         self._context = context
         self._rule = rule
-        self.isolation = isolation
         self._salt = salt
-        self._executor = executor
-        # Processes that the kernel does not let die, by pid: they keep their core and memory.
-        self.left_behind: list[int] = []
-        self._open: set[Worker] = set()
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
-        self._interrupted = False
-        self._ready: ReadyWorkers | None = None
-        self.stopwatch = Stopwatch()
-        self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
-
-    @contextmanager
-    def ready_workers(self) -> Generator[None]:
-        """Start workers before they are needed, until this is closed."""
-        with ReadyWorkers(self.isolation, self._limits, len(self.folds)) as self._ready:
-            try:
-                yield
-            finally:
-                self._ready = None
 
     def evaluate(self, source: str) -> Evaluation:
         """Fit and simulate `source` on every fold. A failed fold fails the candidate."""
@@ -169,7 +162,7 @@ class Evaluator:
             found = self._ask_fresh(source, result.model, fold.validation, result.y_hat, ask)
         except CandidateError as error:
             return Failure(error.reason, error.detail, place)
-        return _suspected(found, place)
+        return objection_to(found, place)
 
     def _ask_fresh(
         self,
@@ -205,24 +198,50 @@ class Evaluator:
         return derive_seed(self._context.seed, self._salt, source, *parts)
 
     def refit(self, source: str) -> Refit:
-        """Fit on all training records, where nothing is held out, so that the candidate has no
-        validation score to ask for; and on one of the folds a second time."""
+        """Fit on all training records, and on one of the folds a second time."""
         source = executed_source(source)
         fold = self.folds[derive_seed(self._context.seed, self._salt) % len(self.folds)]
-
         models: list[bytes | CandidateError] = []
         results: list[FoldResult | Failure] = []
-
-        def on_all() -> None:
-            try:
-                with self._worker(imported_libraries(source, fitting=True)) as worker:
-                    worker.fit(source, self._records, self._fold_context("all"))
-                    models.append(worker.dump())
-            except CandidateError as error:
-                models.append(error)
-
+        on_all = lambda: models.append(self._fit_all(source, 0))  # noqa: E731
         self._run([on_all, lambda: results.append(self._fold_or_failure(source, fold).result)])
         return Refit(models[0], fold.index + 1, results[0])
+
+    def refit_again(self, source: str, start: int) -> bytes | CandidateError:
+        """Fit on all training records with the seed of another start; 0 is that of `refit`."""
+        return self._run([partial(self._fit_all, executed_source(source), start)])[0]
+
+    def _fit_all(self, source: str, start: int) -> bytes | CandidateError:
+        """Nothing is held out, so the candidate has no validation score to ask for."""
+        try:
+            with self._worker(imported_libraries(source, fitting=True)) as worker:
+                worker.fit(source, self._records, self._fold_context("all", start))
+                return worker.dump()
+        except CandidateError as error:
+            return error
+
+    def simulate_training(
+        self, source: str, models: Sequence[bytes]
+    ) -> list[tuple[Array, ...] | CandidateError]:
+        """What stored models answer to `training_blocks`, or why one does not."""
+        blocks = self.training_blocks
+        return self._run([partial(self._answers, source, model, blocks) for model in models])
+
+    def refit_objection(self, source: str, model: bytes, y_hat: Sequence[Array]) -> Failure | None:
+        """As `objection`, for a model fitted on all records and its answers to `training_blocks`:
+        without what asks how it does outside the records that it was fitted on."""
+        ask = partial(
+            suspicions, scale=self.scale, horizon=self.horizon, rounding=0.0,
+            seed=self._check_seed(source, "refit"),
+            without={*self._without, SuspicionKind.RESTART, SuspicionKind.BLOCK_END},
+        )  # fmt: skip
+        blocks = self.training_blocks
+        job = partial(self._ask_fresh, source, model, blocks, y_hat, ask)
+        try:
+            with self.stopwatch.activity(Activity.CHECKS, swallows=True):
+                return objection_to(self._run([job])[0], None)
+        except CandidateError as error:
+            return Failure(error.reason, error.detail)
 
     def simulate(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
@@ -240,65 +259,10 @@ class Evaluator:
         jobs = [partial(self._simulate_checked, source, model, blocks) for model in models]
         return self._run(jobs)
 
-    def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
-        """Results of the jobs; one whose worker fails for no fault of the candidate is tried once
-        more. Raises CandidateError when somebody ended the worker both times. Workers still open
-        at the end are those of an interrupted run."""
-        try:
-            tries = [partial(self._with_one_retry, job) for job in jobs]
-            return self.stopwatch.run(self._executor.run, tries)
-        finally:
-            self._interrupted = bool(self._open)
-            for worker in list(self._open):
-                worker.abort()
-
-    def _with_one_retry(self, job: Callable[[], T]) -> T:
-        try:
-            return job()
-        except SandboxError:
-            if self._interrupted:
-                raise
-        try:
-            return job()
-        except WorkerKilledError as error:
-            if self._interrupted:
-                raise
-            raise CandidateError(
-                Reason.MEMORY, f"{error}, twice, as a machine does whose memory has run out"
-            ) from None
-
-    @contextmanager
-    def _worker(self, libraries: frozenset[str] = frozenset()) -> Generator[Worker]:
-        if len(self.left_behind) >= _MOST_LEFT_BEHIND:
-            pids = ", ".join(str(pid) for pid in self.left_behind)
-            raise UserError(
-                f"worker processes {pids} cannot be ended: restart the machine, and give the same "
-                "command again, which goes on from here"
-            )
-        with self.stopwatch.activity(Activity.START):
-            ready = self._ready
-            waiting = ready.take(libraries) if ready else None
-            worker = waiting or open_worker(self.isolation, self._limits)
-        try:
-            with worker:
-                self._open.add(worker)
-                try:
-                    if self._interrupted:
-                        raise SandboxError("the search was interrupted")
-                    yield worker
-                    worker.count_compiling()
-                finally:
-                    self._open.discard(worker)
-        finally:
-            for activity, (wall, processor) in worker.spent.items():
-                self.stopwatch.add(activity, wall, processor)
-            if worker.left_behind is not None:
-                self.left_behind.append(worker.left_behind)
-
-    def _fold_context(self, fold: object) -> Context:
+    def _fold_context(self, fold: object, start: int = 0) -> Context:
         return replace(
             self._context,
-            seed=derive_seed(self._context.seed, fold, 0),
+            seed=derive_seed(self._context.seed, fold, start),
             deadline=time.monotonic() + self._limits.fit_seconds,
         )
 
@@ -348,7 +312,7 @@ class Evaluator:
             )
             return () if found is None else (found,)
 
-        failure = _suspected(self._ask_fresh(source, model, fold.validation, y_hat, ask), None)
+        failure = objection_to(self._ask_fresh(source, model, fold.validation, y_hat, ask), None)
         if failure is not None:
             raise CandidateError(failure.reason, failure.detail)
 
@@ -372,12 +336,19 @@ class Evaluator:
     def _dependence(
         self, source: str, model: bytes, blocks: Sequence[Block], y_hat: Sequence[Array]
     ) -> Failure | None:
-        scale = np.concatenate([record.y for record in self._records]).std(axis=0)
         ask = partial(
-            dependences, scale=scale, horizon=self.horizon, seed=self._check_seed(source, "other"),
-            without=self._without, rounding=0.0,
+            dependences, scale=self.scale, horizon=self.horizon, without=self._without,
+            seed=self._check_seed(source, "other"), rounding=0.0,
         )  # fmt: skip
-        return _suspected(self._ask_fresh(source, model, blocks, y_hat, ask), None)
+        return objection_to(self._ask_fresh(source, model, blocks, y_hat, ask), None)
+
+    def _answers(
+        self, source: str, model: bytes, blocks: Sequence[Block]
+    ) -> tuple[Array, ...] | CandidateError:
+        try:
+            return self._simulate_model(source, model, blocks)
+        except CandidateError as error:
+            return error
 
     def _simulate_model(
         self, source: str, model: bytes, blocks: Sequence[Block]
@@ -385,12 +356,3 @@ class Evaluator:
         with self._worker(imported_libraries(source, fitting=False)) as worker:
             worker.load(executed_source(source), model, self._fold_context("load"))
             return simulate_held_out(worker, blocks, self.horizon)
-
-
-def _suspected(found: Sequence[Suspicion], fold: int | None) -> Failure | None:
-    """The failure that the relations found broken come to. RESTART depends on held-out outputs:
-    it is the reason only where no other relation is broken."""
-    known = [one for one in found if one.kind is not SuspicionKind.RESTART]
-    reason = Reason.SUSPECT if known else Reason.RESTART
-    words = "; ".join(f"{one.kind}: {one.words}" for one in known or found)
-    return Failure(reason, words, fold) if found else None

@@ -33,6 +33,7 @@ from asia.evaluation._requests import (
     simulate_requests,
 )
 from asia.protocol import Block
+from asia.scoring import Failure
 
 ROUNDING = 1e-6
 _BY_ITSELF = 24
@@ -143,6 +144,15 @@ def strangers(
         change = max((float(a.max(initial=0.0)) for a in apart), default=0.0)
     words = "a case asked in another order, alone or among other cases, is answered otherwise"
     return Suspicion(SuspicionKind.STRANGERS, words, change) if change > rounding else None
+
+
+def objection_to(found: Sequence[Suspicion], fold: int | None) -> Failure | None:
+    """The failure that the relations found broken come to. RESTART depends on held-out outputs:
+    it is the reason only where no other relation is broken."""
+    known = [one for one in found if one.kind is not SuspicionKind.RESTART]
+    reason = Reason.SUSPECT if known else Reason.RESTART
+    words = "; ".join(f"{one.kind}: {one.words}" for one in known or found)
+    return Failure(reason, words, fold) if found else None
 
 
 def _worst(

@@ -62,6 +62,12 @@ def simulate_training(
     return tuple(found[i] for i in range(len(blocks)))
 
 
+def spread(blocks: Sequence[Block], most: int) -> tuple[Block, ...]:
+    """At most so many of the blocks, evenly spread."""
+    places = np.linspace(0, len(blocks) - 1, min(len(blocks), most)).round().astype(int)
+    return tuple(blocks[place] for place in places.tolist())
+
+
 def largest(requests: Sequence[Sequence[int]]) -> int:
     """The number of rows in which all of them are sent."""
     return max((len(request) for request in requests), default=0)

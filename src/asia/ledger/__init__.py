@@ -18,11 +18,15 @@ from asia.ledger._events import (
     Leg,
     Phase,
     Proposed,
+    RefitCheck,
+    RefitStart,
     Refitted,
     Resumed,
     RungScored,
     SessionEnded,
     SessionStarted,
+    Stack,
+    StackMember,
     Started,
     Status,
     Steered,
@@ -33,6 +37,7 @@ from asia.ledger._events import (
     Unsealed,
     Unsealing,
     Usage,
+    Use,
 )
 from asia.ledger._exports import (
     describe_result,
@@ -47,6 +52,7 @@ from asia.ledger._lines import Line
 from asia.ledger._published import beats, published
 from asia.ledger._run import Run, RunState, find_run, metric_of, open_run
 from asia.ledger._store import Store, without_artifacts
+from asia.ledger._use import ModelToUse, model_to_use, stack_words, tested_model
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
 from asia.ledger._words import error_line, hand_over_words
@@ -85,8 +91,11 @@ __all__ = [
     "HandedOver",
     "Leg",
     "Line",
+    "ModelToUse",
     "Phase",
     "Proposed",
+    "RefitCheck",
+    "RefitStart",
     "Refitted",
     "Resumed",
     "Run",
@@ -96,6 +105,8 @@ __all__ = [
     "SearchView",
     "SessionEnded",
     "SessionStarted",
+    "Stack",
+    "StackMember",
     "Started",
     "Status",
     "Steered",
@@ -107,6 +118,7 @@ __all__ = [
     "Unsealed",
     "Unsealing",
     "Usage",
+    "Use",
     "Verified",
     "beats",
     "brief",
@@ -124,6 +136,7 @@ __all__ = [
     "in_use",
     "journal",
     "metric_of",
+    "model_to_use",
     "noise_of_repeats",
     "open_run",
     "published",
@@ -133,6 +146,8 @@ __all__ = [
     "replay",
     "results_table",
     "settings_of_run",
+    "stack_words",
+    "tested_model",
     "validation_score_words",
     "verify",
     "without_artifacts",

@@ -128,7 +128,7 @@ def _artifacts(event: Event) -> Iterator[str]:
                 yield event.model
         case Unsealed():
             yield event.measured
-            for record in (event.ensemble, event.refit):
+            for record in (event.ensemble, event.refit, event.stack):
                 if isinstance(record, TestedModel):
                     yield record.y_hat
         case _:

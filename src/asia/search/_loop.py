@@ -21,10 +21,8 @@ from asia.agents import (
     Proposal,
     agent_of_leg,
 )
-from asia.errors import CandidateError
-from asia.evaluation import Evaluation, Evaluator, FoldResult, Refit, score_rungs
+from asia.evaluation import Evaluation, Evaluator, FoldResult, score_rungs
 from asia.ledger import (
-    Again,
     Chain,
     Evaluated,
     Event,
@@ -53,6 +51,7 @@ from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
 from asia.search._guard import look_at_guard
 from asia.search._rules import decide, next_leg, stop_reason
 from asia.search._steering import Steering
+from asia.search.final.ending import refit_winner
 
 OnEvent = Callable[[Event, SearchView], None]
 
@@ -263,18 +262,11 @@ class Loop:
         best = self.view.best
         if best is None:
             return
-        source = self.store.text(best.proposed.source)
-        try:
-            with self.watch.activity(Activity.REFIT, swallows=True):
-                refit = self.evaluator.refit(source)
-        except CandidateError as error:
-            self.record(Refitted(best.number, None, str(error)))
-            return
-        again = _second_fit(best, refit)
-        if isinstance(refit.model, CandidateError):
-            self.record(Refitted(best.number, None, str(refit.model), again))
-        else:
-            self.record(Refitted(best.number, self.store.put(refit.model), "", again))
+        with self.watch.activity(Activity.REFIT, swallows=True):
+            refitted = refit_winner(
+                self.evaluator, self.view, best, self.store, self.problem.protocol.metric
+            )
+        self.record(refitted)
 
 
 @dataclass(frozen=True)
@@ -336,17 +328,6 @@ def _baseline(source: str) -> Proposal:
         hypothesis="The problem's own baseline, untouched, is where every search starts.",
         expected="A reference value that the rest must beat.",
     )
-
-
-def _second_fit(best: Experiment, refit: Refit) -> Again:
-    """The fold that was fitted a second time, beside the first time."""
-    assert best.score is not None
-    first, second = best.score.folds[refit.fold - 1], refit.again
-    if isinstance(second, Failure):
-        return Again(refit.fold, None, second.reason.value)
-    value = second.score.value
-    ratio = value / first.value if first.value > 0 else float(value == first.value)
-    return Again(refit.fold, ratio)
 
 
 def _touched_deadline(evaluation: Evaluation) -> bool:

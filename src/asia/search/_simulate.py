@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 
 from asia.data import Array
 from asia.errors import UserError
-from asia.ledger import open_run
+from asia.ledger import Run, Use, model_to_use, open_run
 from asia.problem.load import load_lock
 from asia.protocol import Block, Case
 from asia.search._run import LOCK, make_evaluator
+from asia.search.final.members import final_members
 
 
 def simulate(
@@ -20,21 +21,18 @@ def simulate(
     past_u: Array,
     past_y: Array,
     u: Array,
-    model: Literal["ensemble", "refit"] = "ensemble",
+    model: Use | None = None,
 ) -> Array:
     """Open-loop simulation with the winner of a run.
 
     past_u (n_past_u, nu), past_y (n_past_y, ny): the samples just before the first simulated one;
-    u (H, nu); physical units -> y_hat (H, ny). `ensemble` is the mean of the fold models, `refit`
-    the winner fitted on all training records. Raises UserError for a wrong shape or when the run
-    has no such model, CandidateError when the simulation fails.
+    u (H, nu); physical units -> y_hat (H, ny). model: `ensemble`, the mean of the winner's fold
+    models; `refit`, the winner fitted on all training records; `stack`, a weighted mean of several
+    experiments; None for the one that the search names as the model to use. Raises UserError for a
+    wrong shape or when the run has no such model, CandidateError when the simulation fails.
     """
     run = open_run(Path(directory))
-    best, refitted = run.view.best, run.view.refitted
-    if best is None or best.result is None:
-        raise UserError(f"run '{run.name}' has no scored model")
-    if model == "refit" and (refitted is None or refitted.model is None):
-        raise UserError(f"run '{run.name}' has no refitted model")
+    members = final_members(run.view, _named(run, model))
     problem = load_lock(run.directory / LOCK)
     rule, nu, ny = problem.protocol, len(problem.inputs), len(problem.outputs)
     for name, array, shape in (
@@ -46,10 +44,21 @@ def simulate(
             raise UserError(f"{name} has shape {np.shape(array)}, expected {shape}")
     case = Case(run.name, *(np.asarray(a, np.float64) for a in (past_u, past_y, u)))
     block = Block(case, np.zeros((len(u), ny)), record=0, start=0)
-    stored = [fold.model for fold in best.result.folds]
-    if model == "refit" and refitted is not None and refitted.model is not None:
-        stored = [refitted.model]
-    source = run.store.text(best.proposed.source)
     evaluator = make_evaluator(problem, run.view)
-    replies = evaluator.simulate(source, [run.store.get(m) for m in stored], [block])
-    return np.mean([reply[0] for reply in replies], axis=0)
+    y_hat = np.zeros_like(block.y)
+    for member in members:
+        models = [run.store.get(one) for one in member.models]
+        replies = evaluator.simulate(run.store.text(member.source), models, [block])
+        y_hat += member.weight * np.mean([reply[0] for reply in replies], axis=0)
+    return y_hat
+
+
+def _named(run: Run, model: Use | None) -> Use:
+    """The model that is asked for, or else the one to use. Raises UserError where there is none."""
+    known = get_args(Use)
+    if model is not None and model not in known:
+        raise UserError(f"model is {model!r}, expected None or one of {', '.join(known)}")
+    chosen = model_to_use(run.view)
+    if chosen is None:
+        raise UserError(f"run '{run.name}' has no scored model")
+    return model or chosen.model

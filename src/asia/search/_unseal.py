@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from asia.ledger import (
     TestedModel,
     Unsealed,
     Unsealing,
+    Use,
     check_lock,
     open_run,
     replay,
@@ -32,6 +33,9 @@ from asia.sandbox import LEVELS
 from asia.scoring import Failure, mee_table, score_test
 from asia.seal._test import check_openable, open_test
 from asia.search._run import LOCK, make_evaluator
+from asia.search.final.members import FinalMember, final_members, has_model
+
+Answers = tuple[Array, ...]
 
 CONSENT = (
     "the candidates of run '{run}' ran at isolation level process, where a candidate can read "
@@ -55,7 +59,7 @@ class UnsealResult:
 def unseal(
     directory: Path, *, process_consent: bool = False, keys: Path | None = None
 ) -> UnsealResult:
-    """Score the ensemble of the winner's fold models, and its refit, on the sealed test.
+    """Score the ensemble of the winner's fold models, its refit and the stack on the sealed test.
 
     A second call returns the first result. A model that fails on the test is recorded as a
     Failure. process_consent: open it though the candidates ran at level process; recorded. keys:
@@ -138,13 +142,14 @@ def _score(
         raise UserError(f"the test data are not those that run '{view.started.run}' had sealed")
     store = Store(directory / "artifacts")
     blocks = whole(records, problem.protocol)
-    scorer = _TestScorer(make_evaluator(problem, view), store, best, blocks, problem)
+    scorer = _TestScorer(make_evaluator(problem, view), store, blocks, problem)
     measured = _by_record([b.y for b in blocks], blocks)
-    assert best.result is not None
-    refitted = view.refitted.model if view.refitted else None
     with scorer.evaluator.ready_workers():
-        folds = tuple(fold.model for fold in best.result.folds)
-        ensemble, *rest = scorer.scores([folds, *([(refitted,)] if refitted else [])])
+        scores = {
+            use: scorer.score(final_members(view, use))
+            for use in get_args(Use)
+            if has_model(view, use)
+        }
     return Unsealed(
         experiment=best.number,
         test_digest=digest,
@@ -153,8 +158,9 @@ def _score(
         lengths=tuple(len(y) for y in measured),
         skip=problem.protocol.test.skip,
         measured=store.put_arrays(measured),
-        ensemble=ensemble,
-        refit=rest[0] if rest else None,
+        ensemble=scores["ensemble"],
+        refit=scores.get("refit"),
+        stack=scores.get("stack"),
         horizon=problem.protocol.horizon,
     )
 
@@ -170,26 +176,35 @@ def _by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, 
 class _TestScorer:
     evaluator: Evaluator
     store: Store
-    best: Experiment
     blocks: tuple[Block, ...]
     problem: Problem
+    asked: dict[FinalMember, Answers | Failure] = field(
+        default_factory=dict[FinalMember, "Answers | Failure"]
+    )
 
-    def scores(self, groups: Sequence[tuple[str, ...]]) -> list[TestedModel | Failure]:
-        """For each group of models the score of the mean of their simulations, or why there is
-        none."""
-        source = self.store.text(self.best.proposed.source)
-        models = [self.store.get(model) for group in groups for model in group]
+    def score(self, members: Sequence[FinalMember]) -> TestedModel | Failure:
+        """The score of the weighted mean of the members' simulations, or why there is none."""
+        total: list[Array] = [np.zeros_like(block.y) for block in self.blocks]
+        for member in members:
+            answers = self._simulated(replace(member, weight=1.0))
+            if isinstance(answers, Failure):
+                return answers
+            total = [t + member.weight * y_hat for t, y_hat in zip(total, answers, strict=True)]
         try:
-            each = iter(self.evaluator.simulate_scored(source, models, self.blocks))
-        except CandidateError as error:
-            return [Failure(error.reason, error.detail) for _ in groups]
-        return [self._score(list(islice(each, len(group)))) for group in groups]
-
-    def _score(self, each: Sequence[tuple[Array, ...] | CandidateError]) -> TestedModel | Failure:
-        try:
-            return self._record(mean_simulation(each))
+            return self._record(tuple(total))
         except CandidateError as error:
             return Failure(error.reason, error.detail)
+
+    def _simulated(self, member: FinalMember) -> Answers | Failure:
+        """The mean of its models; each is simulated once, whatever it is a part of."""
+        if member not in self.asked:
+            source, models = self.store.text(member.source), map(self.store.get, member.models)
+            try:
+                each = self.evaluator.simulate_scored(source, list(models), self.blocks)
+                self.asked[member] = mean_simulation(each)
+            except CandidateError as error:
+                self.asked[member] = Failure(error.reason, error.detail)
+        return self.asked[member]
 
     def _record(self, y_hat: tuple[Array, ...]) -> TestedModel:
         rule, y = self.problem.protocol.test, [b.y for b in self.blocks]

@@ -16,7 +16,7 @@ from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import Reason, UserError
 from asia.evaluation import Evaluator
-from asia.evaluation import _evaluator as evaluator_module
+from asia.evaluation import _workers as workers_module
 from asia.executor import LocalExecutor
 from asia.problem import Budget
 from asia.protocol import ProtocolRule, make_folds
@@ -147,7 +147,7 @@ def test_a_process_that_does_not_die_is_left_behind_and_no_more_than_a_few(
         workers.append(worker)
         return worker
 
-    monkeypatch.setattr(evaluator_module, "open_worker", immortal)
+    monkeypatch.setattr(workers_module, "open_worker", immortal)
     monkeypatch.setattr(process, "_PATIENCE_SECONDS", (0.05, 0.05))
     judge = evaluator(STRONGEST, fit_seconds=1.0)
     try:
@@ -177,7 +177,7 @@ def test_a_code_that_looks_like_a_kill_buys_no_second_fit(
         opened.append(open_worker(level, limits))
         return opened[-1]
 
-    monkeypatch.setattr(evaluator_module, "open_worker", counted)
+    monkeypatch.setattr(workers_module, "open_worker", counted)
     outcome = judge.evaluate("import os\n\n\ndef fit(t, c):\n    os._exit(137)\n").outcome
     assert isinstance(outcome, Failure)
     assert outcome.reason is Reason.EXITED

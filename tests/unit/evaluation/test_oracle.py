@@ -11,7 +11,7 @@ from asia.candidate import VALIDATION_SCORES, Context
 from asia.data import Signal, Trajectory
 from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator
-from asia.evaluation import _evaluator as evaluator_module
+from asia.evaluation import _workers as workers_module
 from asia.evaluation._oracle import rounded_score
 from asia.executor import LocalExecutor
 from asia.problem import Budget
@@ -180,13 +180,13 @@ def test_one_worker_serves_all_scores_of_a_fit_and_none_is_opened_unasked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     opened: list[Isolation] = []
-    real = evaluator_module.open_worker
+    real = workers_module.open_worker
 
     def counting(level: Isolation, limits: Any) -> Any:
         opened.append(level)
         return real(level, limits)
 
-    monkeypatch.setattr(evaluator_module, "open_worker", counting)
+    monkeypatch.setattr(workers_module, "open_worker", counting)
     evaluator().evaluate(descent())
     assert len(opened) == 4
     opened.clear()

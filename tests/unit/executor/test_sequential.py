@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.evaluation import _evaluator as evaluator_module
+from asia.evaluation import _workers as workers_module
 from asia.executor import LocalExecutor
 from asia.ledger import open_run
 from asia.problem.load import load_problem
@@ -34,7 +34,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         found.append(len(there))
         return worker
 
-    monkeypatch.setattr(evaluator_module, "open_worker", counted)
+    monkeypatch.setattr(workers_module, "open_worker", counted)
     monkeypatch.setattr("asia.sandbox._ready.open_worker", counted)
     return found
 

@@ -8,6 +8,7 @@ import pytest
 
 from asia.errors import Reason
 from asia.evaluation import _evaluator as evaluator_module
+from asia.evaluation import _workers as workers_module
 from asia.ledger import SearchView, open_run, verify
 from asia.problem.load import load_problem
 from asia.protocol import make_folds
@@ -112,8 +113,8 @@ def test_a_record_in_the_source_starts_no_worker(
     source = f"TABLE = {np.tile(record.y[:, 0], 8).tolist()}\n{arx(2)}"
     go(problem, tmp_path / "runs")
     started: list[object] = []
-    opener = evaluator_module.open_worker
-    monkeypatch.setattr(evaluator_module, "open_worker", lambda *a: started.append(a) or opener(*a))
+    opener = workers_module.open_worker
+    monkeypatch.setattr(workers_module, "open_worker", lambda *a: started.append(a) or opener(*a))
     directory = tmp_path / "runs" / "toy-scripted-s0"
     judge = make_evaluator(load_problem(problem), open_run(directory).view)
     outcome = judge.evaluate(source).outcome

@@ -29,6 +29,7 @@ from asia.cli._output.words import (
     last_line,
     stop_words,
     usage_words,
+    use_lines,
     validation_words,
     value_words,
 )
@@ -166,7 +167,7 @@ class TextDisplay:
                 self._print(f"extended to {event.experiments} experiments")
             case Refitted():
                 if event.model is None:
-                    self._print(f"the refit on all training data failed: {event.detail}")
+                    self._print(f"no refit on all training data: {event.detail}")
             case _:
                 pass
         self._foot(view)
@@ -208,10 +209,11 @@ class TextDisplay:
         for picture in pictures:
             if picture.suffix == ".png":
                 self._print(f"picture  {picture}")
-        if view.refitted is not None and view.refitted.model is not None:
-            self._print(
-                "models   the fold ensemble and the refit on all data: asia.simulate(run, ...)"
-            )
+        for line in use_lines(view):
+            word, _, words = line.partition(" ")
+            self._print(f"{word:<9}{words.strip()}")
+        if view.refitted is not None:
+            self._print("models   asia.simulate(run, ...) uses the one named above")
         show, unseal = f"asia show {run}", f"asia unseal {run}"
         width = len(unseal) + 4
         if best is None:

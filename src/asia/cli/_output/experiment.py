@@ -7,7 +7,7 @@ from rich.text import Text
 
 from asia._text import printable_line
 from asia.cli._output.terminal import Terminal
-from asia.cli._output.words import again_words
+from asia.cli._output.words import again_words, use_lines
 from asia.evaluation import FAR_BELOW, consistency
 from asia.ledger import (
     Experiment,
@@ -52,6 +52,10 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if refitted and refitted.again and refitted.experiment == experiment.number:
         same = f"fold {refitted.again.fold}, fitted a second time, comes out the same"
         console.print(f"again       {again_words(run.view) or same}")
+    if refitted and refitted.experiment == experiment.number:
+        for line in use_lines(run.view):
+            word, _, words = line.partition(" ")
+            console.print(printable_line(f"{word:<12}{words.strip()}"))
     if experiment.score:
         _fold_table(console, run, experiment)
         console.print(f"\nV over the training error: {_ratio_words(experiment)}")

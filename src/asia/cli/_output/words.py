@@ -15,6 +15,8 @@ from asia.ledger import (
     SearchView,
     Usage,
     error_value,
+    model_to_use,
+    stack_words,
     validation_score_words,
 )
 from asia.scoring import Failure, Outcome, Score
@@ -118,6 +120,22 @@ def again_words(view: SearchView) -> str:
     )
 
 
+def use_lines(view: SearchView) -> list[str]:
+    """The model to use of a finished search with its reason, and the others that there are."""
+    named, refitted = model_to_use(view), view.refitted
+    if named is None or refitted is None:
+        return []
+    lines = [f"use     {named.model}: {named.reason}"]
+    if refitted.model is None and refitted.detail and named.model != "ensemble":
+        lines.append(f"refit   none: {refitted.detail}")
+    if refitted.stack is not None:
+        stack = refitted.stack
+        lines.append(
+            f"stack   nested {view.v_name}={error_value(stack.value)} {stack_words(stack)}"
+        )
+    return lines
+
+
 def stop_words(reason: str, view: SearchView) -> str:
     """Why a search ended, in words."""
     return {
@@ -182,5 +200,5 @@ def event_object(event: Event, view: SearchView) -> dict[str, Any]:
     if isinstance(event, Refitted):
         again = event.again
         beside = {} if again is None else {"again_fold": again.fold, "again_ratio": again.ratio}
-        return {"event": "refitted", "experiment": event.experiment, **beside}
+        return {"event": "refitted", "experiment": event.experiment, "use": event.use, **beside}
     return {"event": event.event}

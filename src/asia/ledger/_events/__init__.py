@@ -13,6 +13,7 @@ from asia.ledger._events.agent import (
     Streamed,
     Usage,
 )
+from asia.ledger._events.final import RefitCheck, RefitStart, Stack, StackMember, Use
 from asia.ledger._events.search import (
     RESUMABLE,
     Again,
@@ -56,11 +57,15 @@ __all__ = [
     "Leg",
     "Phase",
     "Proposed",
+    "RefitCheck",
+    "RefitStart",
     "Refitted",
     "Resumed",
     "RungScored",
     "SessionEnded",
     "SessionStarted",
+    "Stack",
+    "StackMember",
     "Started",
     "Status",
     "Steered",
@@ -71,6 +76,7 @@ __all__ = [
     "Unsealed",
     "Unsealing",
     "Usage",
+    "Use",
     "adapter",
 ]
 

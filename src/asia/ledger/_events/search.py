@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from asia._stopwatch import TimeSpent
+from asia.ledger._events.final import RefitCheck, Stack, Use
 from asia.protocol import EarlyStopping, ShownResidual
 from asia.scoring import Diagnostics, Outcome
 
@@ -263,11 +264,19 @@ class Refitted:
     experiment: int
     """The winner."""
     model: str | None
-    """Artifact of the model; None when that fit failed."""
+    """Artifact of the model; None when that fit failed, or when no start is worth using."""
     detail: str
-    """Why it failed."""
+    """Why there is none."""
     again: Again | None = None
     """The second fit of one fold; None in older ledgers."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
     """As in `Evaluated`."""
+    check: RefitCheck | None = None
+    """The refit beside the fold models; None in older ledgers."""
+    stack: Stack | None = None
+    """The weighted mean of several experiments; None where it would be the winner alone."""
+    use: Use | None = None
+    """The model to use; None in older ledgers."""
+    reason: str = ""
+    """Why this one, in a sentence."""
     event: Literal["refitted"] = "refitted"

@@ -87,4 +87,6 @@ class Unsealed:
     horizon: int | None = None
     """Samples of a window, None for long simulations. A trajectory's windows stand one after the
     other; the last may repeat some samples."""
+    stack: TestedModel | Failure | None = None
+    """The weighted mean of several experiments; None where the search has none."""
     event: Literal["unsealed"] = "unsealed"

@@ -1,0 +1,57 @@
+"""What a search does with its winner: fit it on all training records, check that, build the stack,
+name the model to use."""
+
+from __future__ import annotations
+
+from asia.errors import CandidateError
+from asia.evaluation import Evaluator, Refit
+from asia.ledger import Again, Experiment, Refitted, SearchView, Store
+from asia.scoring import Failure
+from asia.search.final.choice import choose_model
+from asia.search.final.refit import CheckedRefit, check_refit
+from asia.search.final.stacking import make_stack
+
+
+def refit_winner(
+    evaluator: Evaluator, view: SearchView, best: Experiment, store: Store, metric: str
+) -> Refitted:
+    """The last line of a search, but for looks at the guard. Workers that end for no fault of the
+    candidate leave a search without a refit, not without a model."""
+    assert best.score is not None
+    try:
+        refit, checked = _refit(evaluator, best, store, metric)
+    except CandidateError as error:
+        refit, checked = None, CheckedRefit(None, str(error), None)
+    stack = make_stack(evaluator, view, store, metric)
+    chosen = choose_model(best.score.value, checked, stack)
+    return Refitted(
+        experiment=best.number,
+        model=None if checked.model is None else store.put(checked.model),
+        detail=checked.detail,
+        again=None if refit is None else _second_fit(best, refit),
+        check=checked.check,
+        stack=stack,
+        use=chosen.model,
+        reason=chosen.reason,
+    )
+
+
+def _refit(
+    evaluator: Evaluator, best: Experiment, store: Store, metric: str
+) -> tuple[Refit, CheckedRefit]:
+    assert best.result is not None
+    source = store.text(best.proposed.source)
+    models = [store.get(fold.model) for fold in best.result.folds]
+    refit = evaluator.refit(source)
+    return refit, check_refit(evaluator, source, models, refit.model, metric)
+
+
+def _second_fit(best: Experiment, refit: Refit) -> Again:
+    """The fold that was fitted a second time, beside the first time."""
+    assert best.score is not None
+    first, second = best.score.folds[refit.fold - 1], refit.again
+    if isinstance(second, Failure):
+        return Again(refit.fold, None, second.reason.value)
+    value = second.score.value
+    ratio = value / first.value if first.value > 0 else float(value == first.value)
+    return Again(refit.fold, ratio)
