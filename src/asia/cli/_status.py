@@ -12,7 +12,7 @@ from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Profile, RunName, Runs
 
 if TYPE_CHECKING:
-    from asia.ledger import Brief
+    from asia.ledger import Brief, SearchView
 
 LAST = 50
 
@@ -77,13 +77,10 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
 
 def _print(directory: Path, found: Brief) -> None:
     from asia.cli._output.words import (
-        again_words,
         duration,
         experiment_line,
-        guard_words,
         stop_words,
         usage_words,
-        use_lines,
         validation_words,
         value_words,
     )
@@ -111,12 +108,7 @@ def _print(directory: Path, found: Brief) -> None:
         say(f"V is {validation_words(found.validation_scores)}")
     if view.started.residuals == "held_out":
         say("V is with held-out residuals shown")
-    if words := again_words(view):
-        say(f"again   {words}")
-    for line in use_lines(view):
-        say(line)
-    if view.looks:
-        say(f"guard   {guard_words(view)}")
+    _print_winner(view)
     if view.unsealed is not None:
         say(f"the test was opened: asia unseal {directory.name} shows the result again")
     if beside is not None:
@@ -128,3 +120,15 @@ def _print(directory: Path, found: Brief) -> None:
         say(f"the last {len(shown)} of {found.finished} experiments; all are in results.tsv")
     for experiment in shown:
         say(experiment_line(experiment, view))
+
+
+def _print_winner(view: SearchView) -> None:
+    """What is known of the winner of a finished search beside its V."""
+    from asia.cli._output.words import again_words, guard_words, use_lines
+
+    if words := again_words(view):
+        say(f"again   {words}")
+    for line in use_lines(view):
+        say(line)
+    if view.looks:
+        say(f"guard   {guard_words(view)}")

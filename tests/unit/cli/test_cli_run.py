@@ -69,7 +69,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
         "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
             "isolation_strict",
         "early_stopping", "validation_scores", "residuals", "best", "rungs",
-        "control", "stopped", "usage", "metric", "legs", "handed_over",
+        "control", "stopped", "usage", "metric", "legs", "handed_over", "use", "use_reason",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
     assert answer["problem"] == "toy"
@@ -107,7 +107,7 @@ def test_unseal_once(searched: Searched, asia: Asia) -> None:
     assert "already" not in first.err
     answer = json.loads(first.out)
     assert set(answer) == {
-        "test", "experiment", "skip", "refit", "early_stopping", "residuals",
+        "test", "experiment", "skip", "refit", "use", "early_stopping", "residuals",
     }  # fmt: skip
     for model in ("test", "refit"):
         assert set(answer[model]) == {"rmse", "per_channel", "per_trajectory"}
