@@ -83,6 +83,10 @@ def test_the_ledger_names_packages_that_bring_parts(monkeypatch):
     assert after == {**before, "asia-extra": "1.2"}
     assert environment_changes(before, after) == ("asia-extra 1.2 here, missing then",)
     assert environment_changes(after, after) == ()
+    old = {name: value for name, value in after.items() if name != "asia.models"}
+    assert environment_changes(old, after) == (
+        f"asia.models {after['asia.models']} here, not recorded then",
+    )
 
 
 @pytest.mark.parametrize(
