@@ -44,7 +44,7 @@ _ADVICE = {
     Reason.SYNTAX: "the source does not parse: mend the line named",
     Reason.CONTRACT: "the candidate breaks the contract: "
     "define fit(trajectories, context) that returns a model with simulate(past_u, past_y, u)",
-    Reason.CRASH: "the candidate raised an exception: read the last lines of its traceback",
+    Reason.CRASH: "the candidate raised an exception: mend the line and the error that are named",
     Reason.EXITED: "the worker process ended before it answered: "
     "do not call exit, and look for a crash in compiled code",
     Reason.FIT_TIMEOUT: "fit exceeded its time: "

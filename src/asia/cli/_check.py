@@ -9,15 +9,16 @@ from typing import Annotated
 import typer
 
 from asia._text import say
-from asia.cli._options.shared import DEFAULT_RUNS, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, ProblemName, Runs
 
 
 def check(
-    problem: Annotated[str, typer.Argument(help="Built-in name, or a directory.")],
+    problem: ProblemName,
     runs: Runs = DEFAULT_RUNS,
     draw: Annotated[bool, typer.Option(help="Draw the training data.")] = True,
 ) -> None:
     """Print the data and the protocol of a problem, and draw the data."""
+    from asia.drive import is_workspace
     from asia.problem.load import check_problem, load_problem
     from asia.protocol import make_folds
     from asia.report import draw_problem
@@ -27,7 +28,8 @@ def check(
     loaded = load_problem(problem)
     check_baseline(loaded)
     make_folds(loaded.train, loaded.protocol)
-    for line in check_problem(loaded, seal(loaded)).lines():
+    in_workspace = is_workspace(Path(problem))
+    for line in check_problem(loaded, seal(loaded), in_workspace=in_workspace).lines():
         say(line)
     if not draw:
         return

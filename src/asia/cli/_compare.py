@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia.cli._bench import Lines, chosen_seeds, load_compared, print_result
-from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Json, ProblemName, Runs
 
 if TYPE_CHECKING:
     from asia.bench import Arm
@@ -24,9 +24,7 @@ Agents = Annotated[
 
 
 def compare(
-    problem: Annotated[
-        str, typer.Argument(help="Built-in name, or a directory with problem.toml.")
-    ],
+    problem: ProblemName,
     agents: Agents = "expert,random,bayes",
     seeds: Annotated[
         list[int] | None,

@@ -75,6 +75,16 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
     }
 
 
+def _state_words(found: Brief) -> str:
+    """The state; of a search whose candidates come from outside also that it waits for one."""
+    view = found.view
+    outside = view.started.agent in ("workspace", "mcp")
+    idle = bool(view.experiments) and view.pending is None and found.finished < view.budget
+    if found.state == "running" and outside and idle:
+        return "waiting for a candidate"
+    return found.state
+
+
 def _print(directory: Path, found: Brief) -> None:
     from asia.cli._output.words import (
         duration,
@@ -94,7 +104,7 @@ def _print(directory: Path, found: Brief) -> None:
         f"seed {view.started.seed}  isolation {view.started.isolation_words}"
     )
     say(
-        f"{found.state}: {found.finished} of {view.budget} experiments in "
+        f"{_state_words(found)}: {found.finished} of {view.budget} experiments in "
         f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
     )
     for event in view.handed_over:
@@ -116,6 +126,8 @@ def _print(directory: Path, found: Brief) -> None:
     for rung in view.rungs:
         say(f"rung    {rung.name:<18} V={value_words(rung.outcome)}")
     shown = view.finished[-LAST:]
+    if shown:
+        say("min fit: over folds and outputs the least 100 (1 - |y - y_hat| / |y - mean of y|) %")
     if found.finished > len(shown):
         say(f"the last {len(shown)} of {found.finished} experiments; all are in results.tsv")
     for experiment in shown:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
@@ -28,7 +28,10 @@ def try_(
     message: Annotated[
         str, typer.Option("--message", "-m", help="Hypothesis: what changed, and why it helps.")
     ] = "",
-    expect: Annotated[str, typer.Option(help="What you expect of V, before you know it.")] = "",
+    expect: Annotated[
+        str,
+        typer.Option(help="What you expect of V and of residuals, in words or a number."),
+    ] = "",
     parent: Annotated[
         int | None, typer.Option(help="Experiment that the candidate was made from.")
     ] = None,
@@ -111,7 +114,7 @@ def _drawn(place: Workspace, desk: Desk, experiment: int) -> tuple[str, ...]:
 
 
 def _dry_run(desk: Desk, source: str, *, json: bool) -> None:
-    from asia.cli._output.dry_run import dry_run_lines
+    from asia.drive import dry_run_lines
 
     found = desk.dry_run(source)
     if json:
@@ -149,6 +152,7 @@ def result_lines(
     result: ExperimentSummary, progress: SearchProgress, evidence: Sequence[str] = ()
 ) -> list[str]:
     """What a person or an agent reads: one screen, `evidence` in its middle."""
+    from asia.cli._output.training import training_lines
     from asia.ledger import error_value
 
     best = "none yet"
@@ -168,9 +172,7 @@ def result_lines(
             lines.append(f"    {words}: {result.detail}")
     lines += [f"    {line}" for line in evidence]
     if result.training is not None:
-        values = zip(fields(result.training), astuple(result.training), strict=True)
-        said = ", ".join(f"{f.name.replace('_', ' ')} {v:.3g}" for f, v in values)
-        lines.append(f"    training side: {said.removeprefix('train ')}")
+        lines += [f"    {line}" for line in training_lines(result.training)]
     if result.duplicate_of is not None:
         lines.append(f"    the same source as #{result.duplicate_of:02d}; its outcome stands")
     lines.append(tail)

@@ -104,6 +104,11 @@ class Workspace:
             write_views(self.folder, opened.view, opened.store)
 
 
+def is_workspace(folder: Path) -> bool:
+    """Whether `asia workspace` or a command agent made this folder."""
+    return (folder / _LINK).is_file()
+
+
 def _run_of(link: Path) -> Path | None:
     """What a workspace says of its run. Raises UserError."""
     try:

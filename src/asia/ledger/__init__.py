@@ -55,7 +55,7 @@ from asia.ledger._store import Store, without_artifacts
 from asia.ledger._use import ModelToUse, model_to_use, stack_words, tested_model
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
-from asia.ledger._words import error_line, hand_over_words
+from asia.ledger._words import error_line, hand_over_words, phase_words
 from asia.ledger.evidence.experiment import (
     ComparedScore,
     ExperimentEvidence,
@@ -139,6 +139,7 @@ __all__ = [
     "model_to_use",
     "noise_of_repeats",
     "open_run",
+    "phase_words",
     "published",
     "put_findings",
     "read_lines",

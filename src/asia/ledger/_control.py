@@ -52,8 +52,9 @@ def control_words(found: Control, start: Started) -> str:
     """One line for people."""
     if found.run is None:
         return (
-            "none yet; what the expert, which is free, finds: asia run "
-            f"{start.problem} --experiments {found.experiments} --seed {start.seed}"
+            "not run yet: what the expert, which needs no language model, finds in as many "
+            f"experiments says asia run {start.problem} --experiments {found.experiments} "
+            f"--seed {start.seed}"
         )
     value = "no score" if found.value is None else f"V={found.value:.4f}"
     return f"expert, the same {found.experiments} experiments: {value} ({found.run})"

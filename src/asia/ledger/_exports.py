@@ -8,7 +8,7 @@ from asia._text import markdown_line, printable_line
 from asia.ledger._disk import write_whole
 from asia.ledger._events import Evaluated, HandedOver, Proposed
 from asia.ledger._view import Experiment, SearchView
-from asia.ledger._words import error_line, hand_over_words
+from asia.ledger._words import error_line, hand_over_words, phase_words
 from asia.scoring import Score
 
 
@@ -110,7 +110,7 @@ def _entry(view: SearchView, e: Experiment, position: int) -> str:
     following = markdown_line(later[0].proposed.title) if later else "none yet"
     return (
         f"## Experiment {e.number}: {markdown_line(p.title)}\n\n"
-        f"- **Changed:** {markdown_line(p.family)}, {p.phase} phase{origin}{by}\n"
+        f"- **Changed:** {markdown_line(p.family)}, {phase_words(p.phase)}{origin}{by}\n"
         f"- **Hypothesis:** {markdown_line(p.hypothesis)}\n"
         f"- **Expected:** {markdown_line(p.expected)}\n"
         f"- **Result:** {markdown_line(describe_result(e, view))}\n"

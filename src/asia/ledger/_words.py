@@ -6,10 +6,15 @@ import re
 
 from asia._text import one_line
 from asia.ledger._events import HandedOver, HandOverReason
+from asia.ledger._events.search import Phase
 
 _FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
 
-
+_PHASES: dict[Phase, str] = {
+    "baseline": "the baseline",
+    "explore": "early in the budget",
+    "refine": "later in the budget",
+}
 _ENDED: dict[HandOverReason, str] = {
     "planned": "its experiments are done",
     "saturated": "its last experiments found nothing better",
@@ -39,3 +44,8 @@ def error_line(error: str, most: int = 300) -> str:
     frames = _FRAME.findall(error)
     where = f"line {frames[-1]}: " if frames else ""
     return one_line(f"{where}{lines[-1]}", most)
+
+
+def phase_words(phase: Phase) -> str:
+    """Where in the budget an experiment lies; what it tries is its agent's choice."""
+    return _PHASES[phase]

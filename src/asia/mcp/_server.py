@@ -65,6 +65,7 @@ def _warm(desk: RunDesk) -> None:
 def _add_tools(server: MCPServer[Any], tools: Tools) -> None:
     rows: list[tuple[Callable[..., Any], ToolAnnotations]] = [
         (tools.problem, _READS),
+        (tools.dry_run, _READS),
         (tools.submit, _ADDS),
         (tools.wait, _READS),
         (tools.status, _READS),

@@ -16,11 +16,12 @@ _HOW = """\
 # How to search
 
 Each experiment is one complete candidate.py:
-1. asia_submit(code, hypothesis, expected, family, parent) gives a ticket. Say what you change and
+1. asia_dry_run(code) is free: contract, shapes and speed on few samples, no score.
+2. asia_submit(code, hypothesis, expected, family, parent) gives a ticket. Say what you change and
    why it should help, and what you expect of V, before you know it.
-2. asia_wait(ticket) returns after at most 45 s; call it again until state is "done". A candidate
+3. asia_wait(ticket) returns after at most 45 s; call it again until state is "done". A candidate
    that fails has no V; reason and advice say what to mend.
-3. asia_results and asia_show(experiment) tell what was tried, with the residuals on the training
+4. asia_results and asia_show(experiment) tell what was tried, with the residuals on the training
    side; asia_best gives the best source, asia_status the budget left.
 
 Explore first, about 40 % of the experiments: model classes that differ, a linear model, the

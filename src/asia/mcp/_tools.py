@@ -16,9 +16,10 @@ from pydantic import Field
 
 from asia._text import one_line
 from asia.agents import Proposal
-from asia.drive import RunDesk, Submission
+from asia.drive import RunDesk, Submission, dry_run_lines
 from asia.errors import AsiaError
 from asia.mcp._answers import (
+    DryRunAnswer,
     ProgressAnswer,
     ResultsAnswer,
     SourceAnswer,
@@ -57,7 +58,10 @@ class Tools:
         self,
         code: Annotated[str, Field(description="The whole candidate.py, at most 64 KB.")],
         hypothesis: Annotated[str, Field(description="What you change and why it should help.")],
-        expected: Annotated[str, Field(description="What you expect of V or of the residuals.")],
+        expected: Annotated[
+            str,
+            Field(description="What you expect of V and of the residuals, in words or a number."),
+        ],
         family: Annotated[str, Field(description="Kind of model, a word or two.")] = "",
         parent: Annotated[
             int | None, Field(description="Experiment that it was made from.")
@@ -68,7 +72,15 @@ class Tools:
         fit, is refused and costs nothing."""
         proposal = Proposal(code, family, "", hypothesis, expected, parent)
         submission = await ask(self._desk.submit, proposal)
-        return submission_answer(submission, "asia_wait with this ticket")
+        return submission_answer(submission, _after_submit(submission))
+
+    async def dry_run(
+        self, code: Annotated[str, Field(description="The whole candidate.py, at most 64 KB.")]
+    ) -> DryRunAnswer:
+        """Fit and simulate a candidate on a short cut of training records: contract, shapes and
+        speed. No experiment, no score; reason and advice say what fails. lines: what to read."""
+        found = await ask(self._desk.dry_run, code)
+        return DryRunAnswer(found.reason, found.advice, found.detail, tuple(dry_run_lines(found)))
 
     async def wait(
         self,
@@ -131,9 +143,10 @@ class Tools:
     async def show(
         self, experiment: Annotated[int, Field(description="Its number, from 1.")]
     ) -> SourceAnswer:
-        """One experiment: hypothesis, expectation, result, residuals on the training side (per
-        fold: training error, bias, whiteness, correlation with the input, error where the output is
-        high, low, at the start, and its curvature), source."""
+        """One experiment: hypothesis, expectation, result, training residuals a fold, source.
+        whiteness, input_correlation, curvature: correlation of the residual with its own past, past
+        inputs, squared output. top_, bottom_, start_error: RMS residual at the highest and lowest
+        outputs and in the first 5 % of a record, over that of all."""
         return await ask(lambda: source_answer(self._desk.run(), experiment))
 
     async def best(self) -> SourceAnswer:
@@ -197,8 +210,20 @@ def _words(submission: Submission, *, begun: bool) -> str:
     if submission.state == "running":
         return f"experiment {submission.experiment} is being evaluated"
     if not begun:
-        return "the trivial references and the baseline are evaluated first"
-    return f"queued, {submission.ahead} before it"
+        return "the search evaluates the rungs, which are simple references, then the baseline"
+    return f"queued, {submission.ahead} before it" if submission.ahead else "queued, it is next"
+
+
+def _after_submit(submission: Submission) -> str:
+    if not submission.repeated:
+        return "asia_wait with this ticket"
+    which = "a submission that waits"
+    if submission.experiment is not None:
+        which = f"experiment {submission.experiment}"
+    return (
+        f"not judged again: comments apart, this is the source of {which}, and costs nothing; "
+        "asia_wait with this ticket gives its result"
+    )
 
 
 def _notes(notes: tuple[str, ...]) -> tuple[str, ...]:

@@ -97,6 +97,7 @@ class CheckReport:
     protocol_sha256: str
     physics: str | None
     warnings: tuple[str, ...]
+    in_workspace: bool = False
 
     def lines(self) -> list[str]:
         """The report as plain text."""
@@ -113,7 +114,7 @@ class CheckReport:
             f"protocol {self.protocol_sha256[:12]}",
             *_early_stopping_lines(rule),
             *_residuals_lines(rule),
-            *_seal_lines(self.seal, rule),
+            *_seal_lines(self.seal, rule, in_workspace=self.in_workspace),
             *_kept_lines(p),
             *_guard_lines(p),
             f"physics: {self.physics or 'none'}",
@@ -123,8 +124,9 @@ class CheckReport:
         ]
 
 
-def check_problem(problem: Problem, seal: Seal) -> CheckReport:
-    """Looks at the training records and at what the seal tells of the test, never at test data."""
+def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -> CheckReport:
+    """Looks at the training records and at what the seal tells of the test, never at test data.
+    in_workspace: whether the problem is read from a workspace, which no test reaches."""
     inputs = (_signal_check(problem, "input", i) for i in range(len(problem.inputs)))
     outputs = (_signal_check(problem, "output", i) for i in range(len(problem.outputs)))
     signals = (*inputs, *outputs)
@@ -139,7 +141,8 @@ def check_problem(problem: Problem, seal: Seal) -> CheckReport:
         folds=_folds(problem),
         protocol_sha256=protocol_digest(problem),
         physics=_physics_summary(problem),
-        warnings=(*problem.warnings, *_doubts(problem, seal, signals)),
+        warnings=(*problem.warnings, *_doubts(problem, seal, signals, in_workspace=in_workspace)),
+        in_workspace=in_workspace,
     )
 
 
@@ -224,14 +227,16 @@ def _knowledge_lines(problem: Problem) -> list[str]:
     return [*priors, *(f"correction {line}" for line in correction_lines(physics)), *lines]
 
 
-def _doubts(problem: Problem, seal: Seal, signals: Sequence[SignalCheck]) -> list[str]:
+def _doubts(
+    problem: Problem, seal: Seal, signals: Sequence[SignalCheck], *, in_workspace: bool
+) -> list[str]:
     doubts = [d for s in signals for d in _signal_doubts(s)]
     doubts += _inputs_together(problem.inputs, problem.train)
     if not problem.description.strip():
         doubts.append("there is no description: agents that read know nothing of the system")
     if problem.protocol.past_outputs == 0:
         doubts.append("past_outputs is 0: a model cannot know the state it starts from")
-    if seal.sha256 is None:
+    if seal.sha256 is None and not in_workspace:
         doubts.append("there is no test data: the winner cannot be judged on unseen records")
     doubts += [
         f"test record '{name}' has {scored} samples to score, after the past window and "
@@ -338,9 +343,10 @@ def _fold_line(fold: FoldCheck) -> str:
     return f"{name}: holds out {many}{parts}; trains on {fold.training_samples} samples"
 
 
-def _seal_lines(seal: Seal, rule: ProtocolRule) -> list[str]:
+def _seal_lines(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> list[str]:
     if seal.sha256 is None:
-        return ["test: none"]
+        kept = "not in a workspace; PROGRAM.md says whether the evaluator keeps one, sealed"
+        return [f"test: {kept if in_workspace else 'none'}"]
     digest = f"sha256 {seal.sha256[:12]}"
     if rule.horizon is not None:
         counts = [len(windows(range(rule.past, length), rule)) for length in seal.lengths]

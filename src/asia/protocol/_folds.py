@@ -63,6 +63,9 @@ class Fold:
     over the concatenated training windows."""
     followed: tuple[bool, ...] = ()
     """For each held-out block, whether later samples of its record train."""
+    offsets: tuple[int, ...] = ()
+    """For each training record, where it begins in the record that it was cut from, in samples; ()
+    where each is a whole record."""
 
 
 def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: int = 0) -> Block:
@@ -118,7 +121,8 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
         held_out = _blocks(records, split.held_out, rule)
         last = {p.record: p.samples.stop for p in split.train}
         followed = tuple(last.get(block.record, 0) > block.stop for block in held_out)
-        folds.append(Fold(k, train, held_out, _scale(train, rule, k), followed))
+        offsets = tuple(p.samples.start for p in split.train)
+        folds.append(Fold(k, train, held_out, _scale(train, rule, k), followed, offsets))
     return tuple(folds)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.data import Array, Signal
-from asia.protocol import Block
+from asia.protocol import Block, Fold
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,19 @@ class SimulatedCases:
 
 
 def simulated_cases(
-    fold: int, blocks: Sequence[Block], y_hat: Sequence[Array], *, held_out: bool
+    fold: Fold, blocks: Sequence[Block], y_hat: Sequence[Array], *, held_out: bool
 ) -> tuple[SimulatedCase, ...]:
-    """Blocks with their simulations (H, ny); fold: its number, from 1."""
+    """Blocks of a fold, training or held-out ones, with their simulations (H, ny)."""
+    offsets = () if held_out else fold.offsets
     return tuple(
         SimulatedCase(
-            fold, held_out, b.case.name, b.start, _rows(b.case.u), _rows(b.y), _rows(simulated)
+            fold.index + 1,
+            held_out,
+            b.case.name,
+            b.start + (offsets[b.record] if offsets else 0),
+            _rows(b.case.u),
+            _rows(b.y),
+            _rows(simulated),
         )
         for b, simulated in zip(blocks, y_hat, strict=True)
     )

@@ -1,6 +1,13 @@
 """(y, y_hat) -> Score or Failure. Sees targets, never runs a candidate."""
 
-from asia.scoring._correlation import cross_correlation, independent_band, white_band
+from asia.scoring._correlation import (
+    Correlation,
+    cross_correlation,
+    independent_band,
+    white_band,
+    with_input,
+    with_own_past,
+)
 from asia.scoring._diagnostics import Diagnostics, diagnose
 from asia.scoring._fit import fit_index, r2
 from asia.scoring._mee import GroupError, MeeTable, mee_table
@@ -16,15 +23,19 @@ from asia.scoring._outcome import (
     score_test,
 )
 from asia.scoring._signed import (
+    Evidence,
     PartKind,
     Ranges,
     SignedResidual,
+    evidence_of_mean,
     ranges_of,
     signed_residuals,
 )
 
 __all__ = [
+    "Correlation",
     "Diagnostics",
+    "Evidence",
     "Failure",
     "FoldScore",
     "GroupError",
@@ -39,6 +50,7 @@ __all__ = [
     "combine",
     "cross_correlation",
     "diagnose",
+    "evidence_of_mean",
     "fit_index",
     "independent_band",
     "mee_table",
@@ -48,4 +60,6 @@ __all__ = [
     "score_test",
     "signed_residuals",
     "white_band",
+    "with_input",
+    "with_own_past",
 ]

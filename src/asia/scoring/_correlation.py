@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from asia.data import Array
 
+_LAGS = 40
 QUANTILE = 2.5758293035489004
 
 
@@ -57,3 +59,35 @@ def independent_band(residual: Sequence[Array], u: Sequence[Array], most: int) -
     weights = 1.0 - np.abs(np.arange(-most, most + 1)) / (most + 1)
     products = cross_correlation(residual, residual, most) * cross_correlation(u, u, most)
     return float(QUANTILE * np.sqrt(max(float(weights @ products), 0.0) / samples))
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Correlation of a residual with a signal, over all blocks together."""
+
+    lags: tuple[int, ...]
+    """In samples; positive where the signal is earlier."""
+    values: Array
+    """One a lag."""
+    band: float
+    """What 99 % of chance stays within."""
+
+
+def with_own_past(e: Sequence[Array]) -> Correlation:
+    """Of residuals, one (H,) array a block, at lags 0 .. 40, fewer in short blocks."""
+    lags = _longest(e)
+    values = cross_correlation(e, e, lags)[lags:]
+    return Correlation(tuple(range(lags + 1)), values, white_band(sum(len(r) for r in e)))
+
+
+def with_input(e: Sequence[Array], u: Sequence[Array]) -> Correlation:
+    """Of residuals with an input, one (H,) array a block each, at lags -40 .. 40, fewer in short
+    blocks."""
+    lags = _longest(e)
+    far = max(lags, min(4 * lags, min(len(r) for r in e) - 1))
+    values = cross_correlation(e, u, lags)
+    return Correlation(tuple(range(-lags, lags + 1)), values, independent_band(e, u, far))
+
+
+def _longest(e: Sequence[Array]) -> int:
+    return max(1, min(_LAGS, min(len(r) for r in e) // 4))

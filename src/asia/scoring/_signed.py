@@ -18,6 +18,9 @@ _LONGEST_MEMORY = 200
 _FEWEST_SAMPLES = 10
 _STANDARD_ERRORS = 3.0
 _SMALLEST_MEAN = 0.3
+_SMALLEST_SHARE = 0.02
+_CLEAR_ERRORS = 1.5
+_START = 20
 _MOST_OF_IT = 0.8
 _STEP = 0.25
 _MOST_STEPS = 0.1
@@ -41,6 +44,30 @@ class PartKind(StrEnum):
     """They follow a step of an input down (part 0) or up (part 1)."""
     TURN = "turn"
     """They follow a minimum (part 0) or a maximum (part 1) of the simulated output."""
+    START = "start"
+    """They are the first twentieth of their record or window, where the initial state still acts;
+    the parts of every other kind but TIME and ALL leave them out."""
+    ALL = "all"
+    """All samples."""
+
+
+class Evidence(StrEnum):
+    """How far a mean residual can be trusted."""
+
+    CLEAR = "clear"
+    """More than 1.5 standard errors, and 2 % of the squared residual: worth a look."""
+    CHANCE = "may be chance"
+    """Between 1 and 1.5 standard errors, and 2 % of the squared residual."""
+    NONE = "none"
+    """Less."""
+
+
+def evidence_of_mean(mean: float, error: float, share: float) -> Evidence:
+    """The one rule by which residuals are listed; share: of the squared residual that would be gone
+    without `mean`."""
+    if share <= _SMALLEST_SHARE or abs(mean) <= error:
+        return Evidence.NONE
+    return Evidence.CLEAR if abs(mean) > _CLEAR_ERRORS * error else Evidence.CHANCE
 
 
 @dataclass(frozen=True)
@@ -80,13 +107,23 @@ class SignedResidual:
         signals = inputs if self.kind in (PartKind.INPUT, PartKind.STEP) else outputs
         name, own = signals[self.signal].name, outputs[self.output].name
         where = _where(self, name, signals[self.signal].unit)
-        whose = "the model" if name == own and self.kind is not PartKind.TIME else own
+        apart = self.kind in (PartKind.TIME, PartKind.START, PartKind.ALL)
+        whose = "the model" if name == own and not apart else own
         return f"{where}: {whose} is too {'low' if self.mean > 0 else 'high'} by {self.size}"
 
     @property
+    def evidence(self) -> Evidence:
+        """Whether it is worth a look, by the rule of `evidence_of_mean`."""
+        return evidence_of_mean(self.mean, self.error, self.share)
+
+    @property
     def size(self) -> str:
-        """`0.21 ± 0.05 s.d.`"""
-        return f"{abs(self.mean):.2g} ± {self.error:.1g} s.d."
+        """`0.21 ± 0.05 s.d.`; what may be chance says so, `0.04 ± 0.03 s.d. (1.4 standard errors:
+        may be chance)`."""
+        words = f"{abs(self.mean):.2g} ± {self.error:.1g} s.d."
+        if self.evidence is not Evidence.CHANCE:
+            return words
+        return f"{words} ({abs(self.mean) / self.error:.1f} standard errors: {Evidence.CHANCE})"
 
 
 @dataclass(frozen=True)
@@ -141,6 +178,9 @@ class _Records:
         """The number of each sample within its record."""
         self.after = np.concatenate([np.arange(n)[::-1] for n in lengths])
         """How many samples of its record follow it."""
+        lengths_of = np.concatenate([np.full(n, n) for n in lengths])
+        self.begun = self.place >= np.maximum(1, lengths_of // _START)
+        """Whether a sample lies behind the start of its record."""
         self.third = np.concatenate([np.arange(n) * 3 // n for n in lengths])
 
     def shifted(self, x: Array, lag: int) -> Array:
@@ -181,7 +221,8 @@ def _of_output(records: _Records, output: int, ranges: Ranges) -> Iterator[Signe
     square = float((residual**2).mean())
     for kind, signal, part, low, high, chosen in _parts(records, output, ranges):
         samples = int(chosen.sum())
-        if samples < _FEWEST_SAMPLES or samples == len(residual) or square <= 0:
+        partial = kind is PartKind.ALL or samples < len(residual)
+        if samples < _FEWEST_SAMPLES or not partial or square <= 0:
             continue
         mean = float(residual[chosen].mean())
         error = float(np.sqrt(square / records.stretches(chosen, memory)))
@@ -207,14 +248,21 @@ _Part = tuple[PartKind, int, int, float | None, float | None, Mask]
 
 
 def _parts(records: _Records, output: int, ranges: Ranges) -> Iterator[_Part]:
+    for kind, signal, part, low, high, chosen in _parts_behind_the_start(records, output, ranges):
+        yield kind, signal, part, low, high, chosen & records.begun
+    yield PartKind.START, output, 0, None, None, ~records.begun
+    yield PartKind.ALL, output, 0, None, None, np.ones(len(records.place), dtype=np.bool_)
+    for part in range(len(_TIME_PARTS)):
+        yield PartKind.TIME, output, part, None, None, records.third == part
+
+
+def _parts_behind_the_start(records: _Records, output: int, ranges: Ranges) -> Iterator[_Part]:
     simulated = records.y_hat[:, output]
     for part, low, high, chosen in _cut(simulated, ranges.outputs[output]):
         yield PartKind.OUTPUT, output, part, low, high, chosen
     for i, edges in enumerate(ranges.inputs):
         for part, low, high, chosen in _cut(records.u[:, i], edges):
             yield PartKind.INPUT, i, part, low, high, chosen
-    for part in range(len(_TIME_PARTS)):
-        yield PartKind.TIME, output, part, None, None, records.third == part
     time = records.memory(simulated, 0.5)
     change = simulated - records.shifted(simulated, 1)
     fast = 0.5 * np.sqrt((change**2).mean())
@@ -274,6 +322,10 @@ def _notable(kind: PartKind, mean: float, error: float, rms: float) -> bool:
 def _where(one: SignedResidual, name: str, unit: str) -> str:
     if one.kind is PartKind.TIME:
         return f"{_TIME_PARTS[one.part]} third of the simulation"
+    if one.kind is PartKind.START:
+        return "start, the first 5 % of a simulation"
+    if one.kind is PartKind.ALL:
+        return "mean over all samples"
     words = {
         PartKind.CHANGE: (f"while {name} falls fast", f"while {name} rises fast"),
         PartKind.STEP: (f"after {name} steps down", f"after {name} steps up"),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from asia._text import one_line
 from asia.data import Array
 from asia.errors import CandidateError, UserError
 from asia.evaluation import Evaluator
@@ -20,6 +21,7 @@ _MOST_RECORDS = 4
 _MOST_SAMPLES = 4000
 _MOST_WINDOWS = 24
 _MOST_VALUES = 400_000
+_TITLE = 200
 
 
 def simulated_excerpts(run: Run, number: int) -> SimulatedCases:
@@ -37,21 +39,28 @@ def simulated_excerpts(run: Run, number: int) -> SimulatedCases:
     for index, fold in enumerate(evaluator.folds):
         blocks = training_excerpt(fold, problem.protocol, most)
         y_hat = _simulated(run, evaluator, experiment, index, blocks)
-        cases += simulated_cases(index + 1, blocks, y_hat, held_out=False)
+        cases += simulated_cases(fold, blocks, y_hat, held_out=False)
         if problem.protocol.residuals == "held_out":
             shapes = [block.y.shape for block in fold.validation]
             stored = run.store.get_arrays(result.folds[index].y_hat, shapes)
             places = _spread(fold.validation, problem.protocol, most)
             chosen = [fold.validation[k] for k in places], [stored[k] for k in places]
-            cases += simulated_cases(index + 1, *chosen, held_out=True)
+            cases += simulated_cases(fold, *chosen, held_out=True)
     return SimulatedCases(
-        title=f"Experiment {number}, {experiment.proposed.title}",
+        title=f"Experiment {number}, {_title(experiment)}",
         sampling_time=problem.sampling_time,
         windows=problem.protocol.horizon is not None,
         inputs=problem.inputs,
         outputs=problem.outputs,
         cases=tuple(cases),
     )
+
+
+def _title(experiment: Experiment) -> str:
+    """The whole hypothesis where the title is its beginning, up to a few lines."""
+    title, hypothesis = experiment.proposed.title, experiment.proposed.hypothesis
+    whole = hypothesis.startswith(title.removesuffix("…"))
+    return one_line(hypothesis if whole else title, _TITLE)
 
 
 def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) -> list[Block]:

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NoReturn
 
 from asia._text import say
@@ -41,6 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("candidate", nargs="?", default="candidate.py", help="the file to score")
+    add("--seed", type=int, help="other random draws of the fits; several show how far V moves")
     add("--fold", type=int, help="this fold alone, from 1")
     add("--blocks", type=int, help="folds of your own: each record in so many parts")
     add("--gap", type=int, default=0, help="samples beside a part that train nothing")
@@ -51,6 +53,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
+    if options.seed is not None:
+        tools = replace(tools, seed=options.seed)
     folds = _folds(tools, options)
     own = options.blocks is not None or options.hold_out is not None
     found = tools.evaluate(options.candidate, folds)

@@ -23,7 +23,7 @@ from asia.scoring import FoldScore, SignedResidual, check_reply, score_fold, sig
 _SOURCE_NAME = "candidate.py"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LocalFold:
     """One fold of a candidate that was fitted in this process."""
 
@@ -43,6 +43,12 @@ class LocalFold:
     """Simulated outputs (H, ny) of each held-out block."""
     training_y_hat: tuple[Array, ...]
     """Simulated outputs (H, ny) of each block in `training`."""
+
+    def __repr__(self) -> str:
+        return (
+            f"<fold {self.fold.index + 1}: V {self.score.value:.6f}, training "
+            f"{self.training_score.value:.6f}, fit {self.seconds:.1f} s>"
+        )
 
     @property
     def parameters(self) -> dict[str, float]:

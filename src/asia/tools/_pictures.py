@@ -20,10 +20,10 @@ def draw(
     """Simulation and residuals of each fold, written into `plots/`; the names of the files."""
     cases: list[SimulatedCase] = []
     for one in folds:
-        number = one.fold.index + 1
-        cases += simulated_cases(number, *_some(one.training, one.training_y_hat), held_out=False)
+        cases += simulated_cases(one.fold, *_some(one.training, one.training_y_hat), held_out=False)
         if held_out:
-            cases += simulated_cases(number, *_some(one.fold.validation, one.y_hat), held_out=True)
+            held = _some(one.fold.validation, one.y_hat)
+            cases += simulated_cases(one.fold, *held, held_out=True)
     shown = SimulatedCases(
         title=title,
         sampling_time=problem.sampling_time,

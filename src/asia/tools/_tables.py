@@ -10,16 +10,15 @@ from asia.data import Array
 from asia.problem.load import Problem
 from asia.protocol import Block, find_metric
 from asia.scoring import (
+    Evidence,
     SignedResidual,
     combine,
-    cross_correlation,
-    independent_band,
-    white_band,
+    with_input,
+    with_own_past,
 )
 from asia.tools._local import LocalFold
 
 _MOST_RESIDUALS = 8
-_MOST_LAG = 20
 
 
 def tables(
@@ -31,7 +30,7 @@ def tables(
     yield from _parameters(folds)
     for part in (False, True) if held_out else (False,):
         yield from _residuals(problem, folds, held_out=part)
-    yield from _correlations(problem, folds)
+    yield from _correlations(problem, folds, held_out=held_out)
 
 
 def _scores(problem: Problem, folds: Sequence[LocalFold], *, whole: bool) -> Iterator[str]:
@@ -60,8 +59,10 @@ def _parameters(folds: Sequence[LocalFold]) -> Iterator[str]:
     names = list(dict.fromkeys(name for one in found for name in one))
     if not names:
         return
-    yield ("parameters" + "".join(f"{f'{_name(one)}':>14}" for one in folds) + "    spread")
-    wide = max(len(name) for name in names)
+    wide = max(len("parameters") - 2, *(len(name) for name in names))
+    yield (
+        f"{'parameters':<{wide + 2}}" + "".join(f"{_name(one):>14}" for one in folds) + "   spread"
+    )
     for name in names:
         values = [one.get(name, np.nan) for one in found]
         size = float(np.mean(np.abs(values)))
@@ -71,44 +72,45 @@ def _parameters(folds: Sequence[LocalFold]) -> Iterator[str]:
 
 def _residuals(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
     where = "held-out" if held_out else "training"
-    yield f"signed residuals, {where} part (s.d. of the output; notable ones)"
+    yield f"signed residuals, {where} part (mean ± standard error in s.d. of the output)"
     for one in folds:
-        notable = [r for r in one.residuals(held_out=held_out) if r.notable][:_MOST_RESIDUALS]
-        for residual in notable:
+        listed = [r for r in one.residuals(held_out=held_out) if r.evidence is not Evidence.NONE]
+        listed.sort(key=lambda r: r.evidence is Evidence.CHANCE)
+        for residual in listed[:_MOST_RESIDUALS]:
             yield f"  {_name(one)}: {_words(problem, residual)}"
-        if not notable:
-            yield f"  {_name(one)}: none"
+        if not listed:
+            yield f"  {_name(one)}: nowhere too high or too low by more than a standard error"
 
 
 def _words(problem: Problem, residual: SignedResidual) -> str:
     return f"{residual.words(problem.inputs, problem.outputs)} ({residual.share:.0%} of the error)"
 
 
-def _correlations(problem: Problem, folds: Sequence[LocalFold]) -> Iterator[str]:
-    yield f"correlation of training residuals, lags to {_MOST_LAG} samples"
-    for one in folds:
-        lags = max(1, min(_MOST_LAG, min(len(block.y) for block in one.training) // 4))
-        for k, output in enumerate(problem.outputs):
-            e = _column(one.training, one.training_y_hat, k)
-            yield f"  {_name(one)}, {output.name}: " + _line(problem, one, e, lags)
+def _correlations(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
+    """As the picture draws them: all folds together, the held-out part where it is shown."""
+    part = "held-out" if held_out else "training"
+    yield f"correlation of the residuals, {part} part, all folds together, 99 % bands"
+    blocks = [b for one in folds for b in (one.fold.validation if held_out else one.training)]
+    y_hat = [y for one in folds for y in (one.y_hat if held_out else one.training_y_hat)]
+    for k, output in enumerate(problem.outputs):
+        yield f"  {output.name}: {_line(problem, blocks, _column(blocks, y_hat, k))}"
 
 
-def _line(problem: Problem, one: LocalFold, e: Sequence[Array], lags: int) -> str:
-    own = cross_correlation(e, e, lags)[lags:]
-    band = white_band(sum(len(r) for r in e))
-    beyond = np.flatnonzero(np.abs(own) < band)
-    length = int(beyond[0]) if len(beyond) else lags
+def _line(problem: Problem, blocks: Sequence[Block], e: Sequence[Array]) -> str:
+    own = with_own_past(e)
+    beyond = np.flatnonzero(np.abs(own.values) < own.band)
+    length = int(beyond[0]) if len(beyond) else own.lags[-1]
     longer = " or more" if not len(beyond) else ""
-    said = [
-        f"own past {own[1] if lags else 0:.2f} at lag 1, above the band for {length}{longer} lags"
-    ]
+    said = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
     for i, signal in enumerate(problem.inputs):
-        u = [b.case.u[:, i] for b in one.training]
-        values = cross_correlation(e, u, lags)
-        place = int(np.argmax(np.abs(values)))
-        limit = independent_band(e, u, lags)
-        mark = " above the band" if abs(values[place]) > limit else ""
-        said.append(f"{signal.name} {values[place]:.2f} at lag {place - lags}{mark}")
+        found = with_input(e, [b.case.u[:, i] for b in blocks])
+        place = int(np.argmax(np.abs(found.values)))
+        largest = float(found.values[place])
+        side = "above" if abs(largest) > found.band else "within"
+        said.append(
+            f"{signal.name} {largest:.2f} at lag {found.lags[place]}, {side} the band of "
+            f"{found.band:.2f}"
+        )
     return "; ".join(said)
 
 

@@ -38,9 +38,15 @@ async def search(client: Client, directory: Path) -> None:
     bad = await agent.judged(await agent.submit(CRASH))
     assert (bad["V"], bad["folds"], bad["reason"]) == (None, [], "crash")
     assert bad["detail"] == "line 2: ValueError: no such luck"
-    assert "read the last lines of its traceback" in bad["advice"]
+    assert "mend the line and the error that are named" in bad["advice"]
 
-    assert await agent.submit(arx(2) + "# the same\n") == first
+    again = await agent.call("submit", code=arx(2) + "# the same\n", hypothesis="h", expected="e")
+    assert (again["ticket"], again["repeated"]) == (first, True)
+    assert again["next"].startswith("not judged again: comments apart, this is the source of exp")
+    tried = await agent.call("dry_run", code=arx(3))
+    assert tried["reason"] is None
+    assert tried["lines"][0].startswith("dry run  nothing fails on ")
+    assert (await agent.call("dry_run", code=CRASH))["reason"] == "crash"
     assert (await agent.call("status"))["remaining"] == 1
     last = await agent.call("wait", ticket=await agent.submit(arx(4)))
     while last["state"] != "done":

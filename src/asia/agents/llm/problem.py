@@ -180,7 +180,7 @@ def equations(physics: Physics) -> Iterator[str]:
     """As the person gave them, a line each."""
     yield f"states: {', '.join(physics.states)}"
     ranges = {k: f"{r.min:g} to {r.max:g}" for k, r in physics.parameters.items()}
-    bounds = {k: f"{_open(b.min)} to {_open(b.max)}" for k, b in physics.bounds.items()}
+    bounds = {k: _range(b.min, b.max) for k, b in physics.bounds.items()}
     constants = {k: f"{v:g}" for k, v in physics.constants.items()}
     for title, entries in (
         ("parameters, unknown", ranges),
@@ -216,8 +216,13 @@ def _entries(title: str, entries: Mapping[str, str]) -> Iterator[str]:
             yield f"  {name}: {one_line(text, _EXPRESSION)}"
 
 
-def _open(value: float | None) -> str:
-    return "open" if value is None else f"{value:g}"
+def _range(low: float | None, high: float | None) -> str:
+    """In words where a side has no bound."""
+    if low is None and high is None:
+        return "no bounds"
+    if low is None:
+        return f"{high:g} or less"
+    return f"{low:g} or more" if high is None else f"{low:g} to {high:g}"
 
 
 def _records(facts: Facts) -> Iterator[str]:

@@ -16,6 +16,7 @@ from asia.ledger import (
     error_value,
     evidence_lines,
     evidence_of,
+    phase_words,
     settings_of_run,
 )
 from asia.protocol import metric_label
@@ -23,6 +24,11 @@ from asia.scoring import Score
 
 # With more, each output gets a row of its own.
 MOST_OUTPUTS_BESIDE = 3
+_COLUMNS = """\
+fit %: 100 (1 - |y - y_hat| / |y - mean of y|). Of the training records, worst output: train: error
+as in V; bias: mean residual in s.d.; white, u-corr: largest correlation of the residual with its
+own past and with past inputs; top, start: RMS residual in the highest tenth of the output and in
+the first 5 % of a record, over that of all samples."""
 
 
 def wide_console() -> Terminal:
@@ -36,7 +42,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     p, r = experiment.proposed, experiment.result
     parent = f", made from #{p.parent:02d}" if p.parent else ""
     title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
-    console.print(title, printable_line(f"({p.family}, {p.phase}{parent})"))
+    console.print(title, printable_line(f"({p.family}, {phase_words(p.phase)}{parent})"))
     if p.leg:
         who = p.agent or "nobody: the baseline"
         legs = len(run.view.started.legs)
@@ -112,6 +118,7 @@ def _fold_table(console: Terminal, run: Run, experiment: Experiment) -> None:
         )
     console.print()
     console.print(table)
+    console.print(_COLUMNS, style="dim")
     if wide:
         console.print()
         console.print(_channel_table(run, score))

@@ -71,8 +71,8 @@ def _where(submission: Submission, now: SearchProgress) -> str:
         what = ", the baseline," if running == 1 else ""
         return f"#{running:02d}{what} is being evaluated{_behind(submission)}"
     if now.experiments == 0:
-        return "the rungs, which are simple references, are evaluated first"
-    return f"queued, {submission.ahead} before it"
+        return "the search evaluates the rungs, which are simple references, then the baseline"
+    return f"queued, {submission.ahead} before it" if submission.ahead else "queued, it is next"
 
 
 def _behind(submission: Submission) -> str:

@@ -9,10 +9,8 @@ from dataclasses import dataclass, replace
 from statistics import fmean
 
 from asia.evaluation import FoldFindings
-from asia.scoring import PartKind, SignedResidual
+from asia.scoring import Evidence, PartKind, SignedResidual
 
-_STANDARD_ERRORS = 1.5
-_SMALLEST_SHARE = 0.02
 LARGEST_SPREAD = 0.5
 """Over the mean of the folds: what lies further apart disagrees."""
 
@@ -68,26 +66,24 @@ class SharedResidual:
     """The same in squared standard deviations, by which outputs compare."""
 
     @property
-    def stands_out(self) -> bool:
-        """Whether it is worth a look: more than 1.5 standard errors, and 2 % of the squared
-        residual."""
-        one = self.residual
-        return abs(one.mean) > _STANDARD_ERRORS * one.error and self.share > _SMALLEST_SHARE
+    def evidence(self) -> Evidence:
+        """Whether it is worth a look, by the rule that holds for one fold too."""
+        return self.residual.evidence
 
 
 def shared_residuals(
     folds: Sequence[Sequence[SignedResidual]],
 ) -> tuple[SharedResidual, ...]:
-    """Of the signed residuals of each fold those that stand out in all of them together, the
-    largest gain first."""
+    """Of the signed residuals of each fold those that are more than noise in all of them together:
+    clear ones before those that may be chance, and then the largest gain first."""
     found: defaultdict[tuple[int, PartKind, int, int], list[tuple[int, SignedResidual]]]
     found = defaultdict(list)
     for number, fold in enumerate(folds, 1):
         for one in fold:
             found[one.output, one.kind, one.signal, one.part].append((number, one))
     shared = (_shared(ones, len(folds)) for ones in found.values())
-    kept = [one for one in shared if one.stands_out]
-    return tuple(sorted(kept, key=lambda one: -one.gain))
+    kept = [one for one in shared if one.evidence is not Evidence.NONE]
+    return tuple(sorted(kept, key=lambda one: (one.evidence is Evidence.CHANCE, -one.gain)))
 
 
 def _shared(ones: Sequence[tuple[int, SignedResidual]], folds: int) -> SharedResidual:
@@ -96,7 +92,8 @@ def _shared(ones: Sequence[tuple[int, SignedResidual]], folds: int) -> SharedRes
     error = math.sqrt(sum(one.error**2 for _, one in ones)) / len(ones)
     agree = tuple(number for number, one in ones if one.mean * mean > abs(mean) * one.error)
     share, gain = (sum(values) / folds for values in zip(*_weights(ones), strict=True))
-    return SharedResidual(replace(first, mean=mean, error=error), agree, share, gain)
+    residual = replace(first, mean=mean, error=error, share=share, gain=gain)
+    return SharedResidual(residual, agree, share, gain)
 
 
 def _weights(ones: Sequence[tuple[int, SignedResidual]]) -> list[tuple[float, float]]:

@@ -131,7 +131,7 @@ def _residual_lines(
         if of_output < _OF_ONE_OUTPUT and len(kept) < MOST_RESIDUALS:
             kept.append(one)
     if not kept:
-        yield f"{where} it is nowhere clearly too high or too low"
+        yield f"{where} it is nowhere too high or too low by more than a standard error"
         return
     yield f"where it is wrong {where} (mean ± standard error, share of the MSE):"
     for one in kept:

@@ -31,6 +31,8 @@ _MOST_OUTPUTS = 12
 _ONE_COLUMN = 8
 _MOST_RECORDS = 6
 _MANY_SAMPLES = 20_000
+_SHADES = (SHADE, "#f7f0e0")
+"""Tints of what odd and even folds hold out."""
 
 
 def draw_data(problem: Problem) -> Figure:
@@ -104,8 +106,8 @@ def _folds(
                 continue
             time = times[record]
             start, last = time[block.start], time[min(block.stop, len(time) - 1)]
-            if fold.index % 2 == 0:
-                axes.axvspan(start, last, color=SHADE, lw=0, zorder=0)
+            shade = _SHADES[fold.index % 2]
+            axes.axvspan(start, last, color=shade, lw=0, zorder=0)
             if past:
                 before = time[block.start - past]
                 axes.axvspan(before, start, color=ORANGE, alpha=0.55, lw=0, zorder=1)
@@ -174,9 +176,9 @@ def _title(problem: Problem, inputs: int, outputs: int, records: int) -> str:
     )
 
 
-def _odd(folds: int) -> str:
-    """Names of the tinted folds."""
-    names = [str(k) for k in range(1, folds + 1, 2)]
+def _every_second(first: int, folds: int) -> str:
+    """Names of the folds of one tint."""
+    names = [str(k) for k in range(first, folds + 1, 2)]
     text = ", ".join(names if len(names) <= 3 else [*names[:2], "…"])
     return f"fold {text}" if len(names) == 1 else f"folds {text}"
 
@@ -185,11 +187,13 @@ def _legend(figure: Figure, axes: Axes, problem: Problem) -> None:
     rule = problem.protocol
     handles = axes.plot([], [], color=INK, lw=1.0, label="input")
     handles += axes.plot([], [], color=BLUE, lw=1.0, label="output")
-    handles += axes.plot([], [], color=SHADE, lw=7.0, label=_odd(rule.folds.count))
+    for first, shade in enumerate(_SHADES, 1):
+        label = f"held out: {_every_second(first, rule.folds.count)}"
+        handles += axes.plot([], [], color=shade, lw=7.0, label=label)
     if rule.kind == "windows":
         axes.plot([], [], alpha=0, label=f"windows of {rule.horizon} samples")
         handles.append(axes.lines[-1])
     elif rule.past:
         label = f"past window, {rule.past} samples"
         handles += axes.plot([], [], color=ORANGE, alpha=0.55, lw=7.0, label=label)
-    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -16,9 +15,8 @@ from asia.protocol import Fold
 from asia.report._artifacts import fold_outputs
 from asia.report._drawing.style import BLUE, INK, SHADE, WIDTH, entitle, plain, quiet_grid, shown
 from asia.report._pictures.simulation import lowest, worst_fits
-from asia.scoring import cross_correlation, independent_band, white_band
+from asia.scoring import Correlation, with_input, with_own_past
 
-_LAGS = 40
 _MOST_ROWS = 4
 _MOST_INPUTS = 3
 
@@ -37,15 +35,14 @@ def draw_residuals(
     chosen = lowest(worst_fits(experiment.score), _MOST_ROWS)
     rows = len(chosen)
     columns = 1 + min(len(problem.inputs), _MOST_INPUTS)
-    lags = max(1, min(_LAGS, min(len(r) for r in residual) // 4))
     figure = Figure(figsize=(max(WIDTH, 2.9 * columns), 0.8 + 1.9 * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col")
     for row, output in enumerate(chosen):
         e = [r[:, output] for r in residual]
-        _whiteness(grid[row, 0], e, problem.outputs[output], lags)
+        _whiteness(grid[row, 0], e, problem.outputs[output])
         for column in range(1, columns):
             u = [v[:, column - 1] for v in inputs]
-            _independence(grid[row, column], e, u, problem.inputs[column - 1], lags)
+            _independence(grid[row, column], e, u, problem.inputs[column - 1])
     for column, axes in enumerate(grid[-1]):
         axes.set_xlabel("Lag of the input [samples]" if column else "Lag [samples]")
         axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
@@ -66,10 +63,9 @@ def draw_correlations(
 ) -> None:
     """Residuals e, one (H,) array a block, with their own past and with each input, on a row of
     axes; last: the row that names the lags."""
-    lags = max(1, min(_LAGS, min(len(r) for r in e) // 4))
-    _whiteness(row[0], e, None, lags)
+    _whiteness(row[0], e, None)
     for axes, u, signal in zip(row[1:], inputs, signals, strict=True):
-        _independence(axes, e, u, signal, lags)
+        _independence(axes, e, u, signal)
     for place, axes in enumerate(row):
         axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
         if last:
@@ -84,24 +80,20 @@ def _left_out(problem: Problem) -> str:
     )
 
 
-def _whiteness(axes: Axes, e: Sequence[Array], output: Signal | None, lags: int) -> None:
-    values = cross_correlation(e, e, lags)[lags:]
-    _stems(axes, np.arange(lags + 1), values, white_band(sum(len(r) for r in e)))
+def _whiteness(axes: Axes, e: Sequence[Array], output: Signal | None) -> None:
+    _stems(axes, with_own_past(e))
     axes.set_title("residual with its own past")
     name = "" if output is None else f"{plain(output.name, 20)}\n"
     axes.set_ylabel(f"{name}correlation [-]")
 
 
-def _independence(
-    axes: Axes, e: Sequence[Array], u: Sequence[Array], signal: Signal, lags: int
-) -> None:
-    values = cross_correlation(e, u, lags)
-    far = max(lags, min(4 * lags, min(len(r) for r in e) - 1))
-    _stems(axes, np.arange(-lags, lags + 1), values, independent_band(e, u, far))
+def _independence(axes: Axes, e: Sequence[Array], u: Sequence[Array], signal: Signal) -> None:
+    _stems(axes, with_input(e, u))
     axes.set_title(f"residual with {plain(signal.name, 17)}")
 
 
-def _stems(axes: Axes, lags: np.ndarray[tuple[int], np.dtype[np.int_]], y: Array, band: float):
+def _stems(axes: Axes, found: Correlation) -> None:
+    lags, y, band = found.lags, found.values, found.band
     axes.axhspan(-band, band, color=SHADE, lw=0, zorder=0)
     axes.axhline(0.0, color=INK, lw=0.7)
     axes.vlines(lags, 0.0, y, color=BLUE, lw=1.2)

@@ -19,7 +19,6 @@ from asia.report._drawing.style import (
     WIDTH,
     axis_label,
     entitle,
-    number,
     plain,
     quantity,
     quiet_grid,
@@ -52,7 +51,7 @@ def draw_tried(shown_cases: SimulatedCases) -> Figure:
         for output in outputs
         for key in list(parts)[:MOST_PANELS]
     )
-    title = shown_cases.title + shown(
+    title = headline_of(shown_cases) + shown(
         (len(outputs), len(shown_cases.outputs), "outputs, the largest residuals"),
         (min(len(parts), MOST_PANELS), len(parts), "parts"),
     )
@@ -84,6 +83,13 @@ def draw_tried_residuals(shown_cases: SimulatedCases) -> Figure:
     return figure
 
 
+def headline_of(shown_cases: SimulatedCases) -> str:
+    """The title, and why there is no panel of what a fold holds out."""
+    if any(case.held_out for case in shown_cases.cases):
+        return shown_cases.title
+    return f"{shown_cases.title}: training part (the held-out part is not shown)"
+
+
 def _parts(shown_cases: SimulatedCases) -> dict[tuple[int, bool], list[SimulatedCase]]:
     """The cases of each fold, training and held-out ones apart."""
     found: dict[tuple[int, bool], list[SimulatedCase]] = {}
@@ -112,7 +118,9 @@ def _panel(
     which = f", {plain(signal.name, 24)}" if len(shown_cases.outputs) > 1 else ""
     error = f"RMSE {quantity(float(np.sqrt((e**2).mean())), signal.unit)}, mean residual "
     return Panel(
-        Heading(f"Fold {fold}, {_PART[held_out]}{which}", error + number(float(e.mean()))),
+        Heading(
+            f"Fold {fold}, {_PART[held_out]}{which}", error + quantity(float(e.mean()), signal.unit)
+        ),
         signal,
         tuple(_pieces(shown_cases, cases, arrays, output)),
     )

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from asia.drive._answers import DryRunSummary
 from asia.errors import Reason
-
-if TYPE_CHECKING:
-    from asia.drive import DryRunSummary
 
 _OVER_TIME = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
 
