@@ -10,7 +10,7 @@ from asia.bench._paper import Paper
 from asia.bench._plan import PlannedRun
 from asia.bench._references import TITLES
 from asia.ledger import Experiment, SearchView
-from asia.protocol import EarlyStopping
+from asia.protocol import EarlyStopping, ShownResidual
 from asia.scoring import Score
 
 
@@ -73,6 +73,8 @@ class Comparison:
     """Rungs, baseline, references and searches."""
     reached: tuple[Reached, ...]
     """How fast the first arm came to the best V of the others."""
+    residuals: ShownResidual = "train"
+    """Of what the agents were shown residuals."""
 
 
 def compare(
@@ -85,7 +87,8 @@ def compare(
     if setting == "validation":
         rows = [replace(row, paper=published.get(row.key)) for row in rows]
         rows += _paper_only(paper, {row.key for row in rows})
-    return Comparison(setting, tuple(rows), _reached(own))
+    shown = any(run.view.started.residuals == "held_out" for run in own)
+    return Comparison(setting, tuple(rows), _reached(own), "held_out" if shown else "train")
 
 
 def _paper_only(paper: Paper | None, ours: set[str]) -> list[Row]:

@@ -10,12 +10,16 @@ from asia._text import printable_line
 from asia.bench._paper import Paper
 from asia.bench._rows import Comparison, Reached, Row
 from asia.ledger import error_value
-from asia.protocol import EarlyStopping
+from asia.protocol import EarlyStopping, ShownResidual
 
 _TITLES: dict[EarlyStopping, str] = {
     "inner": "V with inner early stopping: nothing of the held-out fold is seen in training",
     "validation": "V with validation early stopping, as in the paper: training asks for its score "
     "on the held-out fold, so V is not leak-free",
+}
+_SHOWN: dict[ShownResidual, str] = {
+    "train": "",
+    "held_out": "; agents saw residuals of the held-out folds",
 }
 _NOTHING = "-"
 
@@ -76,7 +80,7 @@ def comparison_table(comparison: Comparison, paper: Paper | None) -> TextTable:
     elif paper is not None:
         notes.append(_not_comparable(paper))
     return TextTable(
-        _TITLES[comparison.setting],
+        _TITLES[comparison.setting] + _SHOWN[comparison.residuals],
         header,
         tuple(rows),
         tuple(notes),

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from asia.data import Array, Signal
-from asia.scoring import PartKind, SignedResidual, ranges_of, signed_residuals
+from asia.scoring import (
+    Evidence,
+    PartKind,
+    SignedResidual,
+    evidence_of_mean,
+    ranges_of,
+    signed_residuals,
+)
 
 INPUTS = (Signal("valve", "V"),)
 OUTPUTS = (Signal("level", "cm"),)
@@ -108,3 +115,44 @@ def test_folds_share_the_parts_of_the_ranges_they_are_given() -> None:
     found = signed_residuals([u[half]], [y[half]], [y[half] + 0.1], np.ones(1), ranges)
     edges = {one.high for one in found if one.kind is PartKind.INPUT and one.high is not None}
     assert edges == set(ranges.inputs[0])
+
+
+def test_a_wrong_initial_state_is_said_of_the_start_and_of_no_range() -> None:
+    """The input is high at the beginning alone, where the initial state is wrong."""
+    truth, u = slow(0, 1000), np.zeros((1000, 1))
+    u[:50] = np.random.default_rng(1).uniform(5.0, 6.0, (50, 1))
+    wrong = np.zeros_like(truth)
+    wrong[:50] = 2.0
+    found = signed_residuals([u], [truth + wrong + noise(2, 1000)], [truth], truth.std(axis=0))
+    start = next(one for one in found if one.kind is PartKind.START)
+    assert start.mean > 1.5
+    assert start.words(INPUTS, OUTPUTS).startswith("start, the first 5 % of a simulation: level is")
+    assert all(abs(one.mean) < 0.2 for one in found if one.kind is PartKind.INPUT)
+
+
+def test_the_mean_over_all_samples_is_one_of_the_parts() -> None:
+    truth = slow(0)
+    (whole,) = (
+        one
+        for one in signed_residuals([slow(1)], [truth - 0.5 + noise(2)], [truth], np.ones(1))
+        if one.kind is PartKind.ALL
+    )
+    assert whole.mean == pytest.approx(-0.5, abs=0.01)
+    assert whole.words(INPUTS, OUTPUTS).startswith(
+        "mean over all samples: level is too high by 0.5"
+    )
+
+
+@pytest.mark.parametrize(
+    ("mean", "said"), [(0.2, Evidence.CLEAR), (0.14, Evidence.CHANCE), (0.09, Evidence.NONE)]
+)
+def test_one_rule_says_what_may_be_chance(mean: float, said: Evidence) -> None:
+    one = SignedResidual(
+        0, PartKind.ALL, 0, 0, None, None, -mean, 0.1, 100, 0.2, 0.2, notable=False
+    )
+    assert one.evidence is said
+    assert ("standard errors: may be chance)" in one.size) is (said is Evidence.CHANCE)
+
+
+def test_a_large_mean_in_standard_errors_is_nothing_where_it_is_a_small_share() -> None:
+    assert evidence_of_mean(1.0, 0.1, 0.01) is Evidence.NONE
