@@ -17,7 +17,8 @@ from asia.data.sources import SOURCES, Channels, DataSet, SourceData, Subset, so
 from asia.data.sources.benchmarks import NonlinearBenchmark
 from asia.data.sources.csv_files import CsvFiles
 from asia.data.sources.nanodrone import Nanodrone
-from asia.data.sources.two_tanks import TwoTanks
+from asia.data.sources.official import OfficialBenchmark
+from asia.data.sources.simulated import Simulated
 from asia.errors import UserError
 from asia.problem.load import Seal, init_problem, load_lock, load_problem, lock_text
 from asia.testing import check_source
@@ -85,7 +86,7 @@ def test_a_sealed_store_conforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("guard", [0, 2])
 def test_simulated_tanks_conform(guard: int) -> None:
-    check_source(lambda: TwoTanks(3, guard), Channels((Signal("u"),), (Signal("y"),), 4.0))
+    check_source(lambda: Simulated(3, guard), Channels((Signal("u"),), (Signal("y"),), 4.0))
 
 
 def test_nanodrone_conforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,7 +120,12 @@ def test_nonlinear_benchmarks_conform(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_every_source_of_the_table_is_tested_here() -> None:
-    assert set(SOURCES.values()) == {NonlinearBenchmark, Nanodrone, TwoTanks}
+    assert set(SOURCES.values()) == {
+        NonlinearBenchmark,
+        Nanodrone,
+        OfficialBenchmark,
+        Simulated,
+    }
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,20 @@ class Signal:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
+def _is_frozen(values: object) -> TypeGuard[Array]:
+    """Whether nobody can write to the array any more, so that records share it."""
+    if not isinstance(values, np.ndarray) or values.dtype != np.float64:
+        return False
+    base: object = values
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            return False
+        base = base.base
+    return base is None and values.ndim == 2 and values.flags.c_contiguous
+
+
 def _frozen(values: object, what: str) -> Array:
-    array = np.array(values, dtype=np.float64, order="C")
+    array = values if _is_frozen(values) else np.array(values, dtype=np.float64, order="C")
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2:

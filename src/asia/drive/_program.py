@@ -235,6 +235,11 @@ def _folds(rule: FoldRule) -> str:
             f"Each record is cut into {rule.count + 1} blocks; each fold holds one of them out, "
             "never the first, and trains on what lies before it"
         )
+    elif rule.tail is not None:
+        how = (
+            f"The last {rule.tail} samples of each record are cut into {rule.count} blocks; each "
+            "fold holds one of them out and trains on what lies before it"
+        )
     else:
         how = (
             f"Each record is cut into {rule.count} blocks; each fold holds one of them out and "
@@ -249,6 +254,8 @@ def _covered(rule: ProtocolRule) -> str:
     first = f"all samples but the first {past} of each record" if past else "all samples"
     if rule.folds.kind == "forward":
         first = "the samples of all blocks but the first of each record"
+    if rule.folds.tail is not None:
+        first = f"the last {rule.folds.tail} samples of each record"
     if rule.horizon is not None:
         return (
             f"V covers {first}, in windows one after the other; the last window of a part ends "

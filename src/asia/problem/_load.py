@@ -179,6 +179,12 @@ def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> No
         least = rule.past + max(least_case(rule), _LEAST_BEYOND_PAST)
         wanted = f"a past window of {rule.past}"
         advice = "a shorter past window"
+    elif rule.folds.tail is not None:
+        count, gap = rule.folds.count, rule.folds.gap or 0
+        shortest = rule.past + least_case(rule) + gap
+        least = rule.past + max(rule.folds.tail, count * least_case(rule)) + shortest
+        wanted = f"a tail of {rule.folds.tail} in {count} folds with a past window of {rule.past}"
+        advice = "fewer folds, a shorter tail or past window"
     else:
         count, gap = block_count(rule), rule.folds.gap or 0
         beyond = max(least_case(rule), _LEAST_BEYOND_PAST) + gap

@@ -27,6 +27,7 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
             'protocol.horizon belongs to kind = "windows": set that, or leave the horizon out to '
             "simulate whole blocks"
         )
+    _check_tail(table)
     if table.folds.kind == "leave_one_group_out":
         if table.folds.count is not None:
             raise UserError(
@@ -57,6 +58,19 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
     _check_test(table, table.test.rule(), outputs)
 
 
+def _check_tail(table: ProtocolTable) -> None:
+    folds = table.folds
+    if (folds.kind == "tail") != (folds.tail is not None):
+        raise UserError(
+            'protocol.folds.tail, the samples at the end of each record, and kind = "tail" belong '
+            'together: write folds = { kind = "tail", tail = 100, count = 2 }, or neither'
+        )
+    if folds.count == 1 and folds.kind != "tail":
+        raise UserError(
+            'protocol.folds.count is 1, which only folds of kind = "tail" can have: use 2 or more'
+        )
+
+
 def check_feedback(rule: ProtocolRule) -> None:
     """Raises UserError when a fit could learn what the agent must not know."""
     if rule.ladder is not None and rule.early_stopping == "validation":
@@ -72,6 +86,11 @@ def check_feedback(rule: ProtocolRule) -> None:
 
 
 def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) -> None:
+    if test.unit_factor is not None and test.unit is None:
+        raise UserError(
+            "protocol.test.unit_factor belongs to protocol.test.unit: say which unit it leads to, "
+            'such as unit = "mV"'
+        )
     if table.kind == "windows" and test.skip:
         raise UserError(
             "protocol.test.skip leaves out the start of a long simulation, but every sample of a "
@@ -171,6 +190,7 @@ def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
             "kind": rule.folds.kind,
             "count": None if grouped else rule.folds.count,
             "gap": rule.folds.gap,
+            "tail": rule.folds.tail,
         },
         "test": {
             "metrics": test.metrics,
@@ -181,5 +201,8 @@ def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
             }
             or None,
             "horizons": test.horizons or None,
+            "unit": test.unit,
+            "unit_factor": test.unit_factor,
+            "figures": {f.name: f.records for f in test.figures} or None,
         },
     }

@@ -23,6 +23,7 @@ from asia.protocol._rules import (
     Feedback,
     FoldKind,
     FoldRule,
+    Group,
     OutputGroup,
     ProtocolRule,
     ShownResidual,
@@ -48,6 +49,7 @@ _Signals = Annotated[
     Field(min_length=1),
 ]
 _Outputs = Annotated[tuple[str, ...], Field(min_length=1)]
+_Records = _Outputs
 _MetricName = Annotated[str, AfterValidator(known_metric)]
 _TestMetricName = Annotated[str, AfterValidator(known_test_metric)]
 _PastSamples = Annotated[int, Field(ge=0, le=100_000)]
@@ -56,15 +58,16 @@ _PastSamples = Annotated[int, Field(ge=0, le=100_000)]
 @dataclass(frozen=True)
 class FoldsTable:
     kind: FoldKind = "contiguous"
-    count: Annotated[int, Field(ge=2, le=100)] | None = None
+    count: Annotated[int, Field(ge=1, le=100)] | None = None
     gap: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
+    tail: Annotated[int, Field(ge=1, le=100_000_000)] | None = None
 
     def rule(self) -> FoldRule:
         """Without the groups, which are known once the records were read."""
         if self.kind == "leave_one_group_out":
             return FoldRule(self.kind, 0)
         count = FoldRule.count if self.count is None else self.count
-        return FoldRule(self.kind, count, gap=self.gap or None)
+        return FoldRule(self.kind, count, gap=self.gap or None, tail=self.tail)
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,9 @@ class TestTable:
         default_factory=dict[str, "_Outputs | RotationTable"]
     )
     horizons: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    unit: Annotated[str, Field(min_length=1)] | None = None
+    unit_factor: Annotated[float, Field(gt=0)] | None = None
+    figures: Mapping[str, _Records] = field(default_factory=dict[str, _Records])
 
     def rule(self) -> TestRule:
         groups = tuple(
@@ -91,7 +97,10 @@ class TestTable:
             else OutputGroup(name, entry)
             for name, entry in self.groups.items()
         )
-        return TestRule(self.metrics, self.skip, groups, self.horizons)
+        figures = tuple(Group(name, records) for name, records in self.figures.items())
+        return TestRule(
+            self.metrics, self.skip, groups, self.horizons, self.unit, self.unit_factor, figures
+        )
 
 
 @dataclass(frozen=True)

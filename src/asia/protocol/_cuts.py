@@ -56,12 +56,15 @@ def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> 
 
 
 def blocks(length: int, rule: ProtocolRule) -> list[range]:
-    """The held-out block of each fold: what lies after the first past window in `block_count`
-    parts, the first ones a sample longer when it does not divide; empty ones when too short. In
-    forward folds the first part trains only."""
+    """The held-out block of each fold: what lies after the first past window, in tail folds the
+    tail, in `block_count` parts, the first ones a sample longer when it does not divide; empty ones
+    when too short. In forward folds the first part trains only."""
     count = block_count(rule)
-    size, longer = divmod(max(length - rule.past, 0), count)
-    edges = [rule.past + k * size + min(k, longer) for k in range(count + 1)]
+    start = rule.past
+    if rule.folds.tail is not None:
+        start = max(start, length - rule.folds.tail)
+    size, longer = divmod(max(length - start, 0), count)
+    edges = [start + k * size + min(k, longer) for k in range(count + 1)]
     return [range(start, stop) for start, stop in pairwise(edges)][count - rule.folds.count :]
 
 
@@ -71,11 +74,12 @@ def block_count(rule: ProtocolRule) -> int:
 
 
 def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
-    """What trains while `block` is held out: the samples before it and, but in forward folds, after
-    it, without the gap, as far as they hold a past window of their own and one case more."""
+    """What trains while `block` is held out: the samples before it and, but in forward and tail
+    folds, after it, without the gap, as far as they hold a past window of their own and one case
+    more."""
     gap = rule.folds.gap or 0
     parts = [range(rule.past, block.start - gap)]
-    if rule.folds.kind != "forward":
+    if rule.folds.kind == "contiguous":
         parts.append(range(block.stop + gap, length))
     return [part for part in parts if len(part) >= rule.past + least_case(rule)]
 

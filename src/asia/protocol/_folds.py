@@ -100,13 +100,17 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
     Contiguous: each record is split by `array_split` after its first past window. Block k of every
     record is held out in fold k; what lies before and after it trains, as records of their own. A
     training record too short to hold its own past window and one case is left out. Forward: one
-    part more, part k + 1 is held out in fold k, and what lies before it trains. The samples of
-    `folds.gap` next to a held-out part train nothing.
+    part more, part k + 1 is held out in fold k, and what lies before it trains. Tail: as forward,
+    with all parts in the last `folds.tail` samples. The samples of `folds.gap` next to a held-out
+    part train nothing.
     Leave one group out: the records of group k are held out in fold k, all others train whole.
     Raises UserError when a fold has nothing to train on or an output does not move in it.
     """
-    if rule.folds.count < 2:
-        raise UserError(f"protocol.folds.count is {rule.folds.count}: at least 2 folds are needed")
+    least = 1 if rule.folds.kind == "tail" else 2
+    if rule.folds.count < least:
+        raise UserError(
+            f"protocol.folds.count is {rule.folds.count}: at least {least} folds are needed"
+        )
     found = splits([r.name for r in records], [len(r) for r in records], rule)
     for part in (part for split in found for part in split.held_out):
         if len(part.samples) < least_case(rule):

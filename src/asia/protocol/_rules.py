@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 EarlyStopping = Literal["inner", "validation"]
-FoldKind = Literal["contiguous", "forward", "leave_one_group_out"]
+FoldKind = Literal["contiguous", "forward", "tail", "leave_one_group_out"]
 Feedback = Literal["exact", "ladder"]
 ShownResidual = Literal["train", "held_out"]
 
@@ -28,14 +28,18 @@ class FoldRule:
     kind: FoldKind = "contiguous"
     """`contiguous`: each record is cut into blocks, and a fold holds out one block of each record;
     `forward`: the same with one block more, and only what lies before the held-out block trains,
-    so that the first block is never held out; `leave_one_group_out`: a fold holds out the records
-    of one group."""
+    so that the first block is never held out; `tail`: the same within the last `tail` samples of
+    each record, what lies before them always trains; `leave_one_group_out`: a fold holds out the
+    records of one group."""
     count: int = 2
     """The number of folds."""
     groups: tuple[Group, ...] = ()
     """The groups; () for folds of another kind."""
     gap: int | None = None
     """Samples next to a held-out block that do not train; None for none."""
+    tail: int | None = None
+    """Samples at the end of each record that `tail` folds hold out; None for folds of another
+    kind."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,13 @@ class TestRule:
     """Groups of the Mean Euclidean Error table."""
     horizons: tuple[int, ...] = ()
     """Steps of a window that this table prints, 1 being the first."""
+    unit: str | None = None
+    """The unit of the official figures, such as `mV`; None where they are in the output's."""
+    unit_factor: float | None = None
+    """What a value in the output's unit is multiplied by to be in `unit`; None for 1."""
+    figures: tuple[Group, ...] = ()
+    """The official figures, each the mean over test records that match its names or wildcards; ()
+    where each test record is a figure of its own."""
 
 
 @dataclass(frozen=True)

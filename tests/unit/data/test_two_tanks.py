@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from asia.data.sources.two_tanks import NOISE_STD, _levels, simulate_two_tanks
+from asia.data.sources.simulated.two_tanks import NOISE_STD, _levels, simulate_two_tanks
 
 
 def test_seed_and_realisation_fix_every_number() -> None:

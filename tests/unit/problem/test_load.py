@@ -200,7 +200,8 @@ def test_bad_file_gives_one_sentence(
     [
         ('source = "nonlinear_benchmarks:Cascaded_Tank"', "did you mean 'Cascaded_Tanks'?"),
         ('source = "simulated:tanks"', "did you mean 'two_tanks'?"),
-        ('source = "web:x"', "expected 'nonlinear_benchmarks:<name>'"),
+        ('source = "web:x"', "expected 'benchmark:<name>', 'nonlinear_benchmarks:<name>'"),
+        ('source = "benchmark:silver_box"', "did you mean 'silverbox'?"),
         ('source = "simulated:two_tanks"\ntrain = ["a.csv"]', "keep one of them"),
         ('source = "nonlinear_benchmarks:CED"\nseed = 1', "data.seed belongs to a simulated"),
         ('source = "simulated:two_tanks"', "sampled every 4 s"),

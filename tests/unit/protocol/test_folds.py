@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -116,3 +118,27 @@ def test_an_output_that_hardly_moves_in_one_fold_is_refused() -> None:
     y = np.where(t < 30, t, 1e-310 * t)[:, None]
     with pytest.raises(UserError, match="output 1 is constant over the training samples of fold 1"):
         make_folds([Trajectory(t, y, 1.0, "r")], ProtocolRule(past_inputs=0, past_outputs=0))
+
+
+@given(length=st.integers(60, 90), count=st.integers(1, 4), gap=st.integers(0, 3))
+def test_tail_folds_hold_out_the_end_of_each_record(length: int, count: int, gap: int) -> None:
+    folds = FoldRule("tail", count, gap=gap or None, tail=20)
+    rule = ProtocolRule(folds=folds, past_inputs=4, past_outputs=4)
+    found = make_folds([record(length, "a"), record(length + 9, "b")], rule)
+    assert len(found) == count
+    for number, samples in enumerate((length, length + 9)):
+        blocks = [fold.validation[number] for fold in found]
+        assert (blocks[0].start, blocks[-1].stop) == (samples - 20, samples)
+        assert all(a.stop == b.start for a, b in pairwise(blocks))
+        for fold, block in zip(found, blocks, strict=True):
+            assert fold.train[number].u[0, 0] == 4
+            assert fold.train[number].u[-1, 0] == block.start - gap - 1
+            assert not any(fold.followed)
+
+
+def test_folds_share_the_records_memory() -> None:
+    rule = ProtocolRule(folds=FoldRule(count=2), past_inputs=4, past_outputs=4)
+    whole_record = record(90)
+    for fold in make_folds([whole_record], rule):
+        for part in (*fold.train, fold.validation[0].case):
+            assert np.shares_memory(part.u, whole_record.u)

@@ -12,7 +12,7 @@ import numpy as np
 from asia.data import Array, Signal, Trajectory
 from asia.data.sources import Source
 from asia.data.sources.benchmarks import NonlinearBenchmark
-from asia.data.sources.two_tanks import TwoTanks
+from asia.data.sources.simulated import Simulated
 from asia.errors import Reason
 from asia.ledger import (
     Chain,
@@ -36,7 +36,7 @@ from asia.scoring import Diagnostics, Failure, combine, score_fold, score_test
 Outcomes = Sequence[tuple[str, float | None]]
 
 
-SIMULATED = TwoTanks(0)
+SIMULATED = Simulated(0)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from asia.data import Signal, Trajectory
 from asia.data.sources import Channels, DataSet, DataTable, Source, SourceData, Subset
 from asia.data.sources.csv_files import CsvFiles
 from asia.data.sources.nanodrone import Nanodrone
-from asia.data.sources.two_tanks import TwoTanks
+from asia.data.sources.simulated import Simulated
 from asia.errors import UserError
 from asia.problem.load import check_problem, load_lock, load_problem, lock_text
 from asia.seal._guard import guard_digest, open_guard
@@ -32,7 +32,7 @@ def guarded(tmp_path: Path, line: str) -> Path:
 def test_simulated_guards_are_records_of_their_own() -> None:
     problem = load_problem("two_tanks_sim")
     assert guard_digest(problem) is None
-    problem = replace(problem, data=TwoTanks(3, guard=2))
+    problem = replace(problem, data=Simulated(3, guard=2))
     first, second = open_guard(problem)
     outputs = [first.y, second.y, problem.train[0].y]
     assert len({y.tobytes() for y in outputs}) == 3
@@ -58,7 +58,7 @@ def test_a_data_sets_guard_trains_nothing() -> None:
 @pytest.mark.parametrize(
     ("table", "source", "words"),
     [
-        (DataTable(guard=("a",), source="simulated:two_tanks"), TwoTanks, "say how many"),
+        (DataTable(guard=("a",), source="simulated:two_tanks"), Simulated, "say how many"),
         (DataTable(guard=2, source="nanodrone"), Nanodrone, "name the training records"),
         (DataTable(guard=2, train=("a.csv",)), CsvFiles, "name the files"),
     ],

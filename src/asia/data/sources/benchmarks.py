@@ -92,6 +92,12 @@ class NonlinearBenchmark(DataSet):
         """What to say where nobody can tell whether the download is the real one. Raises UserError
         where it is not."""
         name, folder = self.argument, _cache(self.argument).folder
+        if name == "ParWH":
+            return (
+                "the package nonlinear-benchmarks 1.0.1 interleaves the two periods of each ParWH "
+                "record, so that every input occurs twice and the sampling time is wrong by 2: use "
+                'source = "benchmark:parallel_wiener_hammerstein", which joins them',
+            )
         if name not in PINS:
             return (
                 f"the package nonlinear-benchmarks downloads {name} without checking the server's "

@@ -10,17 +10,19 @@ from asia._plugins import parts_of
 from asia.data.sources.benchmarks import NonlinearBenchmark
 from asia.data.sources.csv_files import CsvFiles
 from asia.data.sources.nanodrone import Nanodrone
+from asia.data.sources.official import OfficialBenchmark
 from asia.data.sources.sealed import SealedStore
+from asia.data.sources.simulated import Simulated
 from asia.data.sources.source import DataTable, Source
-from asia.data.sources.two_tanks import TwoTanks
 from asia.errors import UserError
 
 GROUP = "asia.sources"
 
 SOURCES: Mapping[str, type[Source]] = {
+    "benchmark": OfficialBenchmark,
     "nonlinear_benchmarks": NonlinearBenchmark,
     "nanodrone": Nanodrone,
-    "simulated": TwoTanks,
+    "simulated": Simulated,
 }
 """ASIA's own sources, by what stands before the colon of `data.source`."""
 

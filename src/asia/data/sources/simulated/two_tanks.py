@@ -3,17 +3,13 @@ which is not measured, into a lower one."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import sqrt
-from pathlib import Path
-from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from asia._nearest import nearest
-from asia.data._trajectory import Array, Trajectory
-from asia.data.sources.source import Channels, DataTable, Source, SourceData, Subset
-from asia.errors import UserError
+from asia.data._trajectory import Array
+from asia.data.sources.simulated.record import Simulation
+from asia.data.sources.source import Subset
 
 SAMPLING_TIME = 4.0
 SAMPLES = 1024
@@ -30,76 +26,14 @@ _SYSTEM = "two_tanks"
 _GUARD = 2
 
 
-@dataclass(frozen=True)
-class TwoTanks(Source):
-    """The tanks, simulated when their records are asked for; the seed fixes every number."""
-
-    seed: int = 0
-    """The seed of inputs, initial states and noise."""
-    guard: int = 0
-    """How many records stand guard."""
-
-    usage: ClassVar[str] = "simulated:<system>"
-    test_kept: ClassVar[str] = (
-        "simulated from a seed that the problem names: whoever has ASIA can repeat it"
-    )
-
-    @classmethod
-    def from_table(cls, table: DataTable, root: Path) -> Self:
-        """As `Source.from_table`."""
-        del root
-        name = (table.source or "").partition(":")[2]
-        if name != _SYSTEM:
-            raise UserError(f"data.source: no simulated system '{name}'{nearest(name, [_SYSTEM])}")
-        if not isinstance(table.guard, int) and table.guard:
-            raise UserError(
-                "data.guard names records, but a simulated source makes them: say how many, such "
-                "as guard = 2"
-            )
-        return cls(table.seed or 0, table.guard if isinstance(table.guard, int) else 0)
-
-    def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """As `Source.read`."""
-        del channels
-        if subset == "guard":
-            numbers, names = range(_GUARD, _GUARD + self.guard), self.guard_names
-        else:
-            numbers, names = (("train", "test").index(subset),), (f"{_SYSTEM}_{subset}",)
-        made = [simulate_two_tanks(self.seed, number) for number in numbers]
-        return SourceData(
-            tuple(Trajectory(m.u, m.y, SAMPLING_TIME, n) for m, n in zip(made, names, strict=True)),
-            tuple(m.truth for m in made),
-        )
-
-    def places(self, subset: Subset) -> tuple[Path, ...]:
-        """As `Source.places`: nothing is stored."""
-        del subset
-        return ()
-
-    def to_toml(self) -> dict[str, Any]:
-        """As `Source.to_toml`."""
+def two_tanks_records(seed: int, subset: Subset, guard: int) -> dict[str, Simulation]:
+    """One training and one test record, and guard records."""
+    if subset == "guard":
         return {
-            "source": f"simulated:{_SYSTEM}",
-            "seed": self.seed,
-            "guard": self.guard or None,
+            f"{_SYSTEM}_guard{k + 1}": simulate_two_tanks(seed, _GUARD + k) for k in range(guard)
         }
-
-    @property
-    def guard_names(self) -> tuple[str, ...]:
-        """As `Source.guard_names`."""
-        return tuple(f"{_SYSTEM}_guard{k}" for k in range(1, self.guard + 1))
-
-
-@dataclass(frozen=True)
-class Simulation:
-    """A simulated record, (T, 1) each."""
-
-    u: Array
-    """Pump voltage, V."""
-    y: Array
-    """Measured level of the lower tank, V."""
-    truth: Array
-    """The same without noise, V."""
+    number = ("train", "test").index(subset)
+    return {f"{_SYSTEM}_{subset}": simulate_two_tanks(seed, number)}
 
 
 def simulate_two_tanks(seed: int, realisation: int) -> Simulation:

@@ -1,0 +1,67 @@
+"""The source of the published benchmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from asia._nearest import nearest
+from asia.data.sources.official.files import PublishedFile, benchmark_folder, check_files
+from asia.data.sources.official.layouts import LAYOUTS, Layout
+from asia.data.sources.source import Channels, DataSet, SourceData, Subset
+from asia.errors import UserError
+
+
+@dataclass(frozen=True)
+class OfficialBenchmark(DataSet):
+    """A benchmark by name, its files read in the official division."""
+
+    usage: ClassVar[str] = "benchmark:<name>"
+    public: ClassVar[bool] = True
+    test_kept: ClassVar[str] = (
+        "a public download: the plain files stay on this machine, isolation alone keeps "
+        "candidates off them, and whoever knows the data set knows them"
+    )
+
+    def __post_init__(self) -> None:
+        if self.argument not in LAYOUTS:
+            raise UserError(
+                f"data.source: no benchmark '{self.argument}'{nearest(self.argument, LAYOUTS)}"
+            )
+
+    def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
+        """As `DataSet.load`. Raises UserError when a file is missing or not the published one, and
+        when it does not have the published layout."""
+        del channels
+        layout = self._layout
+        files = self._files(subset)
+        warnings = check_files(self.argument, self._folder, files, layout.page)
+        try:
+            records = tuple(layout.read(self._folder, subset))
+        except (KeyError, IndexError, TypeError, ValueError, OSError, NotImplementedError) as error:
+            raise UserError(
+                f"{', '.join(str(self._folder / f.path) for f in files[:3])}: not laid out as "
+                f"{self.argument} is published ({type(error).__name__}: {error}); get the files "
+                f"from {layout.page} again"
+            ) from error
+        return SourceData(records, warnings=warnings)
+
+    def places(self, subset: Subset) -> tuple[Path, ...]:
+        """As `Source.places`: one file may hold all subsets."""
+        if subset == "guard" and not self.guard:
+            return ()
+        files = self._files("test" if subset == "test" else "train")
+        return tuple(self._folder / file.path for file in files)
+
+    @property
+    def _layout(self) -> Layout:
+        return LAYOUTS[self.argument]
+
+    @property
+    def _folder(self) -> Path:
+        layout = self._layout
+        return benchmark_folder(layout.folder, [f.path for f in (*layout.train, *layout.test)])
+
+    def _files(self, subset: Literal["train", "test"]) -> tuple[PublishedFile, ...]:
+        return self._layout.train if subset == "train" else self._layout.test

@@ -1,0 +1,19 @@
+"""What a simulation gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from asia.data._trajectory import Array
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulated record, (T, 1) each."""
+
+    u: Array
+    """The input."""
+    y: Array
+    """The measured output."""
+    truth: Array
+    """The same without noise."""
