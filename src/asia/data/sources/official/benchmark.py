@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from asia._nearest import nearest
 from asia.data.sources.official.files import PublishedFile, benchmark_folder, check_files
-from asia.data.sources.official.layouts import LAYOUTS, Layout
+from asia.data.sources.official.layouts import LAYOUTS, BenchmarkLayout
 from asia.data.sources.source import Channels, DataSet, SourceData, Subset
 from asia.errors import UserError
 
@@ -55,7 +55,7 @@ class OfficialBenchmark(DataSet):
         return tuple(self._folder / file.path for file in files)
 
     @property
-    def _layout(self) -> Layout:
+    def _layout(self) -> BenchmarkLayout:
         return LAYOUTS[self.argument]
 
     @property

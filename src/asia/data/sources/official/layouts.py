@@ -47,7 +47,7 @@ _FIRST_REALISATION, _REALISATION_STEP, _GAP = 40_986, 8_692, 500
 
 
 @dataclass(frozen=True)
-class Layout:
+class BenchmarkLayout:
     """A benchmark: its files, and how they are read."""
 
     folder: str
@@ -174,13 +174,13 @@ def _fsm_files(subset: _Subset) -> tuple[PublishedFile, ...]:
 
 def _one_file(
     folder: str, file: PublishedFile, read: Callable[[Path, _Subset], Iterator[Trajectory]]
-) -> Layout:
-    return Layout(folder, (file,), (file,), read, _SITE)
+) -> BenchmarkLayout:
+    return BenchmarkLayout(folder, (file,), (file,), read, _SITE)
 
 
-LAYOUTS: dict[str, Layout] = {
+LAYOUTS: dict[str, BenchmarkLayout] = {
     "ced": _one_file("CED", PublishedFile("DATAUNIF.MAT"), _ced),
-    "emps": Layout(
+    "emps": BenchmarkLayout(
         "EMPS",
         (PublishedFile("DATA_EMPS.mat", "6cf6814a...cf7e"),),
         (PublishedFile("DATA_EMPS_PULSES.mat", "0eab75bb...1704"),),
@@ -195,7 +195,7 @@ LAYOUTS: dict[str, Layout] = {
     "wiener_hammerstein": _one_file(
         "WienerHammerBenchMark", PublishedFile("WienerHammerBenchMark.mat"), _wiener_hammerstein
     ),
-    "fine_steering_mirror": Layout(
+    "fine_steering_mirror": BenchmarkLayout(
         "FineSteeringMirror",
         _fsm_files("train"),
         _fsm_files("test"),
@@ -205,6 +205,6 @@ LAYOUTS: dict[str, Layout] = {
     "parallel_wiener_hammerstein": _one_file(
         "ParWH", PublishedFile("ParWHFiles/ParWHData.mat"), _parallel_wiener_hammerstein
     ),
-    "f16": Layout("F16", _f16_files("train"), _f16_files("test"), _f16, _SITE),
+    "f16": BenchmarkLayout("F16", _f16_files("train"), _f16_files("test"), _f16, _SITE),
 }
 """The benchmarks by name."""
