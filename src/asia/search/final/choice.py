@@ -3,24 +3,58 @@ it is as it is."""
 
 from __future__ import annotations
 
-from asia.ledger import ModelToUse, Stack, error_value
-from asia.search.final.refit import CheckedRefit
+from dataclasses import dataclass
+
+from asia.ledger import Experiment, ModelToUse, RefitCheck, Refitted, Stack, error_value
 
 # Of the winner's V: a stack is used only where its nested V is below.
 STACK_GAIN = 0.9
 
 
-def choose_model(value: float, refit: CheckedRefit, stack: Stack | None) -> ModelToUse:
-    """The model to use. value: V of the winner."""
+@dataclass(frozen=True)
+class FinalEvidence:
+    """All that the rule knows."""
+
+    value: float
+    """V of the winner."""
+    folds: tuple[float, ...]
+    """Its part of each fold."""
+    train_errors: tuple[float, ...]
+    """The error of each of its fold models on what that was fitted on."""
+    check: RefitCheck | None
+    """The comparison of the refit with the fold models; None where there is none."""
+    detail: str
+    """Why there is no refit; "" where there is one."""
+    stack: Stack | None
+    """The stack."""
+
+    @staticmethod
+    def of(best: Experiment, refitted: Refitted) -> FinalEvidence:
+        """Of the winner, and the end of its search."""
+        assert best.score is not None
+        assert best.result is not None
+        return FinalEvidence(
+            value=best.score.value,
+            folds=tuple(fold.value for fold in best.score.folds),
+            train_errors=tuple(fold.diagnostics.train_error for fold in best.result.folds),
+            check=refitted.check,
+            detail=refitted.detail if refitted.model is None else "",
+            stack=refitted.stack,
+        )
+
+
+def choose_model(evidence: FinalEvidence) -> ModelToUse:
+    """The model to use."""
+    value, stack, check = evidence.value, evidence.stack, evidence.check
     if stack is not None and stack.value < STACK_GAIN * value:
         return ModelToUse(
             "stack",
             f"Its V by nested cross-validation, {error_value(stack.value)}, is clearly below the "
             f"winner's, {error_value(value)}.",
         )
-    if refit.model is None or refit.check is None:
-        return ModelToUse("ensemble", f"There is no refit worth using: {refit.detail}.")
-    error = refit.check.starts[-1].error
+    if evidence.detail or check is None:
+        return ModelToUse("ensemble", f"There is no refit worth using: {evidence.detail}.")
+    error = check.starts[-1].error
     assert error is not None
     return ModelToUse(
         "refit",

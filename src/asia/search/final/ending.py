@@ -3,11 +3,13 @@ name the model to use."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from asia.errors import CandidateError
 from asia.evaluation import Evaluator, Refit
 from asia.ledger import Again, Experiment, Refitted, SearchView, Store
 from asia.scoring import Failure
-from asia.search.final.choice import choose_model
+from asia.search.final.choice import FinalEvidence, choose_model
 from asia.search.final.refit import CheckedRefit, check_refit
 from asia.search.final.stacking import make_stack
 
@@ -23,17 +25,16 @@ def refit_winner(
     except CandidateError as error:
         refit, checked = None, CheckedRefit(None, str(error), None)
     stack = make_stack(evaluator, view, store, metric)
-    chosen = choose_model(best.score.value, checked, stack)
-    return Refitted(
+    refitted = Refitted(
         experiment=best.number,
         model=None if checked.model is None else store.put(checked.model),
         detail=checked.detail,
         again=None if refit is None else _second_fit(best, refit),
         check=checked.check,
         stack=stack,
-        use=chosen.model,
-        reason=chosen.reason,
     )
+    chosen = choose_model(FinalEvidence.of(best, refitted))
+    return replace(refitted, use=chosen.model, reason=chosen.reason)
 
 
 def _refit(

@@ -1,0 +1,236 @@
+"""What a search ends with: a refit that was checked, a stack, and the model to use."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia import ledger
+from asia.data import Array
+from asia.errors import UserError
+from asia.evaluation import derive_seed
+from asia.ledger import Refitted, SearchView, model_to_use, open_run, verify
+from asia.problem.load import load_problem
+from asia.sandbox import Isolation
+from asia.search import prepare, search, simulate, unseal
+from tests.unit.cli.conftest import command_line
+from tests.unit.search.toy import Scripted, arx, write_problem
+
+# The whole record of the toy; a fold trains on half of it.
+WHOLE = 240
+# Off by 0.663 standard deviations, which makes an error of 120 % of the standard deviation.
+OFF = """
+
+
+class Off:
+    def __init__(self, level):
+        self.level = level
+
+    def simulate(self, past_u, past_y, u):
+        return np.full((*u.shape[:2], 1), self.level)
+
+
+fit_well = fit
+
+
+def fit(trajectories, context):
+    if {condition}:
+        y = trajectories[0].y
+        return Off(float(y.mean() + 0.663 * y.std()))
+    return fit_well(trajectories, context)
+"""
+ON_ALL = f"sum(len(t) for t in trajectories) == {WHOLE}"
+RESTLESS = """
+
+
+class Restless(Model):
+    def simulate(self, past_u, past_y, u):
+        import os
+        noise = np.frombuffer(os.urandom(8), "<u8")[0] / 2.0**64
+        return super().simulate(past_u, past_y, u) * (1.0 + 1e-7 * noise)
+
+
+fit_well = fit
+
+
+def fit(trajectories, context):
+    model = fit_well(trajectories, context)
+    return Restless(model.weights) if sum(len(t) for t in trajectories) == 240 else model
+"""
+BIASED = """
+
+
+class Biased(Model):
+    def simulate(self, past_u, past_y, u):
+        return super().simulate(past_u, past_y, u) + {share} * u
+
+
+fit_well = fit
+
+
+def fit(trajectories, context):
+    return Biased(fit_well(trajectories, context).weights)
+"""
+
+
+def off(condition: str) -> str:
+    return arx(2) + OFF.replace("{condition}", condition)
+
+
+def biased(share: float) -> str:
+    return arx(2) + BIASED.replace("{share}", str(share))
+
+
+def go(folder: Path, *sources: str) -> tuple[Path, SearchView]:
+    problem = load_problem(write_problem(folder / "toy", experiments=len(sources) + 1))
+    agent = Scripted(sources)
+    runs = folder / "runs"
+    ready = prepare(problem, agent.name, seed=0, runs=runs, isolation=Isolation.PROCESS)
+    view = search(ready, agent, lambda event, view: None, lambda view: None)
+    return ready.directory, view
+
+
+def ended(view: SearchView) -> Refitted:
+    assert view.refitted is not None
+    return view.refitted
+
+
+def answer(directory: Path, model: str | None) -> Array:
+    random = np.random.default_rng(3)
+    past_u, past_y, u = (random.normal(size=(n, 1)) for n in (3, 3, 40))
+    return simulate(directory, past_u, past_y, u, model=model)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_sound_refit_is_kept_with_its_evidence(tmp_path: Path) -> None:
+    _, view = go(tmp_path, arx(2))
+    refitted = ended(view)
+    assert refitted.model is not None
+    assert refitted.check is not None
+    (start,) = refitted.check.starts
+    assert start.objection == ""
+    assert start.error == pytest.approx(refitted.check.ensemble_error, rel=0.2)
+    assert len(refitted.check.fold_errors) == 2
+    assert start.disagreement is not None
+    assert refitted.check.fold_disagreement is not None
+    assert 0 < start.disagreement < 3 * refitted.check.fold_disagreement
+    assert refitted.use is not None
+    assert refitted.reason
+
+
+def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
+    tmp_path: Path,
+) -> None:
+    directory, view = go(tmp_path, off(ON_ALL))
+    assert view.complete
+    assert view.best is not None
+    assert view.best.number == 2
+    refitted = ended(view)
+    assert refitted.model is None
+    assert refitted.check is not None
+    assert [start.error for start in refitted.check.starts] == [pytest.approx(1.2, rel=0.02)]
+    assert refitted.use == "ensemble"
+    assert "error on its own training records is 1.2" in refitted.reason
+    verify(directory)
+
+    for words in (("status",), ("show", directory.name)):
+        shown = command_line(*words, "--runs", directory.parent)
+        assert shown.code == 0
+        assert refitted.reason in shown.out
+    status = command_line("status", "--runs", directory.parent, "--json")
+    assert json.loads(status.out)["use"] == "ensemble"
+    assert (answer(directory, None) == answer(directory, "ensemble")).all()
+    with pytest.raises(UserError, match="no refitted model: the only start"):
+        answer(directory, "refit")
+    opened = command_line(
+        "unseal", directory.name, "--runs", directory.parent, "--yes", "--yes-process", "--json"
+    )
+    told = json.loads(opened.out)
+    assert "refit" not in told
+    assert told["use"]["model"] == "ensemble"
+    assert told["use"]["rmse"] == told["test"]["rmse"]
+    assert set(told["use"]) >= {"model", "rmse", "per_channel", "per_trajectory"}
+
+
+def test_another_start_is_tried_where_the_first_falls_short(tmp_path: Path) -> None:
+    first = derive_seed(derive_seed(0, "search"), "all", 0)
+    directory, view = go(tmp_path, off(f"context.seed == {first}"))
+    refitted = ended(view)
+    assert refitted.check is not None
+    assert [bool(start.objection) for start in refitted.check.starts] == [True, False]
+    assert refitted.model is not None
+    assert np.isfinite(answer(directory, "refit")).all()
+
+
+def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
+    # Each start gives another model, and none is any good.
+    source = off(ON_ALL).replace("0.663 *", "(0.663 + context.seed % 1000 / 1e4) *")
+    refitted = ended(go(tmp_path, source)[1])
+    assert refitted.check is not None
+    assert len(refitted.check.starts) == 3
+    assert "none of 3 starts" in refitted.reason
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        (off(f"{ON_ALL} and 1 / 0"), "its fit failed"),
+        (arx(2) + RESTLESS, "simulates differently"),
+    ],
+)
+def test_a_refit_that_fails_or_does_not_answer_like_a_model_is_none(
+    tmp_path: Path, source: str, words: str
+) -> None:
+    _, view = go(tmp_path, source)
+    refitted = ended(view)
+    assert refitted.model is None
+    assert refitted.check is not None
+
+    assert re.search(words, refitted.check.starts[0].objection), refitted.check.starts
+
+
+def test_a_stack_of_opposite_errors_is_used_and_opened(tmp_path: Path) -> None:
+    directory, view = go(tmp_path, biased(0.2), biased(-0.2))
+    refitted = ended(view)
+    assert refitted.stack is not None
+    assert view.best is not None
+    assert view.best.score is not None
+    assert refitted.use == "stack"
+    assert refitted.stack.value < 0.5 * view.best.score.value
+    assert refitted.stack.value == pytest.approx(np.mean(refitted.stack.folds))
+    weights = {m.experiment: m.weight for m in refitted.stack.members}
+    assert sum(weights.values()) == pytest.approx(1.0)
+    assert weights[2] == pytest.approx(0.5, abs=0.1)
+    assert weights[3] == pytest.approx(0.5, abs=0.1)
+    assert (answer(directory, None) == answer(directory, "stack")).all()
+    assert not np.allclose(answer(directory, "stack"), answer(directory, "ensemble"), atol=0.05)
+    record = unseal(directory, process_consent=True).record
+    assert record.stack is not None
+    stack, ensemble = (ledger.tested_model(record, use) for use in ("stack", "ensemble"))
+    assert stack.scores[0].value < 0.5 * ensemble.scores[0].value
+    verify(directory)
+
+
+def test_one_candidate_makes_no_stack(tmp_path: Path) -> None:
+    directory, view = go(tmp_path)
+    assert ended(view).stack is None
+    with pytest.raises(UserError, match="has no stack"):
+        answer(directory, "stack")
+    with pytest.raises(UserError, match="expected None or one of"):
+        answer(directory, "best")
+
+
+def test_a_ledger_of_an_older_version_names_the_ensemble(tmp_path: Path) -> None:
+    golden = Path(__file__).parents[3] / "golden" / "0.1.0" / "runs" / "unsealed"
+    shutil.copytree(golden, tmp_path / "unsealed")
+    named = model_to_use(open_run(tmp_path / "unsealed").view)
+    assert named is not None
+    assert named.model == "ensemble"
+    assert "older version" in named.reason
+    record = open_run(tmp_path / "unsealed").view.unsealed
+    assert record is not None
+    assert ledger.tested_model(record, named.model) == record.ensemble
