@@ -49,7 +49,9 @@ class Config:
     initial: Initial | None = None
     """How a simulation starts: "measured" at the last measured outputs, where every state is an
     output; "estimated" from the whole past window. None is measured with a horizon, where that is
-    possible, and else estimated."""
+    possible, and else estimated. No option sets it and a trained model keeps none: each call of
+    `simulate` finds it anew from the past window that it is given; "measured" takes
+    `past_y[:, -1]`."""
     sensor: Sensor | None = None
     """A rising curve from the equations' output to the measured one: "power" has a learned zero and
     exponent, "spline" a learned zero and slopes; None is none. It goes from the lowest to the
@@ -65,7 +67,10 @@ class Config:
     prior_width: float | None = 1.0
     """Factor on the standard deviations of priors on parameters; None ignores these priors."""
     priors: tuple[tuple[str, float, float, str], ...] = ()
-    """Further priors: expression in parameters, its mean, standard deviation, and the reason."""
+    """Further priors: expression in parameters of the equations, its mean, standard deviation, and
+    the reason. What options add, such as limits, spilled fractions, lags and sensors, has a prior
+    of its own around no effect, which no option changes; `ridge` weighs it for the linear term,
+    offsets and delays."""
     friction: tuple[str, ...] = ()
     """Velocities among the states that get dry friction. It is smooth Coulomb and Stribeck friction
     with viscous friction, each with a level of its own in the two directions."""

@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 from asia.agents import families_page
+from asia.agents.library.pages.page import family_page
+from asia.agents.library.table import families
 from asia.candidate import check_source
 from asia.drive import Confinement
 from asia.drive._program import models_page, program
@@ -25,6 +28,7 @@ SOURCES = {
     "cascaded_tanks": 'source = "nonlinear_benchmarks:Cascaded_Tanks"',
     "nanodrone": 'source = "nanodrone"',
 }
+FACTS = problem_facts(load_problem("two_tanks_sim"))
 MOST_LINES = {"cascaded_tanks": 200, "nanodrone": 250}
 
 
@@ -74,6 +78,11 @@ def test_the_program_answers_what_agents_had_to_find_out(tmp_path: Path) -> None
         'noise_model="slow"',
         'sensor="power"',
         "lag=(NAME,)",
+        "`python tools.py --seed 1`, then 2 and 3, is free",
+        '--expect "V, words or a number"',
+        f"`python` is `{sys.executable}`",
+        "pictures in `plots/`, of the training part alone",
+        "x1: 0 or more; x2: 0 to 10",
     ):
         assert words in text, words
 
@@ -100,3 +109,21 @@ def test_the_score_on_the_held_out_part_is_explained_where_there_is_one() -> Non
     facts = problem_facts(load_problem("two_tanks_sim"))
     assert "validation_score" not in families_page(facts)
     assert "validation_score" in families_page(replace(facts, early_stopping="validation"))
+
+
+def test_the_main_options_of_adam_are_explained_where_networks_are_trained_by_it() -> None:
+    page = " ".join(models_page(load_problem("two_tanks_sim")).split())
+    assert "| `Adam` |" in page
+    for words in (
+        "`learning_rate=0.001`: Learning rate at the first step",
+        "`steps=2000`: Updates",
+    ):
+        assert words in page
+    assert "**Adam**, all of it in `asia models NAME`" in page
+
+
+def test_the_grey_box_says_where_it_starts_and_what_priors_reach() -> None:
+    (row,) = (row for row in families(FACTS) if row.name == "greybox")
+    page = " ".join(family_page(row, FACTS).split())
+    assert "each call of `simulate` finds it anew from the past window" in page
+    assert "which no option changes" in page

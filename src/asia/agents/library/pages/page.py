@@ -37,6 +37,8 @@ def families_page(facts: Facts) -> str:
             break
         explained.add(recipe.method)
         lines += section
+    if any(row.trial(facts).method == "Adam" for row in rows) and "Adam" not in explained:
+        lines += _adam_lines()
     return "\n".join(lines) + "\n"
 
 
@@ -66,12 +68,12 @@ def family_page(row: Family, facts: Facts | None) -> str:
 
 _ABOUT = """Families of `asia.models` that suit this problem, the most apt first. A candidate may
 use one, change it, or be a model of its own. The column s has the seconds that one fold's fit is
-expected to take on an ordinary core, with few and with many iterations. They come from the sizes of
-this problem and from fits that were measured. `asia models NAME` prints all about one family."""
+expected to take on an ordinary core, with few and with many iterations. `asia models NAME` prints
+all about one family."""
+_ADAM = ("steps", "learning_rate", "schedule", "weight_decay", "clip")
 # Without a score on the held-out part these do nothing.
 _SCORED = ("stop", "every", "patience")
-_EXAMPLE = """Every family is called like this. An option that is left out has the default that is
-given below."""
+_EXAMPLE = "Every family is called like this. An option left out has the default given below."
 
 
 def _table(rows: tuple[Family, ...], facts: Facts) -> Iterator[str]:
@@ -101,7 +103,14 @@ def _method_lines(name: str, facts: Facts) -> Iterator[str]:
     yield from ("", f"## {name}")
     scored = facts.early_stopping == "validation"
     options = [one for one in options_of(method_of(name)) if scored or one.name not in _SCORED]
-    yield from _short_lines(tuple(options))
+    yield from _wrapped(" ".join(one.line for one in options))
+
+
+def _adam_lines() -> list[str]:
+    """What networks are trained with, where there is no room for all its options."""
+    options = {one.name: one.line for one in options_of(method_of("Adam"))}
+    said = " ".join(options[name] for name in _ADAM)
+    return ["", *_wrapped(f"**Adam**, all of it in `asia models NAME` of such a family: {said}")]
 
 
 def _short_lines(options: tuple[Option, ...]) -> Iterator[str]:
