@@ -144,3 +144,10 @@ def test_lines_name_everything(
     plain = check_problem(load_problem(write_problem(minimal)), Seal(None)).lines()
     assert "test: none" in plain
     assert "physics: none" in plain
+
+
+def test_a_workspace_has_no_test_of_its_own(tanks: Problem) -> None:
+    found = check_problem(tanks, Seal(None), in_workspace=True)
+    assert "test: none" not in found.lines()
+    assert any(line.startswith("test: not in a workspace;") for line in found.lines())
+    assert not any("no test data" in line for line in found.warnings)

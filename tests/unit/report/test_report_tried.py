@@ -81,3 +81,10 @@ def test_the_same_cases_give_the_same_bytes() -> None:
     first, second = draw_cases(cases()), draw_cases(cases())
     assert first == second
     assert set(first) == {"simulation", "residuals"}
+
+
+def test_a_missing_held_out_panel_is_explained_and_means_have_units() -> None:
+    simulation, _ = drawn(cases())
+    assert "training part (the held-out part is not shown)" in simulation.get_suptitle()
+    assert simulation.axes[0].get_title(loc="left").endswith(" m")
+    assert "not shown" not in drawn(cases(held_out=True))[0].get_suptitle()
