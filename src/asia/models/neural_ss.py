@@ -37,11 +37,12 @@ from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import LinearFit, Refinement, encoder_of, refine
 from asia.models._linear.windows import WindowPredictor
 from asia.models._networks.simulation import outputs_of
+from asia.models._state_space.starts import encoded_at_rest, starts_of, with_elements
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
 _LINEAR = ("a", "b", "c", "d", "offset")
-_NONLINEAR = ("f", "s", "r", "read", "act")
+_NONLINEAR = ("f", "s", "r", "read", "act", "dry", "play")
 # Samples times squared parameters of one Levenberg-Marquardt iteration on windows, and how many
 # windows that may give.
 _WORK, _WINDOWS = 2e10, (24, 1000)
@@ -55,7 +56,7 @@ class Config:
     """States; None takes the order of the best linear model, but at least 2."""
     nonlinearity: Nonlinearity = "state"
     """Where the static functions are: in the "state" equation and the output, at the "input", at
-    the "output", or at "both" ends."""
+    the "output", or at "both" ends. "none" leaves them out."""
     channels: int | None = None
     """Signals through which f and g act, with nonlinearity "state"; None: on all states and
     outputs directly."""
@@ -80,10 +81,17 @@ class Config:
     symmetry: bool = False
     """Whether the fit sees the records under every symmetry of the problem that takes inputs to
     inputs and outputs to outputs, and simulations are averaged over these."""
+    friction: int = 0
+    """Elements of dry friction and hysteresis. Each resists the motion of a learned direction of
+    the state, has a state of its own, and can hold the system still."""
+    play: int = 0
+    """Elements of play (backlash). Each follows a learned direction of state and input within a
+    width; what it does not follow acts on state and output."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "hidden", "members", "channels")
         check_at_least(2, self, "degree")
+        check_at_least(0, self, "friction", "play")
         placed = self.channels is None or self.nonlinearity == "state"
         demand(self, "channels", placed, "None without nonlinearity state")
 
@@ -188,7 +196,8 @@ def train(
     predictor = _windowed_start(data.records, context, c)
     if predictor is not None:
         return _train_windowed(model, predictor, data, context, method)
-    found, delay, used = linear_start(data.records, context, c.order, c.delay)
+    least = 1 if c.friction or c.play else 2
+    found, delay, used = linear_start(data.records, context, c.order, c.delay, least)
     if data.turns is not None:
         used = data.with_turned(used)
         found = _symmetric(found, used, data.copies)
@@ -196,14 +205,16 @@ def train(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels,
     )  # fmt: skip
+    structure = replace(structure, friction=c.friction, play=c.play)
     if isinstance(method, Adam):
         late = [linear.shifted(r, delay) for r in data.every]
         encoder = encoder_of(used, found, context)
-        params = _encoded(structure.start(found.system, _random(context)), encoder, c, context)
+        start = starts_of(structure, found, used, 1, data.scaling, _random(context))[0]
+        params = _encoded(start, encoded_at_rest(structure, encoder), c, context)
         trained = _by_adam(structure, params, late, context, method, data.copies)
         members = [(trained, Encoder(**trained.pop("encoder")))]
     else:
-        members = _by_lm(structure, c, found, used, context, method)
+        members = _by_lm(structure, c, found, used, data.scaling, context, method)
     fitted = FittedStateSpace(structure, tuple(members), delay, data.scaling, data.turns)
     return replace(model, fitted=fitted)
 
@@ -219,7 +230,7 @@ def _symmetric(found: LinearFit, records: ScaledData, copies: int) -> LinearFit:
 def _windowed_start(
     records: ScaledData, context: Context, config: Config
 ) -> WindowPredictor | None:
-    if config.nonlinearity != "state":
+    if config.nonlinearity != "state" or config.friction or config.play:
         return None
     choice = linear.Config(order=config.order, delay=config.delay)
     return linear.windowed(records, context, choice, Refinement())
@@ -265,13 +276,13 @@ def _random(context: Context) -> np.random.Generator:
 
 
 def linear_start(
-    records: ScaledData, context: Context, order: int | None, delay: int | None
+    records: ScaledData, context: Context, order: int | None, delay: int | None, least: int = 2
 ) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
-    """`linear.fit_records`; where the order is open, at least 2 states."""
+    """`linear.fit_records`; where the order is open, at least so many states."""
     choice = linear.Config(order=order, delay=delay)
     found, delay, used = linear.fit_records(records, context, choice, Refinement())
-    if order is None and found.system.order < 2:
-        choice = replace(choice, order=2, delay=delay)
+    if order is None and found.system.order < least:
+        choice = replace(choice, order=least, delay=delay)
         return linear.fit_records(records, context, choice, Refinement())
     return found, delay, used
 
@@ -287,15 +298,15 @@ def _by_lm(
     config: Config,
     found: LinearFit,
     records: ScaledData,
+    scaling: Scaling,
     context: Context,
     method: LevenbergMarquardt,
 ) -> list[tuple[dict[str, Any], Encoder]]:
     from asia.models._state_space.fit import fit_states, of_records, state_encoder
 
-    rng = _random(context)
-    starts = [structure.start(found.system, rng) for _ in range(method.starts)]
+    starts = starts_of(structure, found, records, method.starts, scaling, _random(context))
     ridge = {**_ridges(config), "x0": found.error / sum(len(r) for r in records)}
-    samples = of_records(records, found.x0)
+    samples = of_records(records, with_elements(structure, found).x0)
     time = context.sampling_time
     fits = fit_states(structure, starts, samples, ridge, method, context.log, time)
     return [

@@ -76,7 +76,7 @@ def chunked(
     weighting: ErrorWeighting | None,
 ) -> SampleChunks:
     count, length = samples.weight.shape
-    values = count * (structure.order + structure.ny) * len(origin)
+    values = count * (structure.size + structure.ny) * len(origin)
     size = int(np.clip(_CHUNK_VALUES // values, 1, length))
     chunks = -(-length // size)
     total = max(float((samples.weight**2).sum()) * structure.ny, 1.0)
@@ -145,7 +145,7 @@ class _Simulation:
     def chunk(self, theta: jax.Array, x: jax.Array, part: Any) -> Any:
         """One chunk from x (R, n): the last state, all states (c, R, n), errors (c, R, ny)."""
         u, y = part[:2]
-        n, many = self.structure.order, jax.vmap(self.step, (None, 0, 0))
+        n, many = self.structure.size, jax.vmap(self.step, (None, 0, 0))
 
         def move(x: jax.Array, u: jax.Array) -> Any:
             both = many(theta, x, u)
@@ -219,7 +219,7 @@ def _normal(
     structure: StateSpaceStructure, packing: Packing, data: SampleChunks, theta: jax.Array
 ) -> Any:
     """Sum of squared errors, J' J and J' e, with those of the ridge."""
-    run, n, p = _Simulation(structure, packing, data), structure.order, theta.size
+    run, n, p = _Simulation(structure, packing, data), structure.size, theta.size
     by_step = jax.jacrev(run.step, argnums=(0, 1))
     derivatives = jax.vmap(jax.vmap(by_step, (None, 0, 0)), (None, 0, 0))
 

@@ -2,7 +2,8 @@
 
 x[k+1] = A x + B v + f,  w = C x + D v + offset + g,  v = u + s(u),  y = w + r(w), where the
 functions that a structure leaves out are zero, and those it has end in a layer that starts at
-zero, so that the model starts as the linear one.
+zero, so that the model starts as the linear one. Elements of friction and of play have states of
+their own behind x.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from asia.data import Array
 from asia.models._arrays import bounded, namespace
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowLags, WindowPredictor
+from asia.models._state_space.elements import lost, resisted
 
-Nonlinearity = Literal["state", "input", "output", "both"]
+Nonlinearity = Literal["state", "input", "output", "both", "none"]
 Basis = Literal["tanh", "polynomial"]
 Coefficients = Mapping[str, Any]
 
@@ -53,6 +55,15 @@ class StateSpaceStructure:
     lags: WindowLags | None = None
     """Where the state is the past window itself: its next value follows from the output, and f is
     left out."""
+    friction: int = 0
+    """Elements of dry friction, each with a state."""
+    play: int = 0
+    """Elements of play, each with a state."""
+
+    @property
+    def size(self) -> int:
+        """States of the model and of its elements."""
+        return self.order + self.friction + self.play
 
     def input(self, p: Coefficients, u: Any) -> Any:
         """v from u (..., nu)."""
@@ -60,6 +71,12 @@ class StateSpaceStructure:
 
     def split(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
         """States x (..., n), inputs v (..., nu) -> next states and outputs before r."""
+        if "dry" in p or "play" in p:
+            return self._split_with_elements(p, x, v)
+        return self._smooth(p, x, v)
+
+    def _smooth(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
+        """`split` without elements."""
         output = x @ p["c"] + v @ p["d"] + p["offset"]
         if self.lags is not None:
             output = output + self._change(p, x, v)
@@ -70,6 +87,22 @@ class StateSpaceStructure:
             return state, output
         change = self._change(p, x, v)
         return state + change[..., : self.order], output + change[..., self.order :]
+
+    def _split_with_elements(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
+        n, m = self.order, self.order + self.friction
+        now, force, behind = x[..., :n], x[..., n:m], x[..., m:]
+        state, output = self._smooth(p, now, v)
+        parts: list[Any] = []
+        if "play" in p:
+            missed, behind = lost(p["play"], now, v, behind)
+            state, output = state + missed @ p["play"]["g"], output + missed @ p["play"]["h"]
+        if "dry" in p:
+            output = output + force @ p["dry"]["h"]
+            state, force = resisted(p["dry"], now, force, state)
+            parts.append(force)
+        if "play" in p:
+            parts.append(behind)
+        return namespace(x, v).concatenate([state, *parts], axis=-1), output
 
     def _change(self, p: Coefficients, x: Any, v: Any) -> Any:
         both = namespace(x, v).concatenate([x, v], axis=-1)
@@ -139,7 +172,7 @@ class StateSpaceStructure:
     def simulate(self, p: Coefficients, x0: NDArray[Any], u: NDArray[Any]) -> tuple[Any, Any]:
         """x0 (B, n), u (B, T, nu) -> states (B, T, n) and outputs (B, T, ny), in NumPy."""
         v = self.input(p, u)
-        states = np.empty((*u.shape[:2], self.order))
+        states = np.empty((*u.shape[:2], self.size))
         outputs = np.empty((*u.shape[:2], self.ny))
         x: Any = x0
         for k in range(u.shape[1]):

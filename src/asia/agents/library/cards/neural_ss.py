@@ -10,6 +10,7 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, noise_space, slow_noise, symmetry_space
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.records.switching import Cause, switching
 from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.space import OneOf, Space, Span
 
@@ -23,12 +24,14 @@ def _neural_ss_space(facts: Facts) -> Space:
     return Space(
         config=(
             OneOf("order", (None, 2, 3, 4)),
-            OneOf("nonlinearity", ("state", "input", "output", "both")),
+            OneOf("nonlinearity", ("state", "input", "output", "both", "none")),
             OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
             OneOf("hidden", (4, 8, 12)),
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
             OneOf("members", (1, 3)),
+            OneOf("friction", (0, 1, 2)),
+            OneOf("play", (0, 1)),
             *symmetry_space(facts),
         ),
         options=(
@@ -49,6 +52,73 @@ def _moved_to(at: Situation, place: str) -> Recipe:
     return recipe.configured(channels=None) if recipe.has("channels") else recipe
 
 
+def _element_weight(at: Situation, element: str, *causes: Cause) -> float:
+    """Near certain where the records show it."""
+    found = switching(at.facts)
+    return 0.93 * (found.found and found.cause in causes and not at.recipe.get(element))
+
+
+def _with_friction(at: Situation, order: int) -> Recipe:
+    """Few states, so that none of them takes the place of friction."""
+    recipe = at.recipe.without("channels", "members").configured(nonlinearity="none", friction=1)
+    return recipe.configured(order=order).trained(starts=4)
+
+
+def _with_play(at: Situation) -> Recipe:
+    recipe = at.recipe.without("channels", "members").configured(nonlinearity="none", play=1)
+    return recipe.trained(starts=4)
+
+
+def _has_element(at: Situation) -> bool:
+    return bool(at.recipe.get("friction") or at.recipe.get("play"))
+
+
+def _another(at: Situation) -> Recipe:
+    element = "friction" if at.recipe.get("friction") else "play"
+    return at.recipe.configured(**{element: round(at.recipe.number(element, 1)) + 1})
+
+
+_ELEMENTS: tuple[Move, ...] = (
+    Move(
+        name="dry friction",
+        weight=lambda c: _element_weight(c, "friction", "velocity"),
+        change=lambda c: _with_friction(c, 1),
+        hypothesis="What a one-step model leaves over has the sign of an output: a mass whose "
+        "velocity is measured, and which sticks. An element of friction can hold it still.",
+        expected="A far lower V; the simulation stands where the system stands.",
+    ),
+    Move(
+        name="friction or hysteresis",
+        weight=lambda c: _element_weight(c, "friction", "displacement"),
+        change=lambda c: _with_friction(c, 2),
+        hypothesis="What a one-step model leaves over depends on which way the output moves, or "
+        "where it turned: an element of friction with a memory of its own.",
+        expected="A far lower V; lower error after each turn.",
+    ),
+    Move(
+        name="play",
+        weight=lambda c: _element_weight(c, "play", "input"),
+        change=_with_play,
+        hypothesis="What a one-step model leaves over depends on where an input turned: a play "
+        "(backlash) between actuator and process.",
+        expected="A far lower V; lower error after each turn of the input.",
+    ),
+    Move(
+        name="static functions beside the element",
+        weight=lambda c: 0.7 * _has_element(c) * (c.recipe.get("nonlinearity") == "none"),
+        change=lambda c: c.recipe.configured(nonlinearity="state", hidden=4, ridge=1e-3),
+        hypothesis="What is left beside friction or play may be smooth.",
+        expected="Lower training error; lower V if the effect is real.",
+    ),
+    Move(
+        name="another element",
+        weight=lambda c: 0.55 * _has_element(c),
+        change=_another,
+        hypothesis="One element has corners; several together make a loop of any shape.",
+        expected="Lower error in the turns.",
+    ),
+)
+
 CARD = Card(
     (
         Family(
@@ -68,6 +138,7 @@ CARD = Card(
         much_more_ridge(),
         less_ridge(),
         slow_noise(),
+        *_ELEMENTS,
         Move(
             name="median of several fits",
             weight=lambda c: 0 if c.recipe.get("members") else 0.55,
