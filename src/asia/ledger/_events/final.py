@@ -34,7 +34,9 @@ class RefitCheck:
     standard deviation of the output, mean over fold models and outputs; None where one gives no
     answer, or where there is one fold."""
     starts: tuple[RefitStart, ...]
-    """The fits, one a seed; the last is the one that was kept, where one was."""
+    """The fits, one a seed."""
+    kept: int | None = None
+    """The start that is the refit, 1-based; None where there is no refit."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from asia.ledger import Experiment, ModelToUse, RefitCheck, Refitted, Stack, error_value
+from asia.search.final.refit import is_as_good, is_worthy
 
 # Of the winner's V: a stack is used only where its nested V is below.
 STACK_GAIN = 0.9
@@ -54,9 +55,20 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         )
     if evidence.detail or check is None:
         return ModelToUse("ensemble", f"There is no refit worth using: {evidence.detail}.")
-    error = check.starts[-1].error
-    assert error is not None
-    return ModelToUse(
-        "refit",
-        f"It is fitted on all training records and its error there is {error_value(error)}.",
-    )
+    kept = check.starts[(check.kept or 0) - 1]
+    errors = f"{_words(kept.error)}, that of the ensemble {_words(check.ensemble_error)}"
+    if is_worthy(check):
+        words = f"It is fitted on all training records; its error there is {errors}."
+        return ModelToUse("refit", words)
+    if is_as_good(check):
+        words = f"{_words(kept.disagreement)} against {_words(check.fold_disagreement)}"
+        return ModelToUse(
+            "ensemble",
+            "The refit answers unlike the fold models, which differ less from each other: "
+            f"{words} standard deviations.",
+        )
+    return ModelToUse("ensemble", f"The refit's error on its own training records is {errors}.")
+
+
+def _words(error: float | None) -> str:
+    return "none" if error is None else error_value(error)

@@ -16,8 +16,11 @@ from asia.ledger import RefitCheck, RefitStart, error_value
 from asia.scoring import score_fold
 
 STARTS = 3
-# Of the error of a fold model in the middle; one fold model in ten lies further from another.
+# Of the error of a fold model in the middle: a refit above it does not fit its own data.
 FALLS_SHORT = 1.2
+# Of the error of the ensemble, and of the difference of one fold model from the others: a refit
+# above either is used only where nothing better is found.
+NOT_WORSE, NOT_FURTHER = 1.1, 2.0
 # In standard deviations of the output: below it an error is as good as none.
 NEGLIGIBLE = 1e-3
 
@@ -29,7 +32,7 @@ class CheckedRefit:
     """A refit that was compared with the fold models."""
 
     model: bytes | None
-    """The first start that nothing speaks against; None where there is none."""
+    """The start that was kept; None where something speaks against all of them."""
     detail: str
     """Why there is none."""
     check: RefitCheck | None
@@ -43,19 +46,43 @@ def check_refit(
     first: bytes | CandidateError,
     metric: str,
 ) -> CheckedRefit:
-    """Compare a refit with the fold models on the training records; where it falls short, fit again
-    from other seeds. first: the refit as `Evaluator.refit` made it."""
-    check = _Comparison(evaluator, source, metric, fold_models)
+    """Compare a refit with the fold models on the training records; where it is worse than their
+    ensemble, fit again from other seeds and keep the best. first: the refit as `Evaluator.refit`
+    made it."""
+    comparison = _Comparison(evaluator, source, metric, fold_models)
     tried: list[bytes | CandidateError] = []
     while len(tried) < STARTS:
         model = first if not tried else evaluator.refit_again(source, len(tried))
         if isinstance(model, bytes) and model in tried:
             break  # a fit without randomness
         tried.append(model)
-        if check.is_sound(model):
-            assert isinstance(model, bytes)
-            return CheckedRefit(model, "", check.result)
-    return CheckedRefit(None, _none_words(check.result.starts), check.result)
+        comparison.add(model)
+        if is_worthy(comparison.result):
+            break
+    check = comparison.result
+    if check.kept is None:
+        return CheckedRefit(None, _none_words(check.starts), check)
+    kept = tried[check.kept - 1]
+    assert isinstance(kept, bytes)
+    return CheckedRefit(kept, "", check)
+
+
+def is_worthy(check: RefitCheck) -> bool:
+    """Whether the refit is as good as the ensemble, and not much further from it than fold models
+    are from each other."""
+    if check.kept is None:
+        return False
+    distance, usual = check.starts[check.kept - 1].disagreement, check.fold_disagreement
+    near = distance is None or usual is None or distance <= NOT_FURTHER * usual + NEGLIGIBLE
+    return near and is_as_good(check)
+
+
+def is_as_good(check: RefitCheck) -> bool:
+    """Whether the error of the refit on the training records is hardly above the ensemble's; also
+    where that has none, because a fold model fails there."""
+    error = None if check.kept is None else check.starts[check.kept - 1].error
+    ensemble = check.ensemble_error
+    return error is not None and (ensemble is None or error <= NOT_WORSE * ensemble + NEGLIGIBLE)
 
 
 def _none_words(starts: Sequence[RefitStart]) -> str:
@@ -90,22 +117,32 @@ class _Comparison:
             ensemble_error=None if self._mean is None else self._error(self._mean),
             fold_disagreement=self._fold_disagreement(),
             starts=tuple(self.starts),
+            kept=self._kept(),
         )
 
-    def is_sound(self, model: bytes | CandidateError) -> bool:
-        """Whether nothing speaks against this start, which is noted."""
+    def _kept(self) -> int | None:
+        """The start with the lowest error that nothing speaks against."""
+        errors = [
+            (start.error, number)
+            for number, start in enumerate(self.starts, 1)
+            if start.error is not None and not start.objection
+        ]
+        return min(errors)[1] if errors else None
+
+    def add(self, model: bytes | CandidateError) -> None:
+        """Note one start."""
+        self.starts.append(self._start(model))
+
+    def _start(self, model: bytes | CandidateError) -> RefitStart:
         if isinstance(model, CandidateError):
-            self.starts.append(RefitStart(None, None, f"its fit failed: {model}"))
-            return False
+            return RefitStart(None, None, f"its fit failed: {model}")
         (answers,) = self.evaluator.simulate_training(self.source, [model])
         if isinstance(answers, CandidateError):
-            self.starts.append(RefitStart(None, None, f"its simulation failed: {answers}"))
-            return False
+            return RefitStart(None, None, f"its simulation failed: {answers}")
         error = self._error(answers)
         words = self._error_words(error) or self._relation_words(model, answers)
         apart = None if self._mean is None else self._apart(answers, self._mean)
-        self.starts.append(RefitStart(error, apart, words))
-        return not words
+        return RefitStart(error, apart, words)
 
     def _error_words(self, error: float | None) -> str:
         known = [one for one in self._errors if one is not None]
