@@ -11,12 +11,15 @@ from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
 def report(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
     """Draw a run as PNG and PDF pictures."""
-    from asia.ledger import Store
+    from asia.cli._output.words import use_lines
+    from asia.ledger import Store, open_run
     from asia.report import write_report
 
     directory = run_directory(runs, run)
     for path in write_report(directory):
         say(str(path))
+    for line in use_lines(open_run(directory).view):
+        say(line, file=sys.stderr)
     if not Store(directory / "artifacts").kept:
         say(
             "the other pictures need the simulations, and the ledger came without its artifacts",

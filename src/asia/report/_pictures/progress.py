@@ -142,7 +142,9 @@ def _title(view: SearchView) -> str:
     total = len(view.finished)
     link = ": " if view.v_name == "V" else "\n"
     value = f"{view.v_name} = {number(best.score.value)}"
-    return f"{head}{link}best {value} (experiment {best.number} of {total})"
+    use = view.refitted.use if view.refitted else None
+    named = f"\nmodel to use: {use}" if use else ""
+    return f"{head}{link}best {value} (experiment {best.number} of {total}){named}"
 
 
 def _scale(axes: Axes, search: _Points, metric: str) -> None:

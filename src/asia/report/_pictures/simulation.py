@@ -136,7 +136,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: Tes
         for c in channels
         for i in trajectories
     )
-    title = f"Sealed test, opened once: experiment {opened.experiment}"
+    title = f"Sealed test, opened once: experiment {opened.experiment}{_named(run)}"
     title += shown(
         (len(channels), len(opened.channels), "outputs"),
         (len(trajectories), len(shapes), "trajectories"),
@@ -175,10 +175,17 @@ def _draw_test_windows(
         )
         for c in channels
     )
-    title = f"Sealed test, opened once: experiment {opened.experiment}, best, median and worst of "
+    title = f"Sealed test, opened once: experiment {opened.experiment}{_named(run)}; best, median "
+    title += "and worst of "
     title += f"{len(measured)} windows"
     title += shown((len(channels), len(opened.channels), "outputs with the lowest fit"))
     return draw_overlay(panels, problem.sampling_time, _test_words(title, problem, opened))
+
+
+def _named(run: Run) -> str:
+    """The model to use, where the search names one."""
+    refitted = run.view.refitted
+    return f", model to use: {refitted.use}" if refitted and refitted.use else ""
 
 
 def _test_words(title: str, problem: Problem, opened: Unsealed) -> Words:
@@ -201,6 +208,8 @@ def _test_title(
     values = [f"ensemble {number(score.per_channel[channel])}"]
     if refitted:
         values.append(f"refit {number(refitted.scores[0].per_channel[channel])}")
+    if isinstance(opened.stack, TestedModel):
+        values.append(f"stack {number(opened.stack.scores[0].per_channel[channel])}")
     metric = find_metric(score.metric)
     unit = plain(metric.unit_of(signal.unit), 12)
     error = f"{plain(metric.label, 16)}{several} {', '.join(values)} {unit}".rstrip()

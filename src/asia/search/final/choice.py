@@ -9,7 +9,7 @@ from asia.ledger import Experiment, ModelToUse, RefitCheck, Refitted, Stack, err
 from asia.search.final.refit import is_as_good, is_worthy
 
 # Of the winner's V: a stack is used only where its nested V is below.
-STACK_GAIN = 0.9
+STACK_GAIN = 0.8
 
 
 @dataclass(frozen=True)

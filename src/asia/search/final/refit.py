@@ -20,7 +20,7 @@ STARTS = 3
 FALLS_SHORT = 1.2
 # Of the error of the ensemble, and of the difference of one fold model from the others: a refit
 # above either is used only where nothing better is found.
-NOT_WORSE, NOT_FURTHER = 1.1, 2.0
+NOT_WORSE, NOT_FURTHER = 1.05, 2.0
 # In standard deviations of the output: below it an error is as good as none.
 NEGLIGIBLE = 1e-3
 
