@@ -22,7 +22,7 @@ FALLS_SHORT = 1.2
 # above either is used only where nothing better is found.
 NOT_WORSE, NOT_FURTHER = 1.05, 2.0
 # In standard deviations of the output: below it an error is as good as none.
-NEGLIGIBLE = 1e-3
+NEGLIGIBLE = 1e-4
 
 Answers = tuple[Array, ...]
 

@@ -200,18 +200,17 @@ def test_a_stack_of_opposite_errors_is_used_and_opened(tmp_path: Path) -> None:
     assert view.best is not None
     assert view.best.score is not None
     assert refitted.use == "stack"
-    assert refitted.stack.value < 0.5 * view.best.score.value
+    assert refitted.stack.value < 0.6 * view.best.score.value
     assert refitted.stack.value == pytest.approx(np.mean(refitted.stack.folds))
     weights = {m.experiment: m.weight for m in refitted.stack.members}
     assert sum(weights.values()) == pytest.approx(1.0)
-    assert weights[2] == pytest.approx(0.5, abs=0.1)
-    assert weights[3] == pytest.approx(0.5, abs=0.1)
+    assert weights[view.best.number] == pytest.approx(0.75, abs=0.05)
     assert (answer(directory, None) == answer(directory, "stack")).all()
     assert not np.allclose(answer(directory, "stack"), answer(directory, "ensemble"), atol=0.05)
     record = unseal(directory, process_consent=True).record
     assert record.stack is not None
     stack, ensemble = (ledger.tested_model(record, use) for use in ("stack", "ensemble"))
-    assert stack.scores[0].value < 0.5 * ensemble.scores[0].value
+    assert stack.scores[0].value < 0.6 * ensemble.scores[0].value
     verify(directory)
 
 
