@@ -37,7 +37,9 @@ ProblemName = Annotated[
     str,
     typer.Argument(
         metavar="PROBLEM",
-        help="Built-in name (two_tanks_sim, cascaded_tanks, nanodrone), or a directory with "
+        help="Built-in name (two_tanks_sim, bouc_wen, cascaded_tanks, ced, emps, f16, "
+        "fine_steering_mirror, nanodrone, parallel_wiener_hammerstein, silverbox, "
+        "wiener_hammerstein), or a directory with "
         "problem.toml.",
     ),
 ]
