@@ -34,10 +34,13 @@ class TestResult:
 
     @property
     def models(self) -> tuple[tuple[str, TestedModel | Failure], ...]:
-        """The ensemble of the fold models, and the refit where there is one."""
-        refit = self.record.refit
-        first = ("ours, ensemble of the fold models", self.record.ensemble)
-        return (first,) if refit is None else (first, ("ours, refitted on all data", refit))
+        """The ensemble of the fold models, and the refit and the stack where there are some."""
+        named = (
+            ("ours, ensemble of the fold models", self.record.ensemble),
+            ("ours, refitted on all data", self.record.refit),
+            ("ours, stack of several experiments", self.record.stack),
+        )
+        return tuple((name, model) for name, model in named if model is not None)
 
 
 def read_test(directory: Path) -> TestResult | None:
