@@ -15,7 +15,7 @@ from asia.bench._tables import TextTable
 from asia.errors import UserError
 from asia.ledger import TestedModel, Unsealed, error_value, open_run
 from asia.protocol import MEE, find_metric, metric_label
-from asia.report import Entry, leaderboard
+from asia.report import Entry, leaderboard, official_figures, read_board
 from asia.scoring import Failure
 
 _SEALED = "sealed"
@@ -65,6 +65,8 @@ def test_tables(
     tables = [
         _mee_table(plan, declared, test)
         if metric == MEE
+        else _figures_table(plan, declared, test)
+        if metric == "rmse" and plan.problem.protocol.test.unit is not None
         else _error_table(plan, declared, test, metric)
         for metric in plan.problem.protocol.test.metrics
     ]
@@ -87,6 +89,33 @@ def _error_table(
     label = metric_label(metric)
     header = ("model", f"test {label}{unit}")
     return TextTable(f"Sealed test: {label}", header, tuple(rows), tuple(notes))
+
+
+def _figures_table(
+    plan: ComparisonPlan, declared: str | None, test: TestResult | None
+) -> TextTable:
+    """The official figures, each on its own and none over all records."""
+    problem = plan.problem
+    board = read_board(problem, None)
+    named = list(board.names)
+    if test is not None:
+        models = [m for _, m in test.models if not isinstance(m, Failure)]
+        named = [f.name for m in models[:1] for f in official_figures(problem, test.record, m)]
+
+    def cells(model: TestedModel) -> tuple[str, ...]:
+        assert test is not None
+        found = official_figures(problem, test.record, model)
+        return tuple(error_value(figure.value) for figure in found)
+
+    names = named or ["test"]
+    rows = [(model, *own) for model, own in _ours(test, len(names), cells)]
+    for k, name in enumerate(names):
+        values = [v for e in board.entries if k < len(e.figures) and (v := e.figures[k])]
+        if values:
+            best = [error_value(min(values)) if i == k else "-" for i in range(len(names))]
+            rows.append((f"lowest of {len(values)} published, {name}", *best))
+    title = f"Sealed test: RMSE [{board.unit}]"
+    return TextTable(title, ("model", *names), tuple(rows), tuple(_notes(declared, test)))
 
 
 def _mee_table(plan: ComparisonPlan, declared: str | None, test: TestResult | None) -> TextTable:

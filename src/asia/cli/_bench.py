@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import json as jsonlib
-import sys
-import time
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asia._text import say, say_lines
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs, YesProcess
+from asia.cli._output.comparison import Lines
 
 if TYPE_CHECKING:
-    from asia.bench import Arm, BenchResult, ComparisonPlan, Paper, PlannedRun
-    from asia.ledger import Event, SearchView
+    from asia.bench import Arm, BenchResult, Paper
     from asia.problem.load import Problem
     from asia.protocol import EarlyStopping
 
 LISTS = ("--seeds", "--arms")
 DEFAULT_SEEDS = 3
+SUITE_WORD = "suite"
 
 Problems = Annotated[
     str,
     typer.Argument(
         metavar="PROBLEM",
-        help="cascaded-tanks, nanodrone, another built-in name, or a directory with problem.toml.",
+        help=(
+            "cascaded-tanks, nanodrone, another built-in name, a directory with problem.toml, or "
+            "suite: every benchmark, one search of the expert each."
+        ),
     ),
 ]
 Seeds = Annotated[
@@ -47,12 +48,20 @@ Arms = Annotated[
 ]
 
 
+Experiments = Annotated[
+    int | None,
+    typer.Option(
+        min=1, help="Candidates for each search; default the paper's number or the problem's."
+    ),
+]
+Only = Annotated[
+    str | None, typer.Option(metavar="NAME,NAME", help="With suite: some of its benchmarks.")
+]
+
+
 def bench(
     problem: Problems,
-    experiments: Annotated[
-        int | None,
-        typer.Option(min=1, help="Candidates for each search; default the paper's number."),
-    ] = None,
+    experiments: Experiments = None,
     seeds: Seeds = None,
     early_stopping: Annotated[
         str, typer.Option(help="inner (honest), validation (as in the paper), or both.")
@@ -66,6 +75,7 @@ def bench(
         typer.Option("--unseal", help="At the very end, open the sealed test of the declared run."),
     ] = False,
     yes_process: YesProcess = False,
+    only: Only = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
@@ -73,11 +83,17 @@ def bench(
 
     Each early-stopping setting has its own table. After an interrupt, the same command continues.
     The expert's run with the first seed is declared for the sealed test before it starts. Without
-    --unseal no test is opened.
+    --unseal no test is opened. `asia bench suite` searches every benchmark, beside its board.
     """
     from asia.bench import ComparisonPlan, select_arms
     from asia.bench import bench as compare
+    from asia.cli._suite import run_suite
 
+    if problem == SUITE_WORD:
+        _check_alone(seeds=seeds, arms=arms, quick=quick)
+        run_suite(only, runs, experiments, unseal=unseal, yes_process=yes_process, json=json)
+        return
+    _check_alone(only=only)
     loaded, figures = load_compared(problem)
     plan = ComparisonPlan(
         problem=loaded,
@@ -93,6 +109,16 @@ def bench(
     lines.head(plan)
     result = compare(plan, lines, open_test=unseal, process_consent=yes_process)
     print_result(result, json=json)
+
+
+def _check_alone(**given: object) -> None:
+    """Raises UserError for options that do not belong to the form of the command."""
+    from asia.errors import UserError
+
+    for name, value in given.items():
+        if value:
+            where = "asia bench suite alone" if name == "only" else "asia bench PROBLEM"
+            raise UserError(f"--{name} belongs to {where}: leave it out")
 
 
 def load_compared(name: str) -> tuple[Problem, Paper | None]:
@@ -138,59 +164,6 @@ def _settings(word: str) -> tuple[EarlyStopping, ...]:
     if word not in known:
         raise UserError(f"--early-stopping {word}: expected inner, validation or both")
     return known[word]
-
-
-@dataclass
-class Lines:
-    """A line an experiment; with `json` JSON lines on stdout and these lines on stderr."""
-
-    json: bool
-    start: float = field(default_factory=time.monotonic)
-
-    def head(self, plan: ComparisonPlan) -> None:
-        """What is going to be run."""
-        searches = plan.searches
-        total = sum(run.problem.budget.experiments for run in searches)
-        self._print(
-            f"{plan.word} {plan.problem.name}: {len(searches)} searches, {total} experiments, "
-            f"seeds {', '.join(str(s) for s in plan.seeds)}, early stopping "
-            f"{', '.join(plan.settings)}"
-        )
-
-    def on_run(self, run: PlannedRun, number: int, total: int) -> None:
-        """Name the search."""
-        self._print(f"\n[{number}/{total}] {run.name}")
-
-    def on_event(self, event: Event, view: SearchView) -> None:
-        """A line an experiment."""
-        from asia.cli._output.words import experiment_line
-        from asia.ledger import Evaluated
-
-        if isinstance(event, Evaluated):
-            self._print(experiment_line(view.experiment(event.experiment), view))
-
-    def on_end(self, run: PlannedRun, view: SearchView) -> None:
-        """The best V of the search."""
-        from asia.ledger import error_value
-
-        best = view.best
-        value = best.score.value if best is not None and best.score is not None else None
-        words = "no candidate has a score" if value is None else f"best V {error_value(value)}"
-        self._print(f"    {words} after {len(view.finished)} experiments")
-        if self.json:
-            found = {
-                "event": "run",
-                "run": run.name,
-                "arm": run.arm.name,
-                "early_stopping": run.setting,
-                "seed": run.seed,
-                "experiments": len(view.finished),
-                "V": value,
-            }
-            say(jsonlib.dumps(found, allow_nan=False), flush=True)
-
-    def _print(self, text: str) -> None:
-        say(text, file=sys.stderr if self.json else sys.stdout, flush=True)
 
 
 def print_result(result: BenchResult, *, json: bool) -> None:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia.cli._bench import Lines, chosen_seeds, load_compared, print_result
+from asia.cli._bench import chosen_seeds, load_compared, print_result
 from asia.cli._options.shared import DEFAULT_RUNS, Json, ProblemName, Runs
+from asia.cli._output.comparison import Lines
 
 if TYPE_CHECKING:
     from asia.bench import Arm

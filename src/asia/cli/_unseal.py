@@ -13,6 +13,7 @@ import typer
 from asia._text import one_line, say
 from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, YesProcess
+from asia.cli._output.board import board_lines, board_object
 
 if TYPE_CHECKING:
     from asia.ledger import Run, SearchView, TestedModel, Unsealed
@@ -29,23 +30,16 @@ def unseal(
 ) -> None:
     """Score the winner on the sealed test. This ends the search and can be done once."""
     from asia.drive import end_idle
-    from asia.errors import UserError
     from asia.ledger import open_run
-    from asia.report import write_report
+    from asia.problem.load import load_lock
+    from asia.report import read_board, write_report
     from asia.search import needs_consent
     from asia.search import unseal as open_seal
 
     directory = run_directory(runs, run, named=True)
     opened = open_run(directory)
     if opened.view.unsealed is None and not yes:
-        if not sys.stdin.isatty():
-            raise UserError("unseal asks for the run's name; in a script give --yes")
-        say(
-            f"This opens the sealed test of run {opened.name} and ends its search, for good.",
-            file=sys.stderr,
-        )
-        if typer.prompt("Type the run's name to go on", err=True) != opened.name:
-            raise UserError("the name does not match; nothing was opened")
+        _ask(opened)
     consent = yes_process or _consents(opened)
     if consent or not needs_consent(opened.view):
         end_idle(directory, lambda line: say(line, file=sys.stderr))
@@ -56,19 +50,37 @@ def unseal(
     if not result.first_time:
         say("already unsealed: this is the first and only result", file=sys.stderr)
     view = open_run(directory).view
+    board = read_board(load_lock(directory / "problem.lock.toml"), view)
     # What was drawn before is not changed by the test.
     draw = partial(write_report, directory, missing_only=result.first_time)
     if json:
         draw()
         answer = {**_as_object(result.record), "use": _use(result.record, view), **_settings(view)}
+        answer |= board_object(board)
         say(jsonlib.dumps(answer, allow_nan=False))
         return
-    _print_text(result.record, view)
+    _print_text(result.record, view, by_record=not board.unit_is_outputs)
     for line in _setting_lines(view):
         say(line)
     for picture in draw():
         if picture.suffix == ".png" and picture.stem in ("test", "leaderboard"):
             say(f"picture  {picture}")
+    for line in board_lines(board):
+        say(line)
+
+
+def _ask(opened: Run) -> None:
+    """Raises UserError unless the person on the terminal types the run's name."""
+    from asia.errors import UserError
+
+    if not sys.stdin.isatty():
+        raise UserError("unseal asks for the run's name; in a script give --yes")
+    say(
+        f"This opens the sealed test of run {opened.name} and ends its search, for good.",
+        file=sys.stderr,
+    )
+    if typer.prompt("Type the run's name to go on", err=True) != opened.name:
+        raise UserError("the name does not match; nothing was opened")
 
 
 def _settings(view: SearchView) -> dict[str, str]:
@@ -152,7 +164,7 @@ def _table_lines(mee: MeeTable) -> list[str]:
     return ["mean Euclidean error", *lines]
 
 
-def _print_text(record: Unsealed, view: SearchView) -> None:
+def _print_text(record: Unsealed, view: SearchView, *, by_record: bool) -> None:
     from asia.cli._output.words import use_lines
     from asia.ledger import error_value
     from asia.protocol import metric_label
@@ -178,9 +190,12 @@ def _print_text(record: Unsealed, view: SearchView) -> None:
                 f"{name} {value:.4g}"
                 for name, value in zip(record.channels, score.per_channel, strict=True)
             )
-            error = f"{metric_label(score.metric)} {error_value(score.value)}"
-            say(f"{title:<28} {error}  ({channels})")
-            if len(score.per_trajectory) > 1:
+            several = len(score.per_trajectory) > 1
+            # An official figure is that of one record; a number over all of them is none.
+            error = "by record" if several and by_record else error_value(score.value)
+            channels = "" if several and by_record else f"  ({channels})"
+            say(f"{title:<28} {metric_label(score.metric)} {error}{channels}")
+            if several:
                 for name, value in zip(record.trajectories, score.per_trajectory, strict=True):
                     say(f"    {name:<24} {error_value(value)}")
         for line in _table_lines(model.mee) if model.mee is not None else ():

@@ -5,9 +5,17 @@ Importing this package is cheap: matplotlib is loaded when the first picture is 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from asia.report._board import (
+    Board,
+    OfficialFigure,
+    Standing,
+    official_figures,
+    read_board,
+)
 from asia.report._comparison import (
     ArmCurves,
     ArmsPicture,
@@ -26,16 +34,22 @@ __all__ = [
     "ArmCurves",
     "ArmsPicture",
     "BenchPictures",
+    "Board",
     "ComparedValue",
     "Curve",
     "Entry",
+    "OfficialFigure",
     "PublishedMee",
     "SimulatedCase",
     "SimulatedCases",
+    "Standing",
+    "draw_all_boards",
     "draw_bench",
     "draw_cases",
     "draw_problem",
     "leaderboard",
+    "official_figures",
+    "read_board",
     "simulated_cases",
     "write_report",
 ]
@@ -64,6 +78,18 @@ def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
     from asia.report._write import write_problem
 
     return write_problem(problem, directory)
+
+
+def draw_all_boards(boards: Sequence[Board], title: str, directory: Path) -> tuple[Path, ...]:
+    """Published results of benchmarks with ours among them, `directory/boards.png` and `.pdf`; none
+    where no board has a published result. Returns the paths written."""
+    from asia.report._pictures.boards import draw_boards
+    from asia.report._write import save
+
+    shown = [board for board in boards if board.entries]
+    if not shown:
+        return ()
+    return save(iter([("boards", lambda: draw_boards(shown, title))]), directory)
 
 
 def draw_cases(cases: SimulatedCases) -> dict[str, bytes]:

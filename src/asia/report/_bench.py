@@ -37,7 +37,7 @@ def _opened(pictures: BenchPictures, run: Run) -> Iterator[Picture]:
         return
     problem = load_lock(run.directory / "problem.lock.toml")
     ensemble = opened.ensemble
-    yield from standing(run, problem, ensemble, pictures.test_mark)
+    yield from standing(run, problem, pictures.test_mark)
     if opened.horizon is not None:
         published, caption = pictures.mee, pictures.caption
         yield (

@@ -8,11 +8,13 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from asia.data import Signal
 from asia.ledger import Run, TestedModel, control, metric_of, open_run
 from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
+from asia.report._board import read_board
 from asia.report._drawing.style import DPI, drawing
-from asia.report._leaderboard import leaderboard
+from asia.report._pictures.boards import draw_boards
 from asia.report._pictures.data import draw_data
 from asia.report._pictures.equations import draw_equations
 from asia.report._pictures.progress import draw_progress
@@ -67,7 +69,7 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     yield "test", lambda: draw_test(run, problem, opened, ensemble)
     if opened.horizon is not None:
         yield "test_horizon", lambda: draw_test_horizon(run, problem, opened, ensemble)
-    yield from standing(run, problem, ensemble)
+    yield from standing(run, problem)
 
 
 def _progress(run: Run, metric: str) -> Picture:
@@ -78,15 +80,19 @@ def _progress(run: Run, metric: str) -> Picture:
 
 
 def standing(
-    run: Run, problem: Problem, ensemble: TestedModel, mark: tuple[str, float] | None = None
+    run: Run, problem: Problem, mark: tuple[str, float] | None = None
 ) -> Iterator[Picture]:
-    """The test error among the published ones, for a benchmark that has some."""
-    # A person's own data may bear a benchmark's name; its error has no place in that list.
-    published = leaderboard(problem.name) if problem.data.public else ()
-    ours = [s.value for s in ensemble.scores if s.metric == "rmse"]
-    if published and ours:
-        name, output = run.view.started.run, problem.outputs[0]
-        yield "leaderboard", lambda: draw_standing(published, ours[0], output, name, mark)
+    """The model to use among the published ones, for a benchmark that has some."""
+    board = read_board(problem, run.view)
+    if not board.entries or not board.standings:
+        return
+    name = run.view.started.run
+    values = [standing.figure.value for standing in board.standings]
+    if len(values) > 1:
+        yield "leaderboard", lambda: draw_boards((board,), name)
+        return
+    output = Signal(problem.outputs[0].name, board.unit)
+    yield "leaderboard", lambda: draw_standing(board.entries, values[0], output, name, mark)
 
 
 def save(drawn: Iterator[Picture], directory: Path) -> tuple[Path, ...]:

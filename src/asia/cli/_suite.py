@@ -1,0 +1,73 @@
+"""asia bench suite: every benchmark beside its board."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from asia._text import one_line, say, say_lines
+from asia.cli._output.comparison import Lines
+
+if TYPE_CHECKING:
+    from asia.bench import ComparisonPlan
+    from asia.bench.suite import SuiteResult
+
+
+class SuiteLines(Lines):
+    """The lines of each search, and a line for each benchmark."""
+
+    def on_benchmark(self, plan: ComparisonPlan) -> None:
+        """Name the benchmark."""
+        self.head(plan)
+
+    def on_left_out(self, name: str, reason: str) -> None:
+        """Say why."""
+        self.print(f"{name} is left out: {one_line(reason)}")
+
+
+def run_suite(
+    only: str | None,
+    runs: Path,
+    experiments: int | None,
+    *,
+    unseal: bool,
+    yes_process: bool,
+    json: bool,
+) -> None:
+    """Search, then print the table."""
+    from asia.bench.suite import SuitePlan, bench_suite, select_problems
+
+    plan = SuitePlan(select_problems(only), runs, experiments)
+    lines = SuiteLines(json)
+    result = bench_suite(plan, lines, open_test=unseal, process_consent=yes_process)
+    if json:
+        say(jsonlib.dumps({"event": "done", **_as_object(result)}, allow_nan=False))
+        return
+    say()
+    say_lines(result.table.markdown())
+    say(f"table    {result.document}")
+    for picture in result.pictures:
+        if picture.suffix == ".png":
+            say(f"picture  {picture}")
+
+
+def _as_object(result: SuiteResult) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for r in result.results:
+        standings = r.board.standings if r.board else ()
+        found[r.name] = {
+            "V": r.value,
+            "experiments": r.experiments,
+            "left_out": r.left_out or None,
+            "unit": r.board.unit if r.board else None,
+            "figures": {
+                s.figure.name: {
+                    "value": s.figure.value,
+                    "rank": s.rank if s.among > 1 else None,
+                    "among": s.among,
+                }
+                for s in standings
+            },
+        }
+    return {"suite": found, "document": str(result.document)}
