@@ -14,6 +14,7 @@ from asia.errors import UserError
 from asia.ledger import open_run
 from tests.official_data import WRITERS
 from tests.unit.cli.conftest import command_line
+from tests.unit.painting import painted
 
 
 @pytest.fixture
@@ -58,15 +59,14 @@ def test_options_that_do_not_go_together(files: Path) -> None:
 def test_each_benchmark_is_checked_and_searched(name: str, files: Path) -> None:
     if name in WRITERS:
         WRITERS[name](files)
-    done = command_line("check", name)
+    with painted():
+        done = command_line("check", name)
     assert done.code == 0, done.err
     assert "test, sealed" in done.out
     runs = files / "runs"
-    done = command_line(
-        "run", name, "--experiments", 4, "--runs", runs, "--name", "it", "--yes-process"
-    )
+    done = command_line("run", name, "--experiments", 4, "--runs", runs)
     assert done.code == 0, done.err
-    view = open_run(runs / "it").view
+    view = open_run(runs / f"{name}-expert-s0").view
     assert len(view.finished) == 4
     assert view.best is not None
     assert view.best.score is not None
