@@ -1,7 +1,7 @@
 """The model that the rule names, against the best of ensemble, refit and stack in hindsight.
 
     python benchmarks/searches/handover.py --out DIR [--jobs N] [--seeds 200,201,...]
-        [--systems linear,duffing] [--experiments 5] [--table]
+        [--systems linear,duffing] [--experiments 5] [--folds 2] [--table]
 
 Each search is on a synthetic system drawn with its seed, 1000 samples for even seeds and 400 for
 odd ones, and ends with its sealed record opened: error of all three models against the measured
@@ -39,6 +39,7 @@ from systems import KINDS, Record, System, make_system, write_problem
 # A fit may take the problem's own time; the agent plans for less, which makes its fits short.
 PLANNED_SECONDS = 6.0
 SHORT, LONG = 400, 1000
+FAR_OFF = 0.25
 _EVIDENCE = TypeAdapter(FinalEvidence)
 MODELS = "ensemble", "refit", "stack"
 
@@ -66,13 +67,16 @@ class Task:
     """Of the system and of the search."""
     experiments: int
     """The budget."""
+    folds: int
+    """How many contiguous folds."""
     out: Path
     """Where problems, runs and results are."""
 
     @property
     def run(self) -> str:
         """Name of the run."""
-        return f"{self.kind}-s{self.seed}-n{self.experiments}"
+        folds = "" if self.folds == 2 else f"-f{self.folds}"
+        return f"{self.kind}-s{self.seed}-n{self.experiments}{folds}"
 
     @property
     def result(self) -> Path:
@@ -84,7 +88,7 @@ def main() -> None:
     """Make the searches that are not there yet, and print the tables."""
     options = _options()
     tasks = [
-        Task(kind, seed, options.experiments, options.out)
+        Task(kind, seed, options.experiments, options.folds, options.out)
         for seed in options.seeds
         for kind in options.systems
     ]
@@ -104,6 +108,7 @@ def _options() -> argparse.Namespace:
     kinds = {"type": lambda text: text.split(","), "default": list(KINDS), "metavar": "A,B"}
     parser.add_argument("--systems", **kinds)
     parser.add_argument("--experiments", type=int, default=5)
+    parser.add_argument("--folds", type=int, default=2)
     parser.add_argument("--jobs", type=int, default=1, help="searches at a time")
     parser.add_argument("--table", action="store_true", help="search nothing")
     parser.add_argument("--out", type=Path, required=True, help="keep everything here, and resume")
@@ -124,7 +129,9 @@ def run_task(task: Task) -> str:
     problem = load_problem(place)
     # Nobody stops because nothing was found for a while.
     budget = replace(problem.budget, experiments=task.experiments, patience=10 * task.experiments)
-    problem = replace(problem, budget=budget)
+    rule = problem.protocol
+    rule = replace(rule, folds=replace(rule.folds, count=task.folds))
+    problem = replace(problem, budget=budget, protocol=rule)
     agent = Brisk(make_agent("expert"))
     ready = prepare(
         problem, agent.name, seed=task.seed, runs=task.out / "runs", name=task.run,

@@ -54,7 +54,7 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
             f"winner's, {error_value(value)}.",
         )
     if evidence.detail or check is None:
-        return ModelToUse("ensemble", f"There is no refit worth using: {evidence.detail}.")
+        return ModelToUse("ensemble", f"There is no refit: {evidence.detail}.")
     kept = check.starts[(check.kept or 0) - 1]
     errors = f"{_words(kept.error)}, that of the ensemble {_words(check.ensemble_error)}"
     if is_worthy(check):

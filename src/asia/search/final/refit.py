@@ -88,8 +88,8 @@ def is_as_good(check: RefitCheck) -> bool:
 def _none_words(starts: Sequence[RefitStart]) -> str:
     """Why there is no refit, for people."""
     if len(starts) == 1:
-        return f"the only start of the refit is no good: {starts[0].objection}"
-    return f"none of {len(starts)} starts of the refit is good; the last: {starts[-1].objection}"
+        return f"its only start is no good, because {starts[0].objection}"
+    return f"none of its {len(starts)} starts is good, the last because {starts[-1].objection}"
 
 
 @dataclass

@@ -144,7 +144,7 @@ def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     status = command_line("status", "--runs", directory.parent, "--json")
     assert json.loads(status.out)["use"] == "ensemble"
     assert (answer(directory, None) == answer(directory, "ensemble")).all()
-    with pytest.raises(UserError, match="no refitted model: the only start"):
+    with pytest.raises(UserError, match="no refitted model: its only start"):
         answer(directory, "refit")
     opened = command_line(
         "unseal", directory.name, "--runs", directory.parent, "--yes", "--yes-process", "--json"
@@ -172,7 +172,7 @@ def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
     refitted = ended(go(tmp_path, source)[1])
     assert refitted.check is not None
     assert len(refitted.check.starts) == 3
-    assert "none of 3 starts" in refitted.reason
+    assert "none of its 3 starts" in refitted.reason
 
 
 @pytest.mark.parametrize(
