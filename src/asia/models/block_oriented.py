@@ -17,7 +17,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
-from asia.models import neural_ss
+from asia.models import linear, neural_ss
 from asia.models._config import check_choice
 from asia.models._data.records import check, scaled
 from asia.models._data.scaling import Scaling
@@ -127,7 +127,8 @@ def _wiener_hammerstein(
 
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
-    found, delay, late = neural_ss.linear_start(records, context, config.order, config.delay)
+    choice = linear.Config(order=config.order, delay=config.delay)
+    found, delay, late = neural_ss.linear_start(records, context, choice)
     template = WienerHammersteinStructure(
         found.system.order, context.nu, context.ny, "state", config.basis, config.hidden,
         config.degree, None,

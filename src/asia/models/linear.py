@@ -16,7 +16,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._config import check_at_least
+from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder
 from asia.models._data.records import (
     ScaledData,
@@ -29,6 +29,7 @@ from asia.models._data.records import (
 )
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows, stretches
+from asia.models._linear.drift import drift_shift
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
@@ -71,10 +72,14 @@ class Config:
     it among 0..max_delay."""
     max_delay: int = 10
     """Greatest delay tried where `delay` is None, in samples."""
+    integrators: int = 0
+    """Free integrators: poles held at 1, which count among the states."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "max_order")
-        check_at_least(0, self, "delay", "max_delay")
+        check_at_least(0, self, "delay", "max_delay", "integrators")
+        enough = self.integrators <= (self.order or self.max_order)
+        demand(self, "integrators", enough, "at most the order")
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,7 @@ def train(
     tolerance and the noise model. Raises UserError for records too short or with the wrong
     channels."""
     check(trajectories, context)
-    scaling = Scaling.of(trajectories)
+    scaling = scaling_of(trajectories, context, model.config)
     records = scaled(trajectories, scaling)
     predictor = windowed(records, context, model.config, refinement_of(method))
     if predictor is not None:
@@ -151,13 +156,24 @@ def train(
     return replace(model, fitted=FittedLinear(found.system, encoder, delay, scaling))
 
 
+def scaling_of(trajectories: Sequence[Trajectory], context: Context, config: Config) -> Scaling:
+    """Z-scores; with free integrators the inputs are zero where these stand still."""
+    plain = Scaling.of(trajectories)
+    if not config.integrators:
+        return plain
+    part = _selection(scaled(trajectories, plain), context, config)
+    shift = drift_shift(part, config.order or 2, config.integrators)
+    return replace(plain, u_mean=plain.u_mean - shift * plain.u_std)
+
+
 def windowed(
     records: ScaledData, context: Context, config: Config, refinement: Refinement
 ) -> WindowPredictor | None:
     """With a horizon and the order open: the model whose state is the past window, unless the
     state-space model has the smaller error on windows left out. None means that one, and a noise
     model asks for it: the past window is full of noise."""
-    if context.horizon is None or config.order is not None or refinement.noise is not None:
+    known = config.order is not None or config.integrators > 0
+    if context.horizon is None or known or refinement.noise is not None:
         return None
     choice = choose(records, context, refinement)
     if choice is None:
@@ -198,13 +214,14 @@ def fit_records(
 ) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
     """Delay, order, then the refined fit; returns the fit, the delay and the records it was
     fitted to, their inputs delayed: all of them, or stretches where they are too long to hold."""
+    refinement = replace(refinement, integrators=config.integrators)
     part = _selection(records, context, config)
     delay = _estimate_delay(part, config) if config.delay is None else config.delay
     order = config.order
     if order is None:
         quick = replace(refinement, iterations=min(refinement.iterations, 15))
         late_part = [shifted(r, delay) for r in part]
-        highest = _affordable(late_part, config.max_order)
+        highest = max(_affordable(late_part, config.max_order), config.integrators)
         order = choose_order(late_part, context, highest, config.tolerance, quick)
     late = stretches(
         [shifted(r, delay) for r in records],
@@ -254,8 +271,9 @@ def _affordable(records: ScaledData, max_order: int) -> int:
 def _estimate_delay(records: ScaledData, config: Config) -> int:
     """Delay with the least simulation error of a model of modest order, preferring the smallest
     within 1 %."""
-    order = min(config.order or 2, _affordable(records, config.max_order))
-    quick = Refinement(iterations=5)
+    held = config.integrators
+    order = max(min(config.order or 2 + held, _affordable(records, config.max_order)), held)
+    quick = Refinement(iterations=5, integrators=held)
     errors = [
         fit([shifted(r, d) for r in records], order, quick).error
         for d in range(config.max_delay + 1)

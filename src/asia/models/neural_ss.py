@@ -28,6 +28,7 @@ from asia.models._data.records import (
     ScaledData,
     ScaledTrajectory,
     check,
+    scaled,
     window,
     window_size,
 )
@@ -87,11 +88,14 @@ class Config:
     play: int = 0
     """Elements of play (backlash). Each follows a learned direction of state and input within a
     width; what it does not follow acts on state and output."""
+    integrators: int = 0
+    """Free integrators: states whose pole is held at 1 and which the static functions in the state
+    equation do not read."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "hidden", "members", "channels")
         check_at_least(2, self, "degree")
-        check_at_least(0, self, "friction", "play")
+        check_at_least(0, self, "friction", "play", "integrators")
         placed = self.channels is None or self.nonlinearity == "state"
         demand(self, "channels", placed, "None without nonlinearity state")
 
@@ -193,19 +197,23 @@ def train(
     c = model.config
     turned = c.symmetry or (isinstance(method, Adam) and method.symmetry)
     data = TurnedData.of(trajectories, SignalTurns.of(context) if turned else None)
+    choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
+    if c.integrators and data.turns is None:
+        still = linear.scaling_of(trajectories, context, choice)
+        data = replace(data, records=scaled(trajectories, still), scaling=still)
     predictor = _windowed_start(data.records, context, c)
     if predictor is not None:
         return _train_windowed(model, predictor, data, context, method)
-    least = 1 if c.friction or c.play else 2
-    found, delay, used = linear_start(data.records, context, c.order, c.delay, least)
+    least = (1 if c.friction or c.play else 2) + (c.integrators > 0)
+    found, delay, used = linear_start(data.records, context, choice, least)
     if data.turns is not None:
         used = data.with_turned(used)
-        found = _symmetric(found, used, data.copies)
+        found = _symmetric(found, used, data.copies, Refinement(integrators=c.integrators))
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels,
     )  # fmt: skip
-    structure = replace(structure, friction=c.friction, play=c.play)
+    structure = replace(structure, friction=c.friction, play=c.play, integrators=c.integrators)
     if isinstance(method, Adam):
         late = [linear.shifted(r, delay) for r in data.every]
         encoder = encoder_of(used, found, context)
@@ -219,18 +227,20 @@ def train(
     return replace(model, fitted=fitted)
 
 
-def _symmetric(found: LinearFit, records: ScaledData, copies: int) -> LinearFit:
+def _symmetric(
+    found: LinearFit, records: ScaledData, copies: int, refinement: Refinement
+) -> LinearFit:
     """The linear model refined on all records, which say that it is symmetric; turned ones start
     at rest."""
     x0 = np.zeros((len(records), found.system.order))
     x0[::copies] = found.x0
-    return refine(records, LinearFit(found.system, x0, found.error), Refinement())
+    return refine(records, LinearFit(found.system, x0, found.error), refinement)
 
 
 def _windowed_start(
     records: ScaledData, context: Context, config: Config
 ) -> WindowPredictor | None:
-    if config.nonlinearity != "state" or config.friction or config.play:
+    if config.nonlinearity != "state" or config.friction or config.play or config.integrators:
         return None
     choice = linear.Config(order=config.order, delay=config.delay)
     return linear.windowed(records, context, choice, Refinement())
@@ -276,12 +286,11 @@ def _random(context: Context) -> np.random.Generator:
 
 
 def linear_start(
-    records: ScaledData, context: Context, order: int | None, delay: int | None, least: int = 2
+    records: ScaledData, context: Context, choice: linear.Config, least: int = 2
 ) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
     """`linear.fit_records`; where the order is open, at least so many states."""
-    choice = linear.Config(order=order, delay=delay)
     found, delay, used = linear.fit_records(records, context, choice, Refinement())
-    if order is None and found.system.order < least:
+    if choice.order is None and found.system.order < least:
         choice = replace(choice, order=least, delay=delay)
         return linear.fit_records(records, context, choice, Refinement())
     return found, delay, used

@@ -7,6 +7,7 @@ from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, ste
 from asia.agents.library.evidence import coloured
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
+from asia.agents.library.records.integrators import integrating
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
 
@@ -126,6 +127,35 @@ def noise_space(facts: Facts, *, with_loss: bool = False) -> tuple[Parameter, ..
 def has_noise_model(recipe: Recipe) -> bool:
     """Whether the fit takes a slow disturbance into account."""
     return recipe.get("noise_model") == "slow"
+
+
+def integrator_setting(facts: Facts) -> Arguments:
+    """As many free integrators as outputs that show one; no setting without them."""
+    found = len(integrating(facts)) if "integrating" in traits(facts) else 0
+    return (("integrators", found),) if found else ()
+
+
+def integrator_moves() -> tuple[Move, ...]:
+    """One integrator more, and none."""
+    return (
+        Move(
+            name="one free integrator more",
+            weight=lambda c: 0.5 * (0 < c.recipe.number("integrators", 0) < 2) * coloured(c.trial),
+            change=lambda c: c.recipe.configured(
+                integrators=round(c.recipe.number("integrators", 0)) + 1
+            ),
+            hypothesis="The output drifts with a sum of the input, and what drives it may drift as "
+            "well: a force on a mass without a spring integrates twice.",
+            expected="A lower error late in the simulation, on every fold.",
+        ),
+        Move(
+            name="without a free integrator",
+            weight=lambda c: 0.5 * (c.recipe.number("integrators", 0) > 0),
+            change=lambda c: c.recipe.without("integrators"),
+            hypothesis="What looked like a free integrator may be a slow mode that comes back.",
+            expected="A lower V if it does.",
+        ),
+    )
 
 
 def _weight(at: Situation) -> float:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Literal
 
 from asia.agents._view import Facts
+from asia.agents.library.records.integrators import integrating
 from asia.problem.symmetry import of_signals
 
 Trait = Literal[
-    "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric"
-]
+    "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric",
+    "integrating",
+]  # fmt: skip
 
 _SHORT = 2_000
 _LONG = 20_000
@@ -20,7 +22,8 @@ def traits(facts: Facts) -> frozenset[Trait]:
     short simulations instead of whole records; measured: every state is an output or, without
     equations, the past window is one output sample; short, long: at most 2000 or at least 20 000
     samples to fit; several: more than one output; symmetric: a symmetry of inputs and outputs alone
-    is declared."""
+    is declared; integrating: an output drifts with the sum of the inputs, and whole records are
+    simulated."""
     physics = facts.physics
     found: dict[Trait, bool] = {
         "physics": physics is not None,
@@ -30,6 +33,7 @@ def traits(facts: Facts) -> frozenset[Trait]:
         "short": facts.fit_samples <= _SHORT,
         "long": facts.fit_samples >= _LONG,
         "several": len(facts.outputs) > 1,
+        "integrating": facts.horizon is None and bool(integrating(facts)),
         "symmetric": bool(of_signals(facts.symmetry, *_names(facts))),
     }
     return frozenset(name for name, holds in found.items() if holds)

@@ -12,6 +12,7 @@ from asia.data import Array
 from asia.models._data.cuts import side_by_side
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, contiguous_splits, past_length, windows
+from asia.models._linear.integrators import free_entries, integrating_starts
 from asia.models._linear.response import DrivenRecords, Response
 from asia.models._linear.subspace import spread_poles, starts
 from asia.models._linear.system import LinearSystem
@@ -39,6 +40,8 @@ class Refinement:
     """Relative decrease of the cost below which it stops."""
     noise: NoiseChoice | None = None
     """The noise model of `refined_under_noise`; None is least squares."""
+    integrators: int = 0
+    """Last states whose pole is held at 1."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,11 @@ def fit(
     records: ScaledData, order: int, refinement: Refinement, log: Progress | None = None
 ) -> LinearFit:
     """Best start of this order by simulation error, then refined; log(iteration, error)."""
-    pairs = [s.start(order) for s in starts(records, max(order, 4))]
-    pairs.append(spread_poles(order, records[0].y.shape[1]))
+    if refinement.integrators:
+        pairs = integrating_starts(records, order, refinement.integrators)
+    else:
+        pairs = [s.start(order) for s in starts(records, max(order, 4))]
+        pairs.append(spread_poles(order, records[0].y.shape[1]))
     solved = [solve_linear_part(records, *pair) for pair in pairs if pair is not None]
     solved.sort(key=lambda s: s.error)
     count, best = refinement.iterations, solved[0]
@@ -82,7 +88,8 @@ def choose_order(
     windows as the model will be used, is within `tolerance` (relative, of the root) of the best."""
     splits = contiguous_splits(records, 3, 2 * past_length(context) + 4 * max_order)
     errors: list[float] = []
-    for order in range(1, max_order + 1):
+    least = min(max(1, refinement.integrators), max_order)
+    for order in range(least, max_order + 1):
         logs: list[float] = []
         for kept, left in splits:
             candidate = fit(kept, order, refinement)
@@ -90,7 +97,7 @@ def choose_order(
             logs.append(np.log(unseen_error(left, candidate, encoder, context) + 1e-300))
         errors.append(float(np.exp(np.mean(logs))))
     limit = min(errors) * (1 + tolerance) ** 2
-    return next((i for i, error in enumerate(errors, start=1) if error <= limit), 1)
+    return next((i for i, error in enumerate(errors, start=least) if error <= limit), least)
 
 
 def encoder_of(records: ScaledData, fitted: LinearFit, context: Context) -> Encoder:
@@ -179,11 +186,13 @@ def refine(
     """
     prior = refinement.initial_ridge * start.error if np.isfinite(start.error) else 0.0
     driven, damping = DrivenRecords(records, weightings), refinement.damping
-    current = driven.response(start.system, start.x0)
+    current, held = driven.response(start.system, start.x0), refinement.integrators
+    free = free_entries(start.system.order, held).ravel()
     for iteration in range(refinement.iterations):
         if log is not None:
             log(iteration, float(np.sqrt(current.error)))
         jacobian, residual = _linearised(current, prior)
+        jacobian[:, : current.system.a.size] *= free
         cost = float(residual @ residual)
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
         scale = np.where(scale > 0, scale, 1.0)
@@ -193,7 +202,7 @@ def refine(
         while damping < 1e8:
             step = np.linalg.solve(normal + damping * np.eye(len(normal)), gradient) / scale
             proposal = _moved(current, step)
-            proposed = _penalised(proposal, prior)
+            proposed = _penalised(proposal, prior, held)
             if proposed < cost:
                 break
             damping *= 8.0
@@ -205,9 +214,10 @@ def refine(
     return LinearFit(current.system, current.x0, current.error)
 
 
-def _penalised(response: Response, prior: float) -> float:
+def _penalised(response: Response, prior: float, integrators: int) -> float:
     a = response.system.a
-    if not np.isfinite(a).all() or response.system.radius > _LARGEST_RADIUS:
+    own = a[: len(a) - integrators, : len(a) - integrators]
+    if not np.isfinite(a).all() or abs(np.linalg.eigvals(own)).max(initial=0.0) > _LARGEST_RADIUS:
         return float("inf")
     weighted = response.error * max(response.driven.samples, 1.0)
     return weighted + prior * float((response.x0**2).sum())

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from asia.data import Array
 from asia.models._arrays import bounded, namespace
+from asia.models._linear.integrators import free_entries, held_entries
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowLags, WindowPredictor
 from asia.models._state_space.elements import lost, resisted
@@ -59,6 +60,8 @@ class StateSpaceStructure:
     """Elements of dry friction, each with a state."""
     play: int = 0
     """Elements of play, each with a state."""
+    integrators: int = 0
+    """Last ones of the states whose pole is held at 1 and which f and g do not read."""
 
     @property
     def size(self) -> int:
@@ -82,7 +85,7 @@ class StateSpaceStructure:
             output = output + self._change(p, x, v)
             keep, from_u, from_y = _shift(self.lags)
             return x @ keep + v @ from_u + output @ from_y, output
-        state = x @ p["a"] + v @ p["b"]
+        state = x @ self._dynamics(p) + v @ p["b"]
         if "f" not in p:
             return state, output
         change = self._change(p, x, v)
@@ -104,7 +107,15 @@ class StateSpaceStructure:
             parts.append(behind)
         return namespace(x, v).concatenate([state, *parts], axis=-1), output
 
+    def _dynamics(self, p: Coefficients) -> Any:
+        """A, transposed."""
+        if not self.integrators:
+            return p["a"]
+        free, held = _transposed_entries(self.order, self.integrators)
+        return p["a"] * free.astype(p["a"].dtype) + held.astype(p["a"].dtype)
+
     def _change(self, p: Coefficients, x: Any, v: Any) -> Any:
+        x = x[..., : self.order - self.integrators] if self.integrators else x
         both = namespace(x, v).concatenate([x, v], axis=-1)
         if self.channels is None:
             return self._net(p["f"], both)
@@ -151,7 +162,7 @@ class StateSpaceStructure:
     def _add_state_function(
         self, p: dict[str, Any], rng: np.random.Generator, outputs: int
     ) -> None:
-        inputs, m = self.order + self.nu, self.channels
+        inputs, m = self.order - self.integrators + self.nu, self.channels
         if m is None:
             p["f"] = self._function(rng, inputs, outputs)
         else:
@@ -189,6 +200,11 @@ def _monomials(signals: int, degree: int) -> tuple[NDArray[np.intp], ...]:
         np.array(list(combinations_with_replacement(range(signals), d)))
         for d in range(2, degree + 1)
     )
+
+
+@cache
+def _transposed_entries(order: int, integrators: int) -> tuple[Array, Array]:
+    return free_entries(order, integrators).T, held_entries(order, integrators).T
 
 
 @cache

@@ -8,18 +8,29 @@ from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
-from asia.agents.library.methods import LM, noise_space, slow_noise
+from asia.agents.library.methods import (
+    LM,
+    integrator_moves,
+    integrator_setting,
+    noise_space,
+    slow_noise,
+)
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space
 
 
-def _linear(_: Facts) -> Recipe:
-    return Recipe("linear", (("order", None), ("delay", None)), LM, (("iterations", 30),))
+def _linear(facts: Facts) -> Recipe:
+    config = (("order", None), ("delay", None), *integrator_setting(facts))
+    return Recipe("linear", config, LM, (("iterations", 30),))
 
 
 def _linear_space(facts: Facts) -> Space:
     return Space(
-        config=(OneOf("order", (None, 1, 2, 3, 4, 5, 6)), OneOf("delay", (0, None))),
+        config=(
+            OneOf("order", (None, 1, 2, 3, 4, 5, 6)),
+            OneOf("delay", (0, None)),
+            OneOf("integrators", (0, 1)),
+        ),
         options=(OneOf("iterations", (15, 30, 60)), *noise_space(facts)),
     )
 
@@ -63,4 +74,7 @@ CARD = Card((
         small=(("iterations", 3),),
         timing=Timing(start=0.0, unit=1.4e-06),
     ),
-), (replace(slow_noise(), families=("linear",)),))  # fmt: skip
+), (
+    replace(slow_noise(), families=("linear",)),
+    *(replace(move, families=("linear",)) for move in integrator_moves()),
+))  # fmt: skip

@@ -7,7 +7,14 @@ from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import curved
 from asia.agents.library.family import Family
-from asia.agents.library.methods import LM, noise_space, slow_noise, symmetry_space
+from asia.agents.library.methods import (
+    LM,
+    integrator_moves,
+    integrator_setting,
+    noise_space,
+    slow_noise,
+    symmetry_space,
+)
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.records.switching import Cause, switching
@@ -15,9 +22,11 @@ from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.space import OneOf, Space, Span
 
 
-def _neural_ss(_: Facts) -> Recipe:
+def _neural_ss(facts: Facts) -> Recipe:
     config = (("nonlinearity", "state"), ("hidden", 8), ("ridge", 1e-5), ("delay", None))
-    return Recipe("neural_ss", config, LM, (("iterations", 60), ("starts", 2)))
+    return Recipe(
+        "neural_ss", (*config, *integrator_setting(facts)), LM, (("iterations", 60), ("starts", 2))
+    )
 
 
 def _neural_ss_space(facts: Facts) -> Space:
@@ -32,6 +41,7 @@ def _neural_ss_space(facts: Facts) -> Space:
             OneOf("members", (1, 3)),
             OneOf("friction", (0, 1, 2)),
             OneOf("play", (0, 1)),
+            OneOf("integrators", (0, 1)),
             *symmetry_space(facts),
         ),
         options=(
@@ -138,6 +148,7 @@ CARD = Card(
         much_more_ridge(),
         less_ridge(),
         slow_noise(),
+        *integrator_moves(),
         *_ELEMENTS,
         Move(
             name="median of several fits",

@@ -1,0 +1,29 @@
+"""Inputs at which a system with free integrators stands still."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from asia.data import Array
+from asia.models._data.records import ScaledData
+from asia.models._linear.fit import Refinement, fit
+
+_ITERATIONS = 20
+
+
+def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
+    """What to add to the inputs (nu,) so that zero is where the integrators stand still: by a fit
+    with a constant as a further input. The smallest shift where several do."""
+    known = [
+        replace(r, u=np.hstack([r.u, np.ones((len(r), 1))]), measured_u=r.measured_u)
+        for r in records
+    ]
+    refinement = Refinement(iterations=_ITERATIONS, integrators=integrators)
+    s = fit(known, max(order, integrators + 1), refinement).system
+    m = s.order - integrators
+    steady = np.linalg.solve(np.eye(m) - s.a[:m, :m], s.b[:m])
+    rates = s.a[m:, :m] @ steady + s.b[m:]
+    # Of a chain the first is what drifts; the others add up what it does.
+    return np.asarray(np.linalg.lstsq(rates[:, :-1], rates[:, -1], rcond=1e-3)[0], np.float64)
