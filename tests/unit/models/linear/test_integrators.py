@@ -88,7 +88,7 @@ def test_no_weight_of_a_network_feeds_an_integrator_back() -> None:
     p = structure.start(linear_part, rng)
     p["f"]["w2"] = rng.normal(size=p["f"]["w2"].shape)
     x, v = rng.normal(size=3), rng.normal(size=1)
-    moved = structure.split(p, x + [0.0, 0.0, 5.0], v)[0] - structure.split(p, x, v)[0]
+    moved = structure.split(p, x + np.array([0.0, 0.0, 5.0]), v)[0] - structure.split(p, x, v)[0]
     np.testing.assert_allclose(moved, [0.0, 0.0, 5.0], atol=1e-12)
 
 
