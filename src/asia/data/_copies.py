@@ -14,17 +14,37 @@ _RUN = 10
 
 def shared_samples(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> int:
     """Samples of the test records inside runs of ten that also occur in a training record."""
-    return sum(_shared(record, train) for record in test)
-
-
-def _shared(record: Trajectory, train: Sequence[Trajectory]) -> int:
-    own, moves = _run_hashes(record)
-    if own.size == 0:
+    own = [_run_hashes(record) for record in test]
+    # Test records are the shorter ones: every training record is looked up in them, one by one.
+    wanted = (
+        np.sort(np.concatenate([hashes for hashes, _ in own])) if own else np.zeros(0, np.uint64)
+    )
+    if wanted.size == 0:
         return 0
-    known = np.concatenate([_run_hashes(t)[0] for t in train])
-    hit = np.isin(own, known) & moves
-    inside = np.zeros(len(record), dtype=bool)
-    for start in np.flatnonzero(hit):
+    copied = np.zeros(0, np.uint64)
+    for record in train:
+        hashes = _run_hashes(record)[0]
+        copied = np.concatenate([copied, hashes[_is_in(hashes, wanted)]])
+    copied = np.sort(copied)
+    return sum(
+        _covered(len(record), _is_in(hashes, copied) & moves)
+        for record, (hashes, moves) in zip(test, own, strict=True)
+    )
+
+
+def _is_in(values: NDArray[np.uint64], ordered: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Which of the values are among `ordered`, which is sorted."""
+    if ordered.size == 0:
+        return np.zeros(values.shape, dtype=bool)
+    places = np.searchsorted(ordered, values)
+    places[places == ordered.size] = 0
+    return ordered[places] == values
+
+
+def _covered(samples: int, starts: NDArray[np.bool_]) -> int:
+    """Samples inside the runs that begin where `starts` is true."""
+    inside = np.zeros(samples, dtype=bool)
+    for start in np.flatnonzero(starts):
         inside[start : start + _RUN] = True
     return int(inside.sum())
 

@@ -68,10 +68,17 @@ def check_files(
             problem = _download(file, folder / file.path)
         if problem:
             raise UserError(_how_to_get(name, file, folder, page, problem))
-    return tuple(w for file in files for w in _check(name, file, folder / file.path))
+    unknown = [line for file in files for line in _check(file, folder / file.path)]
+    if not unknown:
+        return ()
+    return (
+        f"no published digest of these files of {name} is known: compare their sha256 with those "
+        f"of somebody who has them, or make sure where yours came from: {', '.join(unknown)}",
+    )
 
 
-def _check(name: str, file: PublishedFile, path: Path) -> tuple[str, ...]:
+def _check(file: PublishedFile, path: Path) -> tuple[str, ...]:
+    """Path and digest of a file whose published digest is not known. Raises UserError."""
     with path.open("rb") as stream:
         if stream.read(len(_POINTER)) == _POINTER:
             raise UserError(
@@ -80,10 +87,7 @@ def _check(name: str, file: PublishedFile, path: Path) -> tuple[str, ...]:
             )
     found = _sha256(path)
     if not file.sha256:
-        return (
-            f"no published digest of {file.path} of {name} is known: compare its sha256 {found} "
-            "with that of somebody who has the file, or make sure where yours came from",
-        )
+        return (f"{file.path} {found}",)
     if not file.is_digest(found):
         raise UserError(
             f"{path} is not the published file (sha256 {found[:12]}..., expected "
