@@ -208,9 +208,11 @@ def tables(found: Sequence[dict[str, Any]]) -> str:
             losses = [_loss(one, rule(one), what) for one in found]
             cells += [f"{100 * median(losses):.1f} %", f"{100 * max(losses):.1f} %"]
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(
-        [*lines, "", *_stack_lines([one for one in found if one["stack"]], len(found))]
-    )
+    over = [one for one in found if _loss(one, _named(one), "rmse") > FAR_OFF]
+    lines += ["", f"Loss of the rule above {100 * FAR_OFF:.0f} %, measured: {len(over)}."]
+    lines += [f"- {one['run']}: {_named(one)}, {one['rmse']}" for one in over]
+    stacked = [one for one in found if one["stack"]]
+    return "\n".join([*lines, "", *_stack_lines(stacked, len(found))])
 
 
 def _named(one: dict[str, Any]) -> str:
