@@ -203,8 +203,12 @@ class Evaluator(WorkerRunner):
         fold = self.folds[derive_seed(self._context.seed, self._salt) % len(self.folds)]
         models: list[bytes | CandidateError] = []
         results: list[FoldResult | Failure] = []
-        on_all = lambda: models.append(self._fit_all(source, 0))  # noqa: E731
-        self._run([on_all, lambda: results.append(self._fold_or_failure(source, fold).result)])
+        self._run(
+            [
+                lambda: models.append(self._fit_all(source, 0)),
+                lambda: results.append(self._fold_or_failure(source, fold).result),
+            ]
+        )
         return Refit(models[0], fold.index + 1, results[0])
 
     def refit_again(self, source: str, start: int) -> bytes | CandidateError:

@@ -34,13 +34,10 @@ def make_stack(evaluator: Evaluator, view: SearchView, store: Store, metric: str
         found = _Stacking(evaluator.folds, store, metric, _eligible(scored, refused)).stack()
         if found is None or view.best is None or view.best.score is None:
             return None
-        unchecked = [
-            view.experiment(m.experiment)
-            for m in found.members
-            if view.experiment(m.experiment).result.status != "keep"  # type: ignore[union-attr]
-        ]
         if view.started.ladder is not None or found.value >= view.best.score.value:
-            unchecked = []
+            return found  # with the Ladder all were checked; otherwise this stack is not named
+        members = [view.experiment(m.experiment) for m in found.members]
+        unchecked = [e for e in members if not e.kept]
         bad = {e.number for e in unchecked if not _answers_like_a_model(evaluator, e, store)}
         if not bad:
             return found

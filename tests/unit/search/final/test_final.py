@@ -214,6 +214,17 @@ def test_a_stack_of_opposite_errors_is_used_and_opened(tmp_path: Path) -> None:
     verify(directory)
 
 
+def test_a_member_that_does_not_answer_like_a_model_is_left_out(tmp_path: Path) -> None:
+    # It was no new best, so that nobody had asked it before.
+    restless = RESTLESS.replace("fit_well", "fit_biased").replace("== 240", "> 0")
+    source = biased(-0.21) + restless.replace("Restless(Model)", "Restless(Biased)")
+    _, view = go(tmp_path, biased(0.2), source)
+    assert [e.result.status for e in view.finished if e.result] == ["keep", "keep", "discard"]
+    assert all(e.score is not None for e in view.finished)
+    stack = ended(view).stack
+    assert stack is None or 3 not in {m.experiment for m in stack.members}
+
+
 def test_one_candidate_makes_no_stack(tmp_path: Path) -> None:
     directory, view = go(tmp_path)
     assert ended(view).stack is None
