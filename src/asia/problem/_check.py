@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import combinations
 from typing import Literal
 
@@ -243,6 +244,12 @@ def _doubts(
         f"protocol.test.skip: fewer than {_FEW_SCORED} tell little of a model"
         for name, scored in zip(seal.names, _scored(seal, problem.protocol), strict=True)
         if scored < _FEW_SCORED
+    ]
+    doubts += [
+        f"[protocol.test.figures] {figure.name} names no test record (they are "
+        f"{', '.join(seal.names)}): there will be no official figures"
+        for figure in problem.protocol.test.figures
+        if seal.names and not any(fnmatchcase(n, p) for n in seal.names for p in figure.records)
     ]
     if seal.shared_samples:
         doubts.append(

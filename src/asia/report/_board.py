@@ -119,7 +119,7 @@ def official_figures(
     problem: Problem, record: Unsealed, model: TestedModel
 ) -> tuple[OfficialFigure, ...]:
     """The official figures of a model: one for each test record, or as `protocol.test.figures`
-    has it; () where the test has no RMSE."""
+    has it; () where the test has no RMSE, or a figure no record."""
     rule = problem.protocol.test
     scores = [s for s in model.scores if s.metric == "rmse"]
     if not scores or record.horizon is not None:
@@ -134,8 +134,10 @@ def official_figures(
     found: list[OfficialFigure] = []
     for figure in rule.figures:
         own = [v for n, v in values.items() if any(fnmatchcase(n, p) for p in figure.records)]
-        if own:
-            found.append(OfficialFigure(figure.name, sum(own) / len(own)))
+        if not own:
+            # The figures that follow would stand in another's place on the board.
+            return ()
+        found.append(OfficialFigure(figure.name, sum(own) / len(own)))
     return tuple(found)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -198,3 +199,15 @@ def test_a_download_is_kept_only_with_its_digest(
     with pytest.raises(UserError, match="holds other bytes"):
         check_files("made_up", tmp_path / "cache", [wrong], "its page")
     assert [p.name for p in (tmp_path / "cache").iterdir()] == ["a.npy"]
+
+
+@pytest.mark.parametrize("name", list(LAYOUTS))
+def test_each_figure_names_test_records(name: str, files: Path) -> None:
+    WRITERS[name](files.parent)
+    rule = load_problem(name).protocol.test
+    names = [t.name for t in records(name, "test")]
+    matched = [
+        [n for n in names if any(fnmatchcase(n, p) for p in f.records)] for f in rule.figures
+    ]
+    assert all(matched)
+    assert sorted(n for own in matched for n in own) == (sorted(names) if rule.figures else [])

@@ -12,7 +12,7 @@ from asia.problem import Correction, Prior
 from asia.problem._check import check_problem
 from asia.problem._problem import Problem, Seal
 from asia.problem.load import load_problem
-from asia.protocol import make_folds
+from asia.protocol import Group, make_folds
 
 
 @pytest.fixture
@@ -151,3 +151,14 @@ def test_a_workspace_has_no_test_of_its_own(tanks: Problem) -> None:
     assert "test: none" not in found.lines()
     assert any(line.startswith("test: not in a workspace;") for line in found.lines())
     assert not any("no test data" in line for line in found.warnings)
+
+
+def test_an_official_figure_without_test_records_is_doubted() -> None:
+    tanks = load_problem("two_tanks_sim")
+    figures = (Group("all", ("two_*",)), Group("late", ("melon_*",)))
+    rule = replace(tanks.protocol, test=replace(tanks.protocol.test, figures=figures))
+    seal = Seal("ab" * 32, ("two_tanks_test",), (1024,))
+    lines = check_problem(replace(tanks, protocol=rule), seal).lines()
+    doubts = [line for line in lines if "protocol.test.figures" in line]
+    assert len(doubts) == 1
+    assert "late names no test record" in doubts[0]

@@ -113,3 +113,10 @@ def test_ordinals() -> None:
     numbers = (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)
     words = "1st 2nd 3rd 4th 11th 12th 13th 21st 102nd 111th"
     assert " ".join(map(ordinal, numbers)) == words
+
+
+def test_a_figure_without_records_leaves_no_figure_in_anothers_place() -> None:
+    rule = protocol.TestRule(
+        figures=(protocol.Group("low", ("lo",)), protocol.Group("high", ("high",)))
+    )
+    assert figures_of({"low_1": 1.0, "high": 5.0}, rule) == ()

@@ -48,11 +48,9 @@ class OfficialBenchmark(DataSet):
         return SourceData(records, warnings=warnings)
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """As `Source.places`: one file may hold all subsets."""
-        if subset == "guard" and not self.guard:
-            return ()
-        files = self._files("test" if subset == "test" else "train")
-        return tuple(self._folder / file.path for file in files)
+        """As `Source.places`: the folder, for one file may hold all subsets, and the archive that
+        the files came in lies beside them."""
+        return () if subset == "guard" and not self.guard else (self._folder,)
 
     @property
     def _layout(self) -> BenchmarkLayout:
