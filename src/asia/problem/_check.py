@@ -14,6 +14,7 @@ from asia.data._digest import data_digest
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Problem, Seal
+from asia.problem.frequency import response_lines
 from asia.problem.knowledge import correction_lines, prior_lines, symmetry_lines
 from asia.protocol._cuts import splits, windows
 from asia.protocol._metrics import find_metric
@@ -99,6 +100,7 @@ class CheckReport:
     physics: str | None
     warnings: tuple[str, ...]
     in_workspace: bool = False
+    response: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """The report as plain text."""
@@ -110,6 +112,7 @@ class CheckReport:
             *(_signal_line(s) for s in self.signals),
             *(f"record {r.name}: {r.samples} samples, {r.seconds:g} s" for r in self.records),
             "missing values: none (a record with one is refused)",
+            *self.response,
             *(_fold_line(f) for f in self.folds),
             f"{_cases(rule)}; past window: {past}; V: {find_metric(rule.metric).summary}; "
             f"protocol {self.protocol_sha256[:12]}",
@@ -144,6 +147,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
         physics=_physics_summary(problem),
         warnings=(*problem.warnings, *_doubts(problem, seal, signals, in_workspace=in_workspace)),
         in_workspace=in_workspace,
+        response=response_lines(problem),
     )
 
 

@@ -19,6 +19,7 @@ from asia.problem._problem import Problem, TestSource
 from asia.problem._protocol import check_protocol, with_groups
 from asia.problem._schema import LockFile, ProblemFile, ProblemTables
 from asia.problem._toml import read_table
+from asia.problem.frequency import check_period
 from asia.problem.physics.check import check_physics
 from asia.problem.symmetry import check_symmetry
 from asia.protocol._cuts import block_count, least_case
@@ -121,11 +122,7 @@ def _assemble(
     test_sha256: str | None = None,
     guard_sha256: str | None = None,
 ) -> Problem:
-    channels = Channels(
-        file.inputs,
-        file.outputs,
-        file.sampling_time,
-    )
+    channels = Channels(file.inputs, file.outputs, file.sampling_time)
     _check_names(channels)
     physics = file.physics
     names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
@@ -142,6 +139,7 @@ def _assemble(
         )
     rule = with_groups(file.protocol.rule(), file.data.groups, recorded)
     require_length(records.trajectories, rule)
+    check_period(records.trajectories, file.data.period)
     _require_motion(records.trajectories, channels.outputs)
     return Problem(
         name=texts.name,
@@ -162,6 +160,7 @@ def _assemble(
         warnings=records.warnings,
         guard_sha256=guard_sha256,
         symmetry=file.symmetry,
+        period=file.data.period,
     )
 
 

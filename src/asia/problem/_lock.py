@@ -113,6 +113,7 @@ def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
             **data,
             "groups": groups_table(problem.protocol),
             "guard": guard,
+            "period": problem.period,
         },
         "protocol": protocol_table(problem.protocol),
         "budget": asdict(problem.budget),

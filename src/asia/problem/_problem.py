@@ -84,6 +84,8 @@ class Problem:
     """What the records that stand guard must hash to, known once a run has begun."""
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     """Changes of the signals that leave the system's laws as they are."""
+    period: int | None = None
+    """Samples after which the inputs repeat, as declared."""
 
     @classmethod
     def from_arrays(

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from asia.data import Signal
 from asia.ledger import Run, TestedModel, control, metric_of, open_run
+from asia.problem.frequency import responses
 from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._board import read_board
@@ -19,6 +20,7 @@ from asia.report._pictures.data import draw_data
 from asia.report._pictures.equations import draw_equations
 from asia.report._pictures.progress import draw_progress
 from asia.report._pictures.residuals import draw_residuals
+from asia.report._pictures.response import draw_responses
 from asia.report._pictures.simulation import draw_simulation, draw_test
 from asia.report._pictures.standing import draw_standing
 from asia.report._pictures.tried import draw_tried, draw_tried_residuals
@@ -46,6 +48,9 @@ def write(directory: Path, *, missing_only: bool = False) -> tuple[Path, ...]:
 def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
     """See `asia.report.draw_problem`."""
     drawn: list[Picture] = [("data", lambda: draw_data(problem))]
+    found = responses(problem)
+    if any(one is not None for one in found):
+        drawn.append(("response", lambda: draw_responses(problem, found)))
     physics = problem.physics
     if physics is not None:
         drawn.append(("equations", lambda: draw_equations(physics)))

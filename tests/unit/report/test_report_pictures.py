@@ -243,7 +243,8 @@ def test_a_changed_artifact_is_refused(tmp_path: Path) -> None:
 
 def test_draw_problem_writes_the_data(tmp_path: Path) -> None:
     written = draw_problem(make_problem(MIMO), tmp_path / "here")
-    assert [p.name for p in written] == ["data.png", "data.pdf"]
+    names = ["data.png", "data.pdf", "response.png", "response.pdf"]
+    assert [p.name for p in written] == names
     assert all(p.parent == tmp_path / "here" and p.stat().st_size > 5000 for p in written)
 
 

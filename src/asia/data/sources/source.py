@@ -103,6 +103,8 @@ class DataTable:
     """Names of the training records that folds hold out together."""
     guard: tuple[FileName, ...] | Annotated[int, Field(ge=1, le=100)] = ()
     """Files, or names of training records, or a number of simulated records that stand guard."""
+    period: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
+    """Samples after which the inputs of every record repeat; found where it is not given."""
 
 
 class Source(ABC):
