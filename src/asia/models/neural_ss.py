@@ -38,7 +38,8 @@ from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import LinearFit, Refinement, encoder_of, refine
 from asia.models._linear.windows import WindowPredictor
 from asia.models._networks.simulation import outputs_of
-from asia.models._state_space.starts import encoded_at_rest, starts_of, with_elements
+from asia.models._state_space.past_fit import PastFit, fitted_state
+from asia.models._state_space.starts import encoded_at_rest, starts_of
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
@@ -91,6 +92,13 @@ class Config:
     integrators: int = 0
     """Free integrators: states whose pole is held at 1 and which the static functions in the state
     equation do not read."""
+    pieces: bool = False
+    """With Levenberg-Marquardt, whether fits begin with short pieces of the records, each from a
+    state of its own, which grow to the whole records: fewer local minima where small differences
+    grow. An estimated delay is then compared with none by the whole fit."""
+    past_fit: bool = False
+    """With Levenberg-Marquardt, whether the initial state is fitted to the past window by the model
+    itself, and not only read from it by the encoder."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "hidden", "members", "channels")
@@ -115,6 +123,9 @@ class FittedStateSpace:
     """From physical units to z-scores."""
     turns: SignalTurns | None = None
     """Symmetries over which simulations are averaged; None: none."""
+    starts: tuple[PastFit, ...] = ()
+    """How the initial state of each member is fitted to the past window; () where the encoder gives
+    it."""
 
 
 @dataclass(frozen=True)
@@ -168,9 +179,21 @@ def _simulated(f: FittedStateSpace, past_u: Array, past_y: Array, u: Array) -> A
     cell = StateCell(f.structure)
     outputs = [
         outputs_of(cell, {**params, "encoder": vars(encoder)}, features, inputs)
-        for params, encoder in f.members
+        for params, encoder in f.members[len(f.starts) :]
     ]
+    known = np.concatenate([past, future[:, :1]], axis=1)
+    for (params, encoder), how in zip(f.members, f.starts, strict=False):
+        rows = np.arange(past.shape[1] - how.samples, past.shape[1] + 1) - f.delay
+        u, y = known[:, np.maximum(rows, 0)], f.scaling.outputs(past_y)[:, -how.samples :]
+        x = fitted_state(f.structure, params, how, encoder(features), u, y)
+        outputs.append(
+            outputs_of(cell, {**params, "encoder": vars(_identity(x.shape[1]))}, x, inputs)
+        )
     return f.scaling.physical(np.median(outputs, axis=0))
+
+
+def _identity(states: int) -> Encoder:
+    return affine(np.eye(states), np.zeros(states))
 
 
 def build(config: Config, context: Context) -> NeuralStateSpace:
@@ -195,6 +218,9 @@ def train(
     """
     check(trajectories, context)
     c = model.config
+    if isinstance(method, Adam):
+        demand(c, "pieces", not c.pieces, "False with Adam")
+        demand(c, "past_fit", not c.past_fit, "False with Adam")
     turned = c.symmetry or (isinstance(method, Adam) and method.symmetry)
     data = TurnedData.of(trajectories, SignalTurns.of(context) if turned else None)
     choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
@@ -204,7 +230,20 @@ def train(
     predictor = _windowed_start(data.records, context, c)
     if predictor is not None:
         return _train_windowed(model, predictor, data, context, method)
+    fitted, cost = _train_records(c, data, context, method)
+    if c.pieces and c.delay is None and fitted.delay > 0:
+        # A linear model of a nonlinear system may find a delay that there is not.
+        other, other_cost = _train_records(replace(c, delay=0), data, context, method)
+        fitted = other if other_cost < cost else fitted
+    return replace(model, fitted=fitted)
+
+
+def _train_records(
+    c: Config, data: TurnedData, context: Context, method: LevenbergMarquardt | Adam
+) -> tuple[FittedStateSpace, float]:
+    """On whole records, and the least cost with Levenberg-Marquardt."""
     least = (1 if c.friction or c.play else 2) + (c.integrators > 0)
+    choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
     found, delay, used = linear_start(data.records, context, choice, least)
     if data.turns is not None:
         used = data.with_turned(used)
@@ -214,17 +253,22 @@ def train(
         c.channels,
     )  # fmt: skip
     structure = replace(structure, friction=c.friction, play=c.play, integrators=c.integrators)
-    if isinstance(method, Adam):
-        late = [linear.shifted(r, delay) for r in data.every]
-        encoder = encoder_of(used, found, context)
-        start = starts_of(structure, found, used, 1, data.scaling, _random(context))[0]
-        params = _encoded(start, encoded_at_rest(structure, encoder), c, context)
-        trained = _by_adam(structure, params, late, context, method, data.copies)
-        members = [(trained, Encoder(**trained.pop("encoder")))]
-    else:
-        members = _by_lm(structure, c, found, used, data.scaling, context, method)
-    fitted = FittedStateSpace(structure, tuple(members), delay, data.scaling, data.turns)
-    return replace(model, fitted=fitted)
+    if isinstance(method, LevenbergMarquardt):
+        from asia.models._state_space.by_lm import LmOptions, fit_members
+
+        options = LmOptions(
+            _ridges(c), c.members, c.encoder, c.pieces, c.past_fit, seed=context.seed
+        )
+        best = fit_members(structure, found, used, data.scaling, context, method, options)
+        each = best.members, delay, data.scaling, data.turns, best.starts
+        return FittedStateSpace(structure, *each), best.cost
+    late = [linear.shifted(r, delay) for r in data.every]
+    encoder = encoder_of(used, found, context)
+    start = starts_of(structure, found, used, 1, data.scaling, _random(context))[0]
+    params = _encoded(start, encoded_at_rest(structure, encoder), c, context)
+    trained = _by_adam(structure, params, late, context, method, data.copies)
+    members = ((trained, Encoder(**trained.pop("encoder"))),)
+    return FittedStateSpace(structure, members, delay, data.scaling, data.turns), np.inf
 
 
 def _symmetric(
@@ -300,28 +344,6 @@ def _ridges(config: Config) -> dict[str, float]:
     ridge: dict[str, float] = dict.fromkeys(_LINEAR, config.linear_ridge)
     ridge.update(dict.fromkeys(_NONLINEAR, config.ridge))
     return ridge
-
-
-def _by_lm(
-    structure: StateSpaceStructure,
-    config: Config,
-    found: LinearFit,
-    records: ScaledData,
-    scaling: Scaling,
-    context: Context,
-    method: LevenbergMarquardt,
-) -> list[tuple[dict[str, Any], Encoder]]:
-    from asia.models._state_space.fit import fit_states, of_records, state_encoder
-
-    starts = starts_of(structure, found, records, method.starts, scaling, _random(context))
-    ridge = {**_ridges(config), "x0": found.error / sum(len(r) for r in records)}
-    samples = of_records(records, with_elements(structure, found).x0)
-    time = context.sampling_time
-    fits = fit_states(structure, starts, samples, ridge, method, context.log, time)
-    return [
-        (one.params, state_encoder(structure, one, records, context, config.encoder))
-        for one in fits[: config.members]
-    ]
 
 
 def _encoded(

@@ -60,13 +60,17 @@ def fit_states(
     method: LevenbergMarquardt,
     log: Progress,
     sampling_time: float = 1.0,
+    begin: Sequence[dict[str, Any]] | None = None,
+    x0: Sequence[Array] | None = None,
 ) -> list[StateFit]:
     """A fit from each start, the least cost first. `ridge` maps each top-level parameter name,
-    and "x0", to its ridge. log(iteration, root of the least cost so far) over all starts. With a
-    noise model all go on from where they are, after each estimate from the best fit's residuals."""
+    and "x0", to its ridge, which holds it to the start. begin: parameters that the fits begin with,
+    where these are not the starts; x0: initial states of each. log(iteration, root of the least
+    cost so far) over all starts. With a noise model all go on from where they are, after each
+    estimate from the best fit's residuals."""
     trees = [start if samples.known else {**start, "x0": samples.x0} for start in starts]
     runs = _Runs(structure, trees, samples, ridge, method, log)
-    results = runs.fitted(trees, None)
+    results = runs.fitted(_begun(trees, begin, x0), None)
     choice, noise = NoiseChoice.of(method), None
     for _ in range(0 if choice is None else NOISE_ROUNDS):
         assert choice is not None
@@ -81,6 +85,17 @@ def fit_states(
         found = [r.params if samples.known else {**r.params, "x0": r.x0} for r in results]
         results = runs.fitted(found, weighting)
     return sorted(results, key=lambda r: r.cost)
+
+
+def _begun(
+    trees: Sequence[dict[str, Any]],
+    begin: Sequence[dict[str, Any]] | None,
+    x0: Sequence[Array] | None,
+) -> list[dict[str, Any]]:
+    found = [{**tree, **params} for tree, params in zip(trees, begin or trees, strict=True)]
+    if x0 is None:
+        return found
+    return [{**tree, "x0": states} for tree, states in zip(found, x0, strict=True)]
 
 
 class _Runs(NamedTuple):

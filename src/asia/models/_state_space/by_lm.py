@@ -1,0 +1,87 @@
+"""A neural state-space model fitted by Levenberg-Marquardt: its best fits, each with the map from
+past windows to initial states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.models._data.encoder import Encoder
+from asia.models._data.records import ScaledData
+from asia.models._data.scaling import Scaling
+from asia.models._linear.fit import LinearFit
+from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
+from asia.models._state_space.past_fit import PastFit, past_fit, window_samples
+from asia.models._state_space.pieces import fit_pieces
+from asia.models._state_space.starts import starts_of, with_elements
+from asia.models._state_space.structure import StateSpaceStructure
+
+
+@dataclass(frozen=True)
+class LmOptions:
+    """What is asked for beside the method."""
+
+    ridge: dict[str, float]
+    """Of each top-level parameter name."""
+    members: int
+    """How many fits are kept."""
+    hidden: int
+    """Units of the map from past windows to states."""
+    pieces: bool
+    """Whether the fits begin with pieces of the records."""
+    past_fit: bool
+    """Whether initial states are fitted to the past window."""
+    seed: int
+    """Of the starts."""
+
+
+@dataclass(frozen=True)
+class FittedMembers:
+    """The best fits."""
+
+    members: tuple[tuple[dict[str, Any], Encoder], ...]
+    """Parameters, and the map from past windows to states."""
+    starts: tuple[PastFit, ...]
+    """How their initial states are fitted to the past window; () where the map gives them."""
+    cost: float
+    """Least cost."""
+
+
+def fit_members(
+    structure: StateSpaceStructure,
+    found: LinearFit,
+    records: ScaledData,
+    scaling: Scaling,
+    context: Context,
+    method: LevenbergMarquardt,
+    options: LmOptions,
+) -> FittedMembers:
+    """Fits from `method.starts` starting points, all of which simulate as the linear model."""
+    rng = np.random.default_rng(options.seed)
+    starts = starts_of(structure, found, records, method.starts, scaling, rng)
+    ridge = {**options.ridge, "x0": found.error / sum(len(r) for r in records)}
+    samples = of_records(records, with_elements(structure, found).x0)
+    log, time = context.log, context.sampling_time
+    before = list[StateFit]()
+    if options.pieces:
+        before = fit_pieces(
+            structure, found.system, starts, records, samples.x0, ridge, method, log, time
+        )
+    fits = fit_states(
+        structure, starts, samples, ridge, method, log, time,
+        begin=[one.params for one in before] or None, x0=[one.x0 for one in before] or None,
+    )  # fmt: skip
+    members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
+    for one in fits[: options.members]:
+        if options.past_fit and window_samples(context):
+            encoder, fitted = past_fit(structure, one, records, context, options.hidden)
+            how.append(fitted)
+        else:
+            encoder = state_encoder(structure, one, records, context, options.hidden)
+        members.append((one.params, encoder))
+    return FittedMembers(tuple(members), tuple(how), fits[0].cost)

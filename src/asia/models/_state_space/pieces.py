@@ -1,0 +1,139 @@
+"""Fits that begin with short pieces of the records, each from a state of its own.
+
+Over a whole record the simulation error of a system in which small differences grow has many local
+minima; over pieces it has few. The pieces grow to the whole records. Sources: Ribeiro, Tiels,
+Umenberger, Schon and Aguirre, Automatica 121, 2020; Bock, multiple shooting, 1981.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from asia.data import Array
+from asia.models._data.cuts import side_by_side, spread
+from asia.models._data.records import ScaledData
+from asia.models._linear.system import LinearSystem
+from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._solvers.progress import Progress
+from asia.models._state_space.fit import StateFit, fit_states
+from asia.models._state_space.programs import StateSamples
+from asia.models._state_space.structure import StateSpaceStructure
+
+# Samples of a piece, at least and for each state; pieces grow by a factor; how many are fitted.
+_SHORTEST, _BY_STATE, _GROWTH, _MOST = 40, 8, 4, 60
+# Iterations on pieces, the ridge of their states, and what holds the first guess of these.
+_ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
+
+
+class _Piece(NamedTuple):
+    """Where a piece is."""
+
+    record: int
+    start: int
+
+
+def fit_pieces(
+    structure: StateSpaceStructure,
+    system: LinearSystem,
+    starts: Sequence[dict[str, Any]],
+    records: ScaledData,
+    x0: Array,
+    ridge: dict[str, float],
+    method: LevenbergMarquardt,
+    log: Progress,
+    sampling_time: float,
+) -> list[StateFit]:
+    """From each start, the parameters that fit the pieces, and with them the initial states (R, n)
+    of whole records: of the first piece of a record, else x0 (R, n), those of the linear system."""
+    length = max(_SHORTEST, _BY_STATE * structure.size)
+    pieces = _spread(records, length)
+    few = replace(method, iterations=min(method.iterations, _ITERATIONS))
+    ridge = {**ridge, "x0": _STATE_RIDGE}
+    first = [_guess(structure, system, records, piece, length) for piece in pieces]
+    states, fits = [np.array(first)] * len(starts), list[StateFit]()
+    begin: Sequence[dict[str, Any]] = starts
+    while any(2 * len(r) >= 3 * length for r in records):
+        fits = [
+            fit_states(
+                structure, [start], _cut(records, pieces, length, known), ridge, few, log,
+                sampling_time, begin=[params],
+            )[0]
+            for start, params, known in zip(starts, begin, states, strict=True)
+        ]  # fmt: skip
+        begin = [one.params for one in fits]
+        length *= _GROWTH
+        kept = _thinned(pieces, length)
+        whole = [_initial(pieces, one.x0, x0) for one in fits]
+        states = [one.x0[kept] for one in fits]
+        pieces = [pieces[i] for i in kept]
+        fits = [one._replace(x0=x) for one, x in zip(fits, whole, strict=True)]
+    return fits
+
+
+def _spread(records: ScaledData, length: int) -> list[_Piece]:
+    """At most `_MOST` pieces that follow each other, spread over the records, the first samples of
+    each record among them."""
+    every = [
+        [_Piece(i, start) for start in range(0, max(len(r) - length // 2, 1), length)]
+        for i, r in enumerate(records)
+    ]
+    first = [pieces[0] for pieces in every[:_MOST]]
+    later = [piece for pieces in every for piece in pieces[1:]]
+    room = _MOST - len(first)
+    chosen = [later[i] for i in spread(len(later), room)] if later and room else []
+    return sorted([*first, *chosen])
+
+
+def _thinned(pieces: Sequence[_Piece], length: int) -> list[int]:
+    """Which of them to keep so that pieces of this length do not overlap."""
+    kept: list[int] = []
+    for i, piece in enumerate(pieces):
+        last = pieces[kept[-1]] if kept else None
+        if last is None or last.record != piece.record or piece.start - last.start >= length:
+            kept.append(i)
+    return kept
+
+
+def _cut(records: ScaledData, pieces: Sequence[_Piece], length: int, states: Array) -> StateSamples:
+    """Samples of the pieces, with their states to be found from `states`."""
+    u, y, weight = (
+        side_by_side([getattr(records[p.record], n)[p.start : p.start + length] for p in pieces])
+        for n in ("u", "y", "weight")
+    )
+    return StateSamples(states, u, y, weight, known=False)
+
+
+def _guess(
+    structure: StateSpaceStructure,
+    system: LinearSystem,
+    records: ScaledData,
+    piece: _Piece,
+    length: int,
+) -> Array:
+    """State (n,) from which the linear system simulates the first samples of the piece best."""
+    n, few = system.order, min(length, max(10, 3 * system.order))
+    part = slice(piece.start, piece.start + few)
+    u, y = records[piece.record].u[part], records[piece.record].y[part]
+    _, forced = system.simulate(np.zeros((1, n)), u[None])
+    rows, row = list[Array](), system.c
+    for _ in range(len(u)):
+        rows.append(row)
+        row = row @ system.a
+    seen = np.concatenate(rows)
+    gram = seen.T @ seen
+    held = gram + _GUESS_RIDGE * max(float(np.trace(gram)) / n, 1e-12) * np.eye(n)
+    state = np.linalg.solve(held, seen.T @ (y - forced[0]).ravel())
+    return np.pad(state, (0, structure.size - n))
+
+
+def _initial(pieces: Sequence[_Piece], found: Array, x0: Array) -> Array:
+    """Initial states (R, n) of whole records."""
+    states = x0.copy()
+    for piece, state in zip(pieces, found, strict=True):
+        if piece.start == 0:
+            states[piece.record] = state
+    return states
