@@ -67,15 +67,17 @@ def fit_members(
     ridge = {**options.ridge, "x0": found.error / sum(len(r) for r in records)}
     samples = of_records(records, with_elements(structure, found).x0)
     log, time = context.log, context.sampling_time
-    before = list[StateFit]()
+    fits = list[StateFit]()
     if options.pieces:
         before = fit_pieces(
             structure, found.system, starts, records, samples.x0, ridge, method, log, time
         )
-    fits = fit_states(
-        structure, starts, samples, ridge, method, log, time,
-        begin=[one.params for one in before] or None, x0=[one.x0 for one in before] or None,
-    )  # fmt: skip
+        begin, x0 = [one.params for one in before], [one.x0 for one in before]
+        fits = fit_states(structure, starts, samples, ridge, method, log, time, begin=begin, x0=x0)
+        # Pieces may mislead as well: one start goes without.
+        starts = starts[:1]
+    fits += fit_states(structure, starts, samples, ridge, method, log, time)
+    fits.sort(key=lambda one: one.cost)
     members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
     for one in fits[: options.members]:
         if options.past_fit and window_samples(context):

@@ -1,0 +1,92 @@
+"""Where fits of neural state-space models begin, and where their simulations do.
+
+python benchmarks/models/state_space_starts.py [--systems duffing,mimo] [--seeds 100,101]
+
+Fits each configuration to the first half, the second half and all of a synthetic training record,
+as in a search with two folds, and prints the simulation error against the noise-free output over
+the standard deviation of the noise: on the half left out, and on the second record. Nothing here
+is chosen on that second record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Trajectory
+from asia.models import neural_ss
+from asia.models.methods import LevenbergMarquardt
+from asia.problem import Signal
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "searches"))
+from systems import KINDS, PAST, Record, make_system
+
+CONFIG = neural_ss.Config(delay=None)
+FEEDBACK = replace(CONFIG, channels=1)
+CONFIGS = {
+    "functions of all states": CONFIG,
+    "with pieces and past fit": replace(CONFIG, pieces=True, past_fit=True),
+    "one function in feedback": FEEDBACK,
+    "one in feedback, with both": replace(FEEDBACK, pieces=True, past_fit=True),
+}
+METHOD = LevenbergMarquardt(iterations=60, starts=2)
+
+
+def main() -> None:
+    """Print a row for each fit, then the medians."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--systems", default="duffing,mimo,bilinear,wiener_hammerstein")
+    parser.add_argument("--seeds", default="100,101")
+    options = parser.parse_args()
+    rows: dict[str, list[tuple[float, float, float, float]]] = {}
+    print("| system | configuration | folds on their other half | folds, fresh | all, fresh | s |")
+    print("|---|---|---|---|---|---|")
+    for name in options.systems.split(","):
+        for seed in map(int, options.seeds.split(",")):
+            for words, config in CONFIGS.items():
+                row = _row(name, seed, config)
+                rows.setdefault(words, []).append(row)
+                cells = " | ".join(f"{value:.3g}" for value in row)
+                print(f"| {name}-{seed} | {words} | {cells} |", flush=True)
+    for words, found in rows.items():
+        cells = " | ".join(f"{median(column):.3g}" for column in zip(*found, strict=True))
+        print(f"| **median** | {words} | {cells} |")
+
+
+def _row(name: str, seed: int, config: neural_ss.Config) -> tuple[float, float, float, float]:
+    system, start = make_system(KINDS[name], seed), time.monotonic()
+    nu, ny = system.train.u.shape[1], system.train.y.shape[1]
+    context = Context(
+        tuple(Signal(f"u{i + 1}") for i in range(nu)),
+        tuple(Signal(f"y{i + 1}") for i in range(ny)),
+        KINDS[name].sampling_time, n_past_u=PAST, n_past_y=PAST, seed=1,
+    )  # fmt: skip
+    half = len(system.train.u) // 2
+    parts = slice(0, half), slice(half, 2 * half), slice(0, 2 * half)
+
+    def error(model: neural_ss.NeuralStateSpace, record: Record, part: slice) -> float:
+        u, y, truth = record.u[None, part], record.y[None, part], record.truth[part]
+        y_hat = model.simulate(u[:, :PAST], y[:, :PAST], u[:, PAST:])[0]
+        wrong = np.sqrt(np.mean((truth[PAST:] - y_hat) ** 2, axis=0))
+        return float(np.mean(wrong / system.noise_std))
+
+    models = []
+    for part in parts:
+        record = Trajectory(
+            system.train.u[part], system.train.y[part], context.sampling_time, "train"
+        )
+        models.append(neural_ss.train(neural_ss.build(config, context), [record], context, METHOD))
+    other = [error(m, system.train, p) for m, p in zip(models[:2], parts[1::-1], strict=True)]
+    fresh = [error(m, system.test, parts[2]) for m in models]
+    return float(np.mean(other)), float(np.mean(fresh[:2])), fresh[2], time.monotonic() - start
+
+
+if __name__ == "__main__":
+    main()
