@@ -5,7 +5,7 @@ from __future__ import annotations
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.evidence import curved
+from asia.agents.library.evidence import coloured, curved
 from asia.agents.library.family import Family
 from asia.agents.library.methods import (
     LM,
@@ -24,6 +24,8 @@ from asia.agents.library.space import OneOf, Space, Span
 
 def _neural_ss(facts: Facts) -> Recipe:
     config = (("nonlinearity", "state"), ("hidden", 8), ("ridge", 1e-5), ("delay", None))
+    if facts.horizon is None:
+        config = (*config, ("past_fit", True))
     return Recipe(
         "neural_ss", (*config, *integrator_setting(facts)), LM, (("iterations", 60), ("starts", 2))
     )
@@ -42,6 +44,8 @@ def _neural_ss_space(facts: Facts) -> Space:
             OneOf("friction", (0, 1, 2)),
             OneOf("play", (0, 1)),
             OneOf("integrators", (0, 1)),
+            OneOf("pieces", (False, True)),
+            OneOf("past_fit", (False, True)),
             *symmetry_space(facts),
         ),
         options=(
@@ -150,6 +154,17 @@ CARD = Card(
         slow_noise(),
         *integrator_moves(),
         *_ELEMENTS,
+        Move(
+            name="fit from pieces",
+            weight=lambda c: (
+                (0.78 if coloured(c.trial) else 0.4)
+                * (c.facts.horizon is None and not c.recipe.get("pieces"))
+            ),
+            change=lambda c: c.recipe.configured(pieces=True, past_fit=True),
+            hypothesis="The residual is coloured and the fit may sit in a local minimum: short "
+            "pieces of the records, each from a state of its own, have fewer.",
+            expected="A lower training error, V follows.",
+        ),
         Move(
             name="median of several fits",
             weight=lambda c: 0 if c.recipe.get("members") else 0.55,
