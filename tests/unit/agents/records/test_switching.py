@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from asia.agents import ExpertAgent, Trial
 from asia.agents.library.records.switching import Cause, switching
 from asia.data import Trajectory
-from tests.unit.agents.searches import simulation
+from tests.unit.agents.searches import recipe_of, simulation, trial, view
 from tests.unit.models.systems.equations import duffing_record
 from tests.unit.models.systems.friction import (
     backlash,
@@ -45,3 +46,35 @@ def test_a_smooth_spring_is_not_taken_for_friction() -> None:
 
 def test_records_too_short_to_tell_say_nothing() -> None:
     assert not of_records(record(sliding, 2, 100)[:100]).found
+
+
+@pytest.mark.parametrize(
+    ("case", "setting"),
+    [("velocity", "friction"), ("Bouc-Wen", "friction"), ("play", "play")],
+)
+def test_the_expert_gives_a_black_box_the_element_that_the_record_asks_for(
+    case: str, setting: str
+) -> None:
+    known = replace(simulation(physics=False), records=(CASES[case][1],))
+    trials: tuple[Trial, ...] = ()
+    for number in range(1, 16):
+        proposal = ExpertAgent().propose(view(known, trials, "explore"))
+        assert proposal is not None
+        recipe = recipe_of(proposal)
+        if recipe.get(setting):
+            break
+        trials = (*trials, trial(proposal, number, 0.5))
+    assert proposal.family == "neural_ss"
+    assert recipe.get(setting) == 1
+    assert recipe.get("nonlinearity") == "none"
+
+
+def test_the_expert_leaves_a_smooth_system_without_elements() -> None:
+    known = replace(simulation(physics=False), records=(duffing_record(400, 100, 0.003),))
+    trials: tuple[Trial, ...] = ()
+    for number in range(1, 16):
+        proposal = ExpertAgent().propose(view(known, trials, "refine"))
+        assert proposal is not None
+        assert not recipe_of(proposal).get("friction")
+        assert not recipe_of(proposal).get("play")
+        trials = (*trials, trial(proposal, number, 0.5))

@@ -100,6 +100,7 @@ _ELEMENTS: tuple[Move, ...] = (
         hypothesis="What a one-step model leaves over has the sign of an output: a mass whose "
         "velocity is measured, and which sticks. An element of friction can hold it still.",
         expected="A far lower V; the simulation stands where the system stands.",
+        behind_counts=False,
     ),
     Move(
         name="friction or hysteresis",
@@ -108,6 +109,7 @@ _ELEMENTS: tuple[Move, ...] = (
         hypothesis="What a one-step model leaves over depends on which way the output moves, or "
         "where it turned: an element of friction with a memory of its own.",
         expected="A far lower V; lower error after each turn.",
+        behind_counts=False,
     ),
     Move(
         name="play",
@@ -116,6 +118,7 @@ _ELEMENTS: tuple[Move, ...] = (
         hypothesis="What a one-step model leaves over depends on where an input turned: a play "
         "(backlash) between actuator and process.",
         expected="A far lower V; lower error after each turn of the input.",
+        behind_counts=False,
     ),
     Move(
         name="static functions beside the element",
