@@ -32,6 +32,9 @@ RESIDUALS_SHOWN = (
     "comparable with V of the same setting"
 )
 
+# V over that of the training mean from which on a model says next to nothing.
+_BETTER = 0.95
+
 
 def duration(seconds: float) -> str:
     """`7s`, `3m05s` or `1h02m`."""
@@ -125,7 +128,7 @@ def use_lines(view: SearchView) -> list[str]:
     named, refitted = model_to_use(view), view.refitted
     if named is None or refitted is None:
         return []
-    lines = [f"use     {named.model}: {named.reason}"]
+    lines = [f"use     {named.model}: {named.reason}", *_no_better_than_mean(view)]
     if refitted.model is None and refitted.detail and named.model != "ensemble":
         lines.append(f"refit   none: {refitted.detail}")
     if refitted.stack is not None:
@@ -134,6 +137,20 @@ def use_lines(view: SearchView) -> list[str]:
             f"stack   nested {view.v_name}={error_value(stack.value)} {stack_words(stack)}"
         )
     return lines
+
+
+def _no_better_than_mean(view: SearchView) -> list[str]:
+    """What to look at where the best V is no better than that of the mean of the data."""
+    mean = next((r.outcome for r in view.rungs if r.name == "training mean"), None)
+    best = view.best.score if view.best is not None else None
+    if best is None or not isinstance(mean, Score) or best.value < _BETTER * mean.value:
+        return []
+    return [
+        f"doubt   nothing is clearly better than the mean of the data, whose {view.v_name} is "
+        f"{error_value(mean.value)}: do the inputs drive the outputs at all, was the plant in a "
+        "closed loop, is it unstable? Look at asia check; a plant that runs away can be judged on "
+        'short windows, kind = "windows" in [protocol]'
+    ]
 
 
 def stop_words(reason: str, view: SearchView) -> str:
