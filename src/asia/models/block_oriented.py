@@ -128,7 +128,7 @@ def _wiener_hammerstein(
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
     choice = linear.Config(order=config.order, delay=config.delay)
-    found, delay, late = neural_ss.linear_start(records, context, choice)
+    found, delay, late = linear.fit_of_least_order(records, context, choice, 2)
     template = WienerHammersteinStructure(
         found.system.order, context.nu, context.ny, "state", config.basis, config.hidden,
         config.degree, None,

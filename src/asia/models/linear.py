@@ -233,6 +233,17 @@ def fit_records(
     return found, delay, late
 
 
+def fit_of_least_order(
+    records: ScaledData, context: Context, choice: Config, least: int
+) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
+    """`fit_records`; where the order is open, at least so many states."""
+    found, delay, used = fit_records(records, context, choice, Refinement())
+    if choice.order is None and found.system.order < least:
+        choice = replace(choice, order=least, delay=delay)
+        return fit_records(records, context, choice, Refinement())
+    return found, delay, used
+
+
 def _samples_held(order: int, context: Context) -> int:
     """Samples whose Jacobian fits in memory, with the transforms it is made by."""
     signals = order + context.nu

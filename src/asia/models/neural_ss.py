@@ -10,7 +10,7 @@ initialization of state-space artificial neural networks, ECC 2021; Paduart et a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -26,20 +26,19 @@ from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder, affine
 from asia.models._data.records import (
     ScaledData,
-    ScaledTrajectory,
     check,
     scaled,
     window,
-    window_size,
 )
 from asia.models._data.scaling import Scaling
 from asia.models._data.turns import SignalTurns, TurnedData
 from asia.models._data.windows import cut_windows
-from asia.models._linear.fit import LinearFit, Refinement, encoder_of, refine
+from asia.models._linear.fit import Refinement, encoder_of
 from asia.models._linear.windows import WindowPredictor
 from asia.models._networks.simulation import outputs_of
+from asia.models._state_space.by_adam import encoded, fit_by_adam
 from asia.models._state_space.past_fit import PastFit, fitted_state
-from asia.models._state_space.starts import encoded_at_rest, starts_of
+from asia.models._state_space.starts import encoded_at_rest, starts_of, symmetric
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
 
@@ -244,10 +243,10 @@ def _train_records(
     """On whole records, and the least cost with Levenberg-Marquardt."""
     least = (1 if c.friction or c.play else 2) + (c.integrators > 0)
     choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
-    found, delay, used = linear_start(data.records, context, choice, least)
+    found, delay, used = linear.fit_of_least_order(data.records, context, choice, least)
     if data.turns is not None:
         used = data.with_turned(used)
-        found = _symmetric(found, used, data.copies, Refinement(integrators=c.integrators))
+        found = symmetric(found, used, data.copies, Refinement(integrators=c.integrators))
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels,
@@ -265,20 +264,10 @@ def _train_records(
     late = [linear.shifted(r, delay) for r in data.every]
     encoder = encoder_of(used, found, context)
     start = starts_of(structure, found, used, 1, data.scaling, _random(context))[0]
-    params = _encoded(start, encoded_at_rest(structure, encoder), c, context)
-    trained = _by_adam(structure, params, late, context, method, data.copies)
+    params = encoded(start, encoded_at_rest(structure, encoder), c.encoder, context)
+    trained = fit_by_adam(StateCell(structure), params, late, context, method, data.copies)
     members = ((trained, Encoder(**trained.pop("encoder"))),)
     return FittedStateSpace(structure, members, delay, data.scaling, data.turns), np.inf
-
-
-def _symmetric(
-    found: LinearFit, records: ScaledData, copies: int, refinement: Refinement
-) -> LinearFit:
-    """The linear model refined on all records, which say that it is symmetric; turned ones start
-    at rest."""
-    x0 = np.zeros((len(records), found.system.order))
-    x0[::copies] = found.x0
-    return refine(records, LinearFit(found.system, x0, found.error), refinement)
 
 
 def _windowed_start(
@@ -309,7 +298,8 @@ def _train_windowed(
     encoder, rng = affine(lags.selection(), np.zeros(lags.order)), _random(context)
     if isinstance(method, Adam):
         params = structure.start_windowed(predictor, rng)
-        members = [_by_adam(structure, params, data.every, context, method, data.copies)]
+        cell = StateCell(structure)
+        members = [fit_by_adam(cell, params, data.every, context, method, data.copies)]
     else:
         starts = [structure.start_windowed(predictor, rng) for _ in range(method.starts)]
         size = tree_size(starts[0])
@@ -329,54 +319,7 @@ def _random(context: Context) -> np.random.Generator:
     return np.random.default_rng(context.seed)
 
 
-def linear_start(
-    records: ScaledData, context: Context, choice: linear.Config, least: int = 2
-) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
-    """`linear.fit_records`; where the order is open, at least so many states."""
-    found, delay, used = linear.fit_records(records, context, choice, Refinement())
-    if choice.order is None and found.system.order < least:
-        choice = replace(choice, order=least, delay=delay)
-        return linear.fit_records(records, context, choice, Refinement())
-    return found, delay, used
-
-
 def _ridges(config: Config) -> dict[str, float]:
     ridge: dict[str, float] = dict.fromkeys(_LINEAR, config.linear_ridge)
     ridge.update(dict.fromkeys(_NONLINEAR, config.ridge))
     return ridge
-
-
-def _encoded(
-    params: dict[str, Any], start: Encoder, config: Config, context: Context
-) -> dict[str, Any]:
-    """With an encoder that starts as `start`, its tanh functions without effect."""
-    rng = np.random.default_rng(context.seed + 1)
-    d, m = window_size(context), config.encoder
-    inner = rng.standard_normal((d, m)) / np.sqrt(max(d, 1))
-    bend = {"inner": inner, "shift": rng.uniform(-1.0, 1.0, m)}
-    outer = np.zeros((m, len(start.bias)))
-    encoder = {"weights": start.weights, "bias": start.bias, **bend, "outer": outer}
-    return {**params, "encoder": encoder}
-
-
-def _by_adam(
-    structure: StateSpaceStructure,
-    params: dict[str, Any],
-    records: ScaledData,
-    context: Context,
-    method: Adam,
-    copies: int,
-) -> Any:
-    from asia.models._networks.training import fit
-
-    cell = StateCell(structure)
-    start = _cast(params, np.float32)
-    trained = fit(cell, start, records, context, method, copies=copies)
-    return _cast(trained, np.float64)
-
-
-def _cast(tree: Mapping[str, Any], dtype: type[np.floating[Any]]) -> dict[str, Any]:
-    return {
-        name: _cast(v, dtype) if isinstance(v, Mapping) else np.asarray(v, dtype)
-        for name, v in tree.items()
-    }

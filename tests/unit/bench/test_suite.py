@@ -11,16 +11,27 @@ from pathlib import Path
 
 import pytest
 
+from asia.agents import AgentView, ExpertAgent, Proposal
 from asia.bench.suite import SUITE, select_problems
 from asia.data.sources import Channels, Source, SourceData, Subset
 from asia.data.sources.official.files import PublishedFile
 from asia.errors import UserError
-from asia.ledger import open_run
+from asia.problem.load import load_problem
+from asia.search import prepare, search
 from tests.official_data import WRITERS
 from tests.unit.cli.conftest import command_line
 from tests.unit.painting import painted
 
-SAMPLES = 500
+# Of all records that a search has, and of each at least, which is more than a past window.
+SAMPLES, LEAST = 2000, 160
+
+
+class Brisk(ExpertAgent):
+    """The expert, which plans for short fits."""
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        budget = replace(view.facts.budget, fit_seconds=10.0)
+        return super().propose(replace(view, facts=replace(view.facts, budget=budget)))
 
 
 @pytest.fixture
@@ -39,10 +50,11 @@ def first_samples(
     subset: Subset,
     channels: Channels,
 ) -> SourceData:
-    """The first samples of each record."""
+    """The first samples of each record, fewer where there are many records."""
     found = whole(source, subset, channels)
-    truth = None if found.truth is None else tuple(y[:SAMPLES] for y in found.truth)
-    return replace(found, trajectories=tuple(t[:SAMPLES] for t in found.trajectories), truth=truth)
+    few = max(LEAST, SAMPLES // len(found.trajectories))
+    truth = None if found.truth is None else tuple(y[:few] for y in found.truth)
+    return replace(found, trajectories=tuple(t[:few] for t in found.trajectories), truth=truth)
 
 
 def test_benchmarks_are_chosen_by_name_in_the_order_of_the_suite() -> None:
@@ -85,10 +97,10 @@ def test_each_benchmark_is_checked_and_searched(
     assert done.code == 0, done.err
     assert "test, sealed" in done.out
     monkeypatch.setattr(Source, "records", partialmethod(first_samples, Source.records))
-    runs = files / "runs"
-    done = command_line("run", name, "--experiments", 4, "--runs", runs)
-    assert done.code == 0, done.err
-    view = open_run(runs / f"{name}-expert-s0").view
+    problem = load_problem(name)
+    problem = replace(problem, budget=replace(problem.budget, experiments=4))
+    ready = prepare(problem, "expert", seed=0, runs=files / "runs")
+    view = search(ready, Brisk(), lambda *_: None, lambda _: None)
     assert len(view.finished) == 4
     assert view.best is not None
     assert view.best.score is not None

@@ -26,7 +26,7 @@ FIT = "def fit(trajectories, context):\n    return TABLE\n"
 RNG = np.random.default_rng(0)
 RECORD = np.round(RNG.normal(size=1000).cumsum(), 3).tolist()
 PAYLOAD = base64.b85encode(RNG.bytes(1500)).decode()
-MARGIN = 6
+MARGIN = 5
 MOST = np.array([MOST_LITERALS, MOST_NAMES, MOST_ALIKE, MOST_CODE])
 
 

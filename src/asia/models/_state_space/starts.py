@@ -11,7 +11,7 @@ from asia.data import Array
 from asia.models._data.encoder import Encoder, affine
 from asia.models._data.records import ScaledData
 from asia.models._data.scaling import Scaling
-from asia.models._linear.fit import LinearFit
+from asia.models._linear.fit import LinearFit, Refinement, refine
 from asia.models._linear.system import LinearSystem
 from asia.models._state_space.structure import StateSpaceStructure
 
@@ -20,6 +20,16 @@ _STIFFNESS = (30.0, 2.0, 0.5)
 _WIDTH = 0.5
 # Samples that tell how large the signals are which elements act on.
 _SIZED = 4000
+
+
+def symmetric(
+    found: LinearFit, records: ScaledData, copies: int, refinement: Refinement
+) -> LinearFit:
+    """The linear model refined on all records, which say that it is symmetric; turned ones start
+    at rest."""
+    x0 = np.zeros((len(records), found.system.order))
+    x0[::copies] = found.x0
+    return refine(records, replace(found, x0=x0), refinement)
 
 
 def with_elements(structure: StateSpaceStructure, found: LinearFit) -> LinearFit:
