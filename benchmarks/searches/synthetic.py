@@ -23,10 +23,17 @@ from statistics import median
 import numpy as np
 
 from asia.agents import AGENTS, make_agent
-from asia.errors import UserError
-from asia.ledger import Evaluated, Event, SearchView, Store, Unsealed
+from asia.ledger import (
+    Evaluated,
+    Event,
+    SearchView,
+    Store,
+    TestedModel,
+    model_to_use,
+    tested_model,
+)
 from asia.problem.load import Problem, load_problem
-from asia.scoring import Score
+from asia.scoring import Failure, Score
 from asia.search import prepare, search, unseal
 from systems import KINDS, System, make_system, write_problem
 
@@ -37,8 +44,9 @@ LINEAR = "linear model"
 @dataclass(frozen=True)
 class Found:
     """What one search came to. `ratio`: test error against the noise-free truth over the standard
-    deviation of the noise, mean over the channels; None when no candidate had a score. `curve`:
-    best V so far after each experiment, infinite before the first score."""
+    deviation of the noise, mean over the channels; None when no candidate had a score. `named`: the
+    same of the model that the search names, and `use`, which one that is. `curve`: best V so far
+    after each experiment, infinite before the first score."""
 
     linear: float | None
     floor: float | None
@@ -49,6 +57,8 @@ class Found:
     failures: int
     seconds: float
     curve: tuple[float, ...] = ()
+    named: float | None = None
+    use: str = "-"
 
 
 def main() -> None:
@@ -112,14 +122,11 @@ def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path)
             print(f"{name}  {words}  {title}", file=sys.stderr, flush=True)
 
     view = search(ready, make_agent(agent), on_event, lambda view: None)
-    try:
-        ratio = _error_over_noise(system, problem, unseal(ready.directory).record, ready.directory)
-    except UserError as error:
-        print(f"{name}  {error}", file=sys.stderr)
-        ratio = None
-    found = _found(view, ratio)
+    ratio, named, use = _errors_over_noise(system, problem, ready.directory, view)
+    found = replace(_found(view, ratio), named=named, use=use)
     print(
-        f"{name}  error over noise {_number(ratio)}, evaluations {found.seconds:.0f} s, "
+        f"{name}  error over noise {_number(ratio)}, {use} {_number(named)}, "
+        f"evaluations {found.seconds:.0f} s, "
         f"wall {time.monotonic() - start:.0f} s",
         file=sys.stderr,
         flush=True,
@@ -127,11 +134,32 @@ def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path)
     return found
 
 
-def _error_over_noise(system: System, problem: Problem, record: Unsealed, directory: Path) -> float:
-    """The ensemble on the test record against the truth there."""
-    store = Store(directory / "artifacts")
+def _errors_over_noise(
+    system: System, problem: Problem, directory: Path, view: SearchView
+) -> tuple[float | None, float | None, str]:
+    """Of the ensemble and of the model that the search names, and which one that is."""
+    named = model_to_use(view)
+    if named is None:
+        return None, None, "-"
+    record = unseal(directory).record
+    both = (record.ensemble, tested_model(record, named.model))
+    errors = [_error_over_noise(system, problem, one, record.lengths, directory) for one in both]
+    return errors[0], errors[1], named.model
+
+
+def _error_over_noise(
+    system: System,
+    problem: Problem,
+    tested: TestedModel | Failure,
+    lengths: Sequence[int],
+    directory: Path,
+) -> float | None:
+    """A model on the test record against the truth there."""
+    if isinstance(tested, Failure):
+        return None
     ny = len(problem.outputs)
-    (y_hat,) = store.get_arrays(record.ensemble.y_hat, [(n, ny) for n in record.lengths])
+    store = Store(directory / "artifacts")
+    (y_hat,) = store.get_arrays(tested.y_hat, [(n, ny) for n in lengths])
     truth = system.test.truth[problem.protocol.past :]
     error = np.sqrt(np.mean((truth - y_hat) ** 2, axis=0))
     return float(np.mean(error / system.noise_std))
@@ -199,6 +227,7 @@ def _table(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> str:
     for agent in agents:
         heads += [f"V {agent}", "best at", "family", "failed"]
     heads += [f"error over noise, {agent}" for agent in agents]
+    heads += [f"of the model to use, {agent}" for agent in agents]
     lines = [heads, ["---"] * len(heads)]
     for name, found in rows.items():
         first = found[agents[0]]
@@ -207,7 +236,9 @@ def _table(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> str:
             f = found[agent]
             at = "-" if f.number is None else f"#{f.number}"
             cells += [_number(f.best), at, f.family, str(f.failures)]
-        lines.append([*cells, *(_number(found[agent].ratio) for agent in agents)])
+        cells += [_number(found[agent].ratio) for agent in agents]
+        cells += [f"{_number(found[agent].named)} ({found[agent].use})" for agent in agents]
+        lines.append(cells)
     lines.append(_medians(rows, agents))
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
@@ -218,7 +249,8 @@ def _medians(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> list[s
     cells = ["**median**", _median([f.floor for f in firsts]), _median([f.linear for f in firsts])]
     for agent in agents:
         cells += [_median([found[agent].best for found in rows.values()]), "", "", ""]
-    return [*cells, *(_median([f[agent].ratio for f in rows.values()]) for agent in agents)]
+    cells += [_median([found[agent].ratio for found in rows.values()]) for agent in agents]
+    return [*cells, *(_median([found[agent].named for found in rows.values()]) for agent in agents)]
 
 
 def _median(values: Sequence[float | None]) -> str:
