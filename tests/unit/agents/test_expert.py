@@ -203,3 +203,19 @@ def test_models_without_equations_get_the_symmetries_of_their_signals(leader: st
 
     assert leader in given(odd)
     assert not given(inner)
+
+
+def test_what_stays_coloured_is_fitted_from_pieces_and_as_polynomials_before_any_ridge() -> None:
+    known = simulation(physics=False)
+    trials = climb(known, {"neural_ss": 0.3})
+    left = replace(CLEAN, whiteness=0.9)
+    trials = tuple(
+        replace(t, diagnostics=(left, left)) if t.family == "neural_ss" else t for t in trials
+    )
+    pieces = following(known, trials)
+    assert pieces.title == "neural state-space: fit from pieces"
+    tried = (*trials, trial(pieces, len(trials) + 1, 0.2, left))
+    smooth = following(known, tried)
+    assert smooth.title == "neural state-space: polynomials"
+    assert recipe_of(smooth).get("degree") == 3
+    assert recipe_of(smooth).get("pieces")

@@ -61,9 +61,11 @@ def fit_members(
     method: LevenbergMarquardt,
     options: LmOptions,
 ) -> FittedMembers:
-    """Fits from `method.starts` starting points, all of which simulate as the linear model."""
+    """Fits from `method.starts` starting points, one where all are the same. Each simulates as the
+    linear model."""
     rng = np.random.default_rng(options.seed)
-    starts = starts_of(structure, found, records, method.starts, scaling, rng)
+    count = method.starts if structure.starts_vary else 1
+    starts = starts_of(structure, found, records, count, scaling, rng)
     ridge = {**options.ridge, "x0": found.error / sum(len(r) for r in records)}
     samples = of_records(records, with_elements(structure, found).x0)
     log, time = context.log, context.sampling_time

@@ -23,8 +23,24 @@ from asia.models._state_space.fit import StateFit, fit_states
 from asia.models._state_space.programs import StateSamples
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Samples of a piece, at least and for each state; pieces grow by a factor; how many are fitted.
-_SHORTEST, _BY_STATE, _GROWTH, _MOST = 40, 8, 4, 60
+
+class _Lengths(NamedTuple):
+    """How long pieces are."""
+
+    shortest: int
+    """Samples of the first, at least."""
+    by_state: int
+    """Samples for each state of the model."""
+    growth: int
+    """Factor from one length to the next."""
+
+
+# Samples of a piece, at least and for each state, and the factor by which pieces grow. Pieces of a
+# whole period already miss the minimum of a strong oscillator, but elements of friction and play
+# show only in pieces in which the motion turns.
+_SMOOTH, _WITH_ELEMENTS = _Lengths(20, 4, 3), _Lengths(40, 8, 4)
+# How many pieces are fitted.
+_MOST = 60
 # Iterations on pieces, the ridge of their states, and what holds the first guess of these.
 _ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
 
@@ -49,7 +65,8 @@ def fit_pieces(
 ) -> list[StateFit]:
     """From each start, the parameters that fit the pieces, and with them the initial states (R, n)
     of whole records: of the first piece of a record, else x0 (R, n), those of the linear system."""
-    length = max(_SHORTEST, _BY_STATE * structure.size)
+    lengths = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
+    length = max(lengths.shortest, lengths.by_state * structure.size)
     pieces = _spread(records, length)
     few = replace(method, iterations=min(method.iterations, _ITERATIONS))
     ridge = {**ridge, "x0": _STATE_RIDGE}
@@ -65,7 +82,7 @@ def fit_pieces(
             for start, params, known in zip(starts, begin, states, strict=True)
         ]  # fmt: skip
         begin = [one.params for one in fits]
-        length *= _GROWTH
+        length *= lengths.growth
         kept = _thinned(pieces, length)
         whole = [_initial(pieces, one.x0, x0) for one in fits]
         states = [one.x0[kept] for one in fits]

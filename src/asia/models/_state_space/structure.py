@@ -68,6 +68,12 @@ class StateSpaceStructure:
         """States of the model and of its elements."""
         return self.order + self.friction + self.play
 
+    @property
+    def starts_vary(self) -> bool:
+        """Whether starting points differ: polynomials all start at zero."""
+        drawn = self.nonlinearity != "none" and self.basis == "tanh"
+        return drawn or self.channels is not None or self.size > self.order
+
     def input(self, p: Coefficients, u: Any) -> Any:
         """v from u (..., nu)."""
         return u + self._net(p["s"], u) if "s" in p else u

@@ -94,3 +94,24 @@ def test_a_delay_that_only_the_linear_model_sees_is_not_kept() -> None:
         assert model.fitted is not None
         found[config.delay] = model.fitted.delay
     assert found == {3: 3, None: 0}
+
+
+def test_polynomials_start_at_zero_so_that_one_start_says_it_all() -> None:
+    record, method = duffing_record(80, 0), LevenbergMarquardt(iterations=2, starts=3)
+    context = context_for(None, "u", "y", 0.15, seed=1)
+
+    def starts(config: neural_ss.Config) -> list[float]:
+        seen: list[float] = []
+        watched = replace(context, log=lambda step, loss, **_: seen.append(step))
+        neural_ss.train(neural_ss.build(config, watched), [record], watched, method)
+        return seen
+
+    alike, drawn = replace(CONFIG, channels=None), CONFIG
+    assert max(starts(alike)) < max(starts(drawn))
+
+
+@pytest.mark.slow
+def test_polynomials_from_short_pieces_follow_a_strongly_bent_spring() -> None:
+    _, layer = error(replace(CONFIG, channels=None, basis="tanh", hidden=8), 4)
+    _, short = error(replace(CONFIG, channels=None, pieces=True, past_fit=True), 4)
+    assert short < 1.5 < layer

@@ -37,6 +37,8 @@ def _neural_ss_space(facts: Facts) -> Space:
             OneOf("order", (None, 2, 3, 4)),
             OneOf("nonlinearity", ("state", "input", "output", "both", "none")),
             OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
+            OneOf("basis", ("tanh", "polynomial")),
+            OneOf("degree", (2, 3), needs="basis", being="polynomial"),
             OneOf("hidden", (4, 8, 12)),
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
@@ -54,6 +56,37 @@ def _neural_ss_space(facts: Facts) -> Space:
             *noise_space(facts),
         ),
     )
+
+
+# Inputs and outputs for which cubic polynomials, and for which quadratic ones, have few terms.
+_CUBIC, _QUADRATIC = 2, 5
+
+
+def _signals(facts: Facts) -> int:
+    return len(facts.inputs) + len(facts.outputs)
+
+
+def _polynomial_weight(at: Situation) -> float:
+    """Tried from pieces: a whole-record fit from zero seldom finds the way."""
+    facts, recipe = at.facts, at.recipe
+    few = _signals(facts) <= _QUADRATIC and facts.horizon is None
+    smooth = recipe.get("nonlinearity") == "state" and not _has_element(at)
+    if not (few and smooth) or recipe.get("basis") == "polynomial":
+        return 0.0
+    return 0.82 if coloured(at.trial) else 0.5
+
+
+def _as_polynomials(at: Situation) -> Recipe:
+    degree = 3 if _signals(at.facts) <= _CUBIC else 2
+    recipe = at.recipe.configured(basis="polynomial", degree=degree, pieces=True, past_fit=True)
+    return recipe.without("hidden")
+
+
+def _pieces_weight(at: Situation) -> float:
+    """Before any ridge: in a local minimum V is far above the training error as well."""
+    if at.facts.horizon is not None or at.recipe.get("pieces"):
+        return 0.0
+    return 0.88 if coloured(at.trial) else 0.4
 
 
 def _unless_at(at: Situation, place: str, weight: float) -> float:
@@ -159,14 +192,19 @@ CARD = Card(
         *_ELEMENTS,
         Move(
             name="fit from pieces",
-            weight=lambda c: (
-                (0.78 if coloured(c.trial) else 0.4)
-                * (c.facts.horizon is None and not c.recipe.get("pieces"))
-            ),
+            weight=_pieces_weight,
             change=lambda c: c.recipe.configured(pieces=True, past_fit=True),
             hypothesis="The residual is coloured and the fit may sit in a local minimum: short "
             "pieces of the records, each from a state of its own, have fewer.",
             expected="A lower training error, V follows.",
+        ),
+        Move(
+            name="polynomials",
+            weight=_polynomial_weight,
+            change=_as_polynomials,
+            hypothesis="A polynomial of the states is linear in its weights: given the states, "
+            "its fit has one minimum, where a layer of units has many.",
+            expected="Lower training error and V, if the nonlinearity is smooth.",
         ),
         Move(
             name="median of several fits",
@@ -210,7 +248,7 @@ CARD = Card(
             weight=lambda c: (
                 0.5 * (c.recipe.get("nonlinearity") == "state") * (not c.recipe.get("channels"))
             ),
-            change=lambda c: c.recipe.configured(channels=1),
+            change=lambda c: c.recipe.configured(channels=1).trained(starts=4),
             hypothesis="One signal goes through one static function and back into a linear system "
             "(a hardening spring, a saturating actuator in a loop): fewer weights say the same.",
             expected="A lower V at the same training error, if the structure is right.",
