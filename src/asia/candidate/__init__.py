@@ -1,6 +1,7 @@
 """The candidate contract: what a `candidate.py` is given and what it gives back."""
 
 from asia.candidate._contract import VALIDATION_SCORES, Context, Fit, Model
+from asia.candidate._estimates import ParameterEstimate, ParameterEstimates
 from asia.candidate._imports import imported_libraries
 from asia.candidate._libraries import installed_libraries
 from asia.candidate._source import check_source, executed_source, source_digest
@@ -10,6 +11,8 @@ __all__ = [
     "Context",
     "Fit",
     "Model",
+    "ParameterEstimate",
+    "ParameterEstimates",
     "check_source",
     "executed_source",
     "imported_libraries",

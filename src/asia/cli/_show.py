@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated
 
 import typer
 
 from asia._text import hand_over, printable
 from asia.cli._options.run_directory import run_directory
-from asia.cli._options.shared import DEFAULT_RUNS, Runs
+from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs
 
 
 def split_arguments(words: list[str], numbers: int) -> tuple[str | None, list[int]]:
@@ -31,12 +32,13 @@ def show(
         ),
     ] = None,
     source: Annotated[bool, typer.Option("--source", help="Print candidate.py alone.")] = False,
+    as_json: Json = False,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Print an experiment: hypothesis, result, evidence, source."""
+    """Print an experiment: hypothesis, result, what was identified, evidence, source."""
     from rich.syntax import Syntax
 
-    from asia.cli._output.experiment import describe, wide_console
+    from asia.cli._output.experiment import describe, experiment_object, wide_console
     from asia.errors import UserError
     from asia.ledger import open_run
 
@@ -50,6 +52,9 @@ def show(
     kept = opened.store.kept
     if source:
         hand_over(opened.store.text(experiment.proposed.source))
+        return
+    if as_json:
+        hand_over(json.dumps(experiment_object(opened, experiment), allow_nan=False) + "\n")
         return
     console = wide_console()
     describe(console, opened, experiment)

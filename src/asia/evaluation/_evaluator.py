@@ -35,6 +35,7 @@ from asia.evaluation._results import (
     FoldEnd,
     FoldResult,
     Refit,
+    RefitModel,
     consistency,
     derive_seed,
 )
@@ -201,7 +202,7 @@ class Evaluator(WorkerRunner):
         """Fit on all training records, and on one of the folds a second time."""
         source = executed_source(source)
         fold = self.folds[derive_seed(self._context.seed, self._salt) % len(self.folds)]
-        models: list[bytes | CandidateError] = []
+        models: list[RefitModel | CandidateError] = []
         results: list[FoldResult | Failure] = []
         self._run(
             [
@@ -211,18 +212,21 @@ class Evaluator(WorkerRunner):
         )
         return Refit(models[0], fold.index + 1, results[0])
 
-    def refit_again(self, source: str, start: int) -> bytes | CandidateError:
+    def refit_again(self, source: str, start: int) -> RefitModel | CandidateError:
         """Fit on all training records with the seed of another start; 0 is that of `refit`."""
         return self._run([partial(self._fit_all, executed_source(source), start)])[0]
 
-    def _fit_all(self, source: str, start: int) -> bytes | CandidateError:
+    def _fit_all(self, source: str, start: int) -> RefitModel | CandidateError:
         """Nothing is held out, so the candidate has no validation score to ask for."""
+        model: bytes | None = None
         try:
             with self._worker(imported_libraries(source, fitting=True)) as worker:
                 worker.fit(source, self._records, self._fold_context("all", start))
-                return worker.dump()
+                model = worker.dump()
+                return RefitModel(model, worker.estimates())
         except CandidateError as error:
-            return error
+            # A model is none the worse for estimates that cannot be had.
+            return error if model is None else RefitModel(model)
 
     def simulate_training(
         self, source: str, models: Sequence[bytes]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia.candidate import ParameterEstimates
 from asia.data import Array
 from asia.errors import CandidateError
 from asia.protocol import Fold
@@ -106,10 +107,20 @@ class Evaluation:
 
 
 @dataclass(frozen=True)
+class RefitModel:
+    """A model fitted on all training records."""
+
+    model: bytes
+    """The model; never parsed outside a sandbox."""
+    estimates: ParameterEstimates | None = None
+    """What it says of its parameters; None where it says nothing."""
+
+
+@dataclass(frozen=True)
 class Refit:
     """A candidate fitted on all training records, and on one fold a second time."""
 
-    model: bytes | CandidateError
+    model: RefitModel | CandidateError
     """The model fitted on all training records, or why there is none."""
     fold: int
     """The number of the fold that was fitted again, from 1."""

@@ -65,7 +65,17 @@ from asia.ledger.evidence.experiment import (
     settings_of_run,
 )
 from asia.ledger.evidence.findings import findings_of, put_findings
+from asia.ledger.evidence.identified_words import identified_lines, identified_object
 from asia.ledger.evidence.noise import noise_of_repeats
+from asia.ledger.evidence.parameters import (
+    EstimatedModel,
+    EstimatedParameter,
+    IdentifiedModel,
+    IdentifiedParameter,
+    get_estimates,
+    identified,
+    put_estimates,
+)
 from asia.ledger.evidence.words import evidence_lines
 from asia.scoring import Diagnostics
 
@@ -77,6 +87,8 @@ __all__ = [
     "ComparedScore",
     "Control",
     "Diagnostics",
+    "EstimatedModel",
+    "EstimatedParameter",
     "Evaluated",
     "Event",
     "Exchanged",
@@ -89,6 +101,8 @@ __all__ = [
     "GuardScore",
     "HandOverReason",
     "HandedOver",
+    "IdentifiedModel",
+    "IdentifiedParameter",
     "Leg",
     "Line",
     "ModelToUse",
@@ -132,7 +146,11 @@ __all__ = [
     "evidence_of",
     "find_run",
     "findings_of",
+    "get_estimates",
     "hand_over_words",
+    "identified",
+    "identified_lines",
+    "identified_object",
     "in_use",
     "journal",
     "metric_of",
@@ -141,6 +159,7 @@ __all__ = [
     "open_run",
     "phase_words",
     "published",
+    "put_estimates",
     "put_findings",
     "read_lines",
     "refresh",

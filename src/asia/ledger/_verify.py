@@ -124,8 +124,7 @@ def _artifacts(event: Event) -> Iterator[str]:
         case Streamed():
             yield event.lines
         case Refitted():
-            if event.model:
-                yield event.model
+            yield from (one for one in (event.model, event.estimates) if one)
         case Unsealed():
             yield event.measured
             for record in (event.ensemble, event.refit, event.stack):

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import Context, ParameterEstimates
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._equations.added.extend import extended
 from asia.models._equations.added.priors import NO_PRIORS, ParameterPriors, parameter_priors
 from asia.models._equations.config import Config, GreyBoxStructure, Range
 from asia.models._equations.fit import FittedEquations, fit
+from asia.models._equations.identified.printed import equation_lines
 from asia.models._equations.initial_state import simulate_cases
 from asia.models._equations.ode import Equations, equations
 from asia.models._equations.simulate import Effects, effects
@@ -58,10 +59,25 @@ class GreyBox:
     def parameters(self) -> dict[str, float]:
         """Physical parameters, and those of the additions that have a physical meaning: limits
         of states, spilled fractions, offsets of outputs and delays in samples."""
-        fitted, config = self._trained(), self.structure.config
-        system = self.structure.equations
-        rows = effects(self.structure, fitted.scales.for_rows(), fitted.z[:, None])
-        effect = Effects(*(a[..., 0] for a in rows))
+        return self._parameters_at(self._trained().z)
+
+    def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> ParameterEstimates:
+        """What the records that it was fitted to say of the parameters: standard errors, intervals
+        and correlations, with the residuals' correlation in time, and its equations."""
+        from asia.models._equations.identified.estimates import Around
+
+        fitted = self._trained()
+        segments = cut_segments(self.structure, trajectories, context.horizon)
+        around = Around(self.structure, fitted, segments, self._parameters_at)
+        return around.estimates(self.equations())
+
+    def equations(self) -> list[str]:
+        """The equations with the fitted numbers put in, and what is added to them, one a line."""
+        fitted = self._trained()
+        return equation_lines(self.structure, fitted.scales, self._effect(fitted.z))
+
+    def _parameters_at(self, z: Array) -> dict[str, float]:
+        config, system, effect = self.structure.config, self.structure.equations, self._effect(z)
         report = dict(zip(system.parameters, effect.parameters, strict=True))
         for name in self.structure.learned.spans:
             del report[f"{name} low"], report[f"{name} high"]
@@ -78,6 +94,10 @@ class GreyBox:
         if config.input_delay:
             report |= {f"{n} delay": d for n, d in zip(system.inputs, effect.delay, strict=True)}
         return {name: float(value) for name, value in report.items()}
+
+    def _effect(self, z: Array) -> Effects:
+        rows = effects(self.structure, self._trained().scales.for_rows(), z[:, None])
+        return Effects(*(np.asarray(a)[..., 0] for a in rows))
 
     def _trained(self) -> FittedEquations:
         if self.fitted is None:

@@ -10,7 +10,7 @@ import pytest
 from asia.candidate import VALIDATION_SCORES, Context
 from asia.data import Signal, Trajectory
 from asia.errors import Reason
-from asia.evaluation import Evaluation, Evaluator
+from asia.evaluation import Evaluation, Evaluator, RefitModel
 from asia.evaluation import _workers as workers_module
 from asia.evaluation._oracle import rounded_score
 from asia.executor import LocalExecutor
@@ -287,7 +287,7 @@ def test_time_spent_on_scores_counts_as_the_fits() -> None:
 
 def test_nothing_is_held_out_in_the_refit() -> None:
     only_blind = asking("assert context.validation_score is None")
-    assert isinstance(evaluator().refit(only_blind).model, bytes)
+    assert isinstance(evaluator().refit(only_blind).model, RefitModel)
     assert failure(evaluator().evaluate(only_blind)).reason is Reason.CRASH
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rich.table import Table
 from rich.text import Text
 
@@ -16,6 +18,9 @@ from asia.ledger import (
     error_value,
     evidence_lines,
     evidence_of,
+    identified,
+    identified_lines,
+    identified_object,
     phase_words,
     settings_of_run,
 )
@@ -70,6 +75,8 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         console.print(experiment.failure.detail)
     if not run.store.kept:
         return
+    if refitted and refitted.experiment == experiment.number:
+        _print_identified(console, run)
     evidence = evidence_of(
         experiment, run.view, run.store, settings_of_run(run.directory), bounded=False
     )
@@ -82,6 +89,37 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         console.print("\nprinted while fitting (untrusted)", style="bold")
         for line in tail:
             console.print(line)
+
+
+def experiment_object(run: Run, experiment: Experiment) -> dict[str, Any]:
+    """The experiment for scripts."""
+    proposed, result, score = experiment.proposed, experiment.result, experiment.score
+    found = identified(run)
+    mine = found is not None and found.experiment == experiment.number
+    return {
+        "run": run.name,
+        "experiment": experiment.number,
+        "title": proposed.title,
+        "family": proposed.family,
+        "phase": proposed.phase,
+        "parent": proposed.parent,
+        "hypothesis": proposed.hypothesis,
+        "expected": proposed.expected,
+        "status": result.status if result else None,
+        "V": score.value if score else None,
+        "folds": [fold.value for fold in score.folds] if score else [],
+        "reason": experiment.failure.reason.value if experiment.failure else None,
+        **(identified_object(found) if found is not None and mine else {"parameters": None}),
+    }
+
+
+def _print_identified(console: Terminal, run: Run) -> None:
+    found = identified(run)
+    if found is None:
+        return
+    console.print("\nwhat was identified", style="bold")
+    for line in identified_lines(found):
+        console.print(printable_line(line))
 
 
 def _fold_table(console: Terminal, run: Run, experiment: Experiment) -> None:

@@ -279,4 +279,7 @@ class Refitted:
     """The model to use; None in older ledgers."""
     reason: str = ""
     """Why this one, in a sentence."""
+    estimates: str | None = None
+    """Artifact of what the refit says of its parameters; None where it says nothing, and in older
+    ledgers."""
     event: Literal["refitted"] = "refitted"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ from asia.models._equations.starts import (
     screen,
 )
 from asia.models._noise.estimate import NOISE_ROUNDS
+from asia.models._noise.whitening import ResidualNoise
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.minimise import TRIALS, Minimum, minimise
 
@@ -42,6 +43,11 @@ class FittedEquations:
     """What a past window says of the state."""
     history: Array
     """Cost after each iteration."""
+    noise: ResidualNoise | None = None
+    """The noise under which it was fitted, in units of `y_scale`; None is least squares, and in
+    older models."""
+    huber: float | None = None
+    """Threshold on the innovations of that noise."""
 
 
 def fit(
@@ -79,7 +85,8 @@ def fit(
         found = stages.under_noise(starts, active, stages.best_fits(starts, active))
     if not np.isfinite(found.cost).any():
         raise FloatingPointError("grey-box: no starting point gives a finite simulation")
-    return _finish(structure, segments, simulate, starts, found, np.concatenate(stages.curve))
+    fitted = _finish(structure, segments, simulate, starts, found, np.concatenate(stages.curve))
+    return replace(fitted, noise=noise.noise, huber=method.huber)
 
 
 @dataclass(frozen=True)

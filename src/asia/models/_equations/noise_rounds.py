@@ -28,7 +28,7 @@ class NoiseRounds:
     ) -> None:
         self._structure, self._segments, self._simulate = structure, segments, simulate
         self._choice = NoiseChoice.of(method)
-        self._noise: ResidualNoise | None = None
+        self.noise: ResidualNoise | None = None
         self.weighting: ErrorWeighting | None = None
         if self._choice is not None and structure.config.robust is not None:
             raise UserError(
@@ -52,8 +52,8 @@ class NoiseRounds:
         time = structure.sampling_time
         residual = (y - segments.y) / scales.y_scale
         noise = estimate_noise(residual, mask, time, self._choice, floor)
-        if settled(self._noise, noise):
+        if settled(self.noise, noise):
             return False
-        self._noise = noise
+        self.noise = noise
         self.weighting = ErrorWeighting.of(noise, time, mask, self._choice.huber)
         return True

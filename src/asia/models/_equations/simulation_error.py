@@ -105,10 +105,7 @@ class SimulationError:
         z, shift = self._parts(self._around(theta, fitted))
         with np.errstate(all="ignore"):
             for part in self._simulate.pieces():
-                found = self._errors(chosen, z, shift, part)
-                found = found.reshape(*found.shape[:3], -1)
-                e, (up, down) = found[:, 0], np.split(found[:, 1:], 2, axis=1)
-                jacobian = ((up - down) / (2.0 * _STEP)).transpose(0, 2, 3, 1)
+                e, jacobian = self._derivatives(chosen, z, shift, part)
                 turned = jacobian.swapaxes(2, 3)
                 own, pull = turned @ jacobian, (turned @ e[..., None])[..., 0]
                 cost += np.einsum("rsm,rsm->r", e, e)
@@ -126,6 +123,44 @@ class SimulationError:
             self._add_ridges(theta, cost, gram, gradient)
             self._add_knowledge(z, fitted, cost, gram, gradient)
         return NormalEquations(cost, gram, gradient)
+
+    def jacobians(self, theta: Array) -> tuple[Array, Array, Array]:
+        """Of the first row at theta (1, n): errors (S, T, ny), weighted as in the cost, and their
+        derivatives (S, T, ny, P) by the coordinates that are fitted, and (S, T, ny, nx) by the
+        segment's own initial state, () where that is measured."""
+        fitted, first = np.flatnonzero(self._active), np.arange(1)
+        z, shift = self._parts(self._around(theta[:1], fitted))
+        with np.errstate(all="ignore"):
+            found = [self._derivatives(first, z, shift, p) for p in self._simulate.pieces()]
+        e, jacobian = (np.concatenate([part[i][0] for part in found]) for i in range(2))
+        e = e.reshape(self._segments.y.shape)
+        jacobian = jacobian.reshape(*e.shape, -1)
+        return e, jacobian[..., : len(fitted)], jacobian[..., len(fitted) :]
+
+    def ridge(self, theta: Array) -> Array:
+        """(P, P): what priors and ridges add to the normal equations of the coordinates that are
+        fitted, at theta (1, n). Without the weak ridge on physical quantities: it helps the search
+        and is no knowledge."""
+        size, fitted = self._structure.layout.size, np.flatnonzero(self._active)
+        cost, gradient = np.zeros(1), np.zeros((1, theta.shape[1]))
+        gram = np.zeros((1, theta.shape[1], theta.shape[1]))
+        self._add_ridges(theta[:1], cost, gram, gradient)
+        layout = self._structure.layout
+        for part in (layout.parameters, layout.limits, layout.spill):
+            gram[:, part, part] = 0.0
+        z, _ = self._parts(self._around(theta[:1], fitted))
+        self._add_knowledge(z, fitted, cost, gram, gradient)
+        return gram[0, :size, :size][np.ix_(fitted, fitted)]
+
+    def _derivatives(
+        self, chosen: Indices, z: Array, shift: Array, part: slice
+    ) -> tuple[Array, Array]:
+        """Errors (R, S, M) of M values a segment, and their derivatives (R, S, M, K), at points as
+        from `_around`."""
+        found = self._errors(chosen, z, shift, part)
+        found = found.reshape(*found.shape[:3], -1)
+        up, down = np.split(found[:, 1:], 2, axis=1)
+        return found[:, 0], ((up - down) / (2.0 * _STEP)).transpose(0, 2, 3, 1)
 
     def _around(self, theta: Array, fitted: Indices) -> Array:
         """theta (R, n), then every unknown moved up, then down: (R, K, n)."""

@@ -29,12 +29,14 @@ if TYPE_CHECKING:
     from asia.candidate import Context, Model
     from asia.data import Array, Trajectory
     from asia.sandbox.walls import lockdown
-    from asia.sandbox.worker import compilation, portable, wire
+    from asia.sandbox.worker import compilation, curve, figures, portable, wire
 else:
     # By their folders: the package around them imports what only the parent needs.
     _HERE = os.path.dirname(os.path.abspath(__file__))
     sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "walls")]
     import compilation
+    import curve
+    import figures
     import lockdown
     import portable
     import wire
@@ -108,30 +110,6 @@ class _WrongShapeError(Exception):
         self.shape = shape
 
 
-class _Curve:
-    """Training curve of bounded size: thinned by two whenever it is full."""
-
-    def __init__(self, rows: int) -> None:
-        self._rows = rows
-        self._stride = 1
-        self._calls = 0
-        self._kept: list[tuple[float, float]] = []
-
-    def log(self, step: float, loss: float) -> None:
-        if self._calls % self._stride == 0:
-            if len(self._kept) == self._rows:
-                self._kept = self._kept[::2]
-                self._stride *= 2
-            if self._calls % self._stride == 0:
-                self._kept.append((float(step), float(loss)))
-        self._calls += 1
-
-    def tobytes(self) -> bytes:
-        import numpy as np
-
-        return np.array(self._kept, dtype="<f8").tobytes()
-
-
 def _execute(source: str) -> ModuleType:
     """Run the source as module `candidate`, so that models pickle by reference to it."""
     module = ModuleType("candidate")
@@ -160,6 +138,7 @@ class _Session:
         self._pid = os.getpid()
         self._token = bytes(wire.TOKEN_BYTES)
         self._model: Model | None = None
+        self._fitted_to: tuple[list[Trajectory], Context] | None = None
         self._executed: str | None = None
         self._fitting = False
         self._asking = threading.Lock()
@@ -174,6 +153,7 @@ class _Session:
             "simulate": self._simulate,
             "dump": self._dump,
             "parameters": self._parameters,
+            "estimates": self._estimates,
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
         }
         while True:
@@ -221,16 +201,17 @@ class _Session:
         fit = getattr(module, "fit", None)
         if not callable(fit):
             raise _RefusedError("the source defines no function fit(trajectories, context)")
-        curve = _Curve(wire.CURVE_ROWS)
-        context = _context(known, curve.log, self._validation_score if scored else None)
+        points = curve.TrainingCurve(wire.CURVE_ROWS)
+        context = _context(known, points.log, self._validation_score if scored else None)
         self._reply(wire.ReplyKind.STARTED)
         self._fitting = True
         self._model = _as_model(fit(trajectories, context))
         self._fitting = False
+        self._fitted_to = trajectories, context
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(Exception):
                 stream.flush()
-        return curve.tobytes()
+        return points.tobytes()
 
     def _validation_score(self, model: Model) -> float:
         body = self._pickled(_as_model(model, "validation_score was given"))
@@ -275,7 +256,18 @@ class _Session:
         without them, or with something else of that name, is none the worse."""
         offered = getattr(self._model, "parameters", None)
         try:
-            return wire.pack_parameters(offered() if callable(offered) else offered)
+            return figures.pack_parameters(offered() if callable(offered) else offered)
+        except Exception:  # noqa: BLE001 - the border to candidate code
+            return b""
+
+    def _estimates(self) -> bytes:
+        """What the model says of its parameters, given what it was fitted to; nothing where it has
+        no such method or fails in it."""
+        offered = getattr(self._model, "estimates", None)
+        try:
+            assert callable(offered)
+            assert self._fitted_to is not None
+            return figures.pack_estimates(offered(*self._fitted_to))
         except Exception:  # noqa: BLE001 - the border to candidate code
             return b""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import contextlib
 import math
 import pickle
@@ -14,7 +13,7 @@ import numpy as np
 
 from asia._stopwatch import Activity, Seconds
 from asia._text import printable
-from asia.candidate import Context
+from asia.candidate import Context, ParameterEstimate, ParameterEstimates
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError
 from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError, WorkerKilledError
@@ -26,35 +25,26 @@ from asia.sandbox.worker.channel import (
     UnsolicitedError,
 )
 from asia.sandbox.worker.clock import WorkerClock, peak_memory_mb
+from asia.sandbox.worker.failures import KNOWN_ERRORS, OUT_OF_MEMORY, REASONS, shape_words
+from asia.sandbox.worker.figures import (
+    ESTIMATES_BYTES,
+    PARAMETERS_BYTES,
+    EstimateRows,
+    unpack_estimates,
+    unpack_parameters,
+)
 from asia.sandbox.worker.process import WorkerProcess
 from asia.sandbox.worker.wire import (
     COMPILED_BYTES,
     CURVE_ROW_BYTES,
     CURVE_ROWS,
-    PARAMETERS_BYTES,
-    SHAPE_DIMENSIONS,
     TEXT_BYTES,
     ReplyKind,
-    unpack_parameters,
 )
 
 _START_SECONDS = 60.0
 _COUNT_SECONDS = 1.0
 _LAST_WORDS = 1500
-_REASONS = {
-    ReplyKind.SYNTAX: Reason.SYNTAX,
-    ReplyKind.CONTRACT: Reason.CONTRACT,
-    ReplyKind.CRASH: Reason.CRASH,
-    ReplyKind.EXITED: Reason.EXITED,
-    ReplyKind.MEMORY: Reason.MEMORY,
-    ReplyKind.SHAPE: Reason.WRONG_LENGTH,
-}
-_KNOWN_ERRORS = frozenset(
-    name
-    for name, value in vars(builtins).items()
-    if isinstance(value, type) and issubclass(value, BaseException)
-) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
-_OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
 
 
 class Worker:
@@ -167,23 +157,36 @@ class Worker:
             return self._model_bytes(self._head(deadline, late), deadline, late)
 
     def parameters(self) -> tuple[tuple[str, float], ...]:
-        """The named parameters that the fitted model offers, at most `wire.PARAMETERS`. To be asked
-        before any case: what a model says afterwards could hold what it was given."""
-        self._need_model()
-        if self._cases_seen:
-            raise SandboxError("the worker has seen cases: parameters are asked for before them")
-        late = Reason.FIT_TIMEOUT
-        deadline = time.monotonic() + self._limits.fit_seconds
-        with self._clock.activity(Activity.FIT):
-            self._send("parameters", (), deadline, late)
-            head = self._head(deadline, late)
-            if head.length > PARAMETERS_BYTES:
-                raise self._failure(Reason.UNSOLICITED, "too many parameters")
-            body = self._body(head, deadline, late)
+        """The named parameters that the fitted model offers, at most `figures.PARAMETERS`. To be
+        asked before any case: what a model says afterwards could hold what it was given."""
+        body = self._said_of_parameters("parameters", PARAMETERS_BYTES)
         try:
             return unpack_parameters(body)
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
+
+    def estimates(self) -> ParameterEstimates | None:
+        """What the fitted model says of its parameters and of its equations, given the records of
+        its fit, in at most fit_seconds; None where it says nothing. As `parameters`, to be asked
+        before any case."""
+        body = self._said_of_parameters("estimates", ESTIMATES_BYTES)
+        try:
+            return _estimates(unpack_estimates(body)) if body else None
+        except ValueError as error:
+            raise self._failure(Reason.UNSOLICITED, str(error)) from None
+
+    def _said_of_parameters(self, request: str, most: int) -> bytes:
+        self._need_model()
+        if self._cases_seen:
+            raise SandboxError(f"the worker has seen cases: {request} are asked for before them")
+        late = Reason.FIT_TIMEOUT
+        deadline = time.monotonic() + self._limits.fit_seconds
+        with self._clock.activity(Activity.FIT):
+            self._send(request, (), deadline, late)
+            head = self._head(deadline, late)
+            if head.length > most:
+                raise self._failure(Reason.UNSOLICITED, f"too many {request}")
+            return self._body(head, deadline, late)
 
     @property
     def printed(self) -> str:
@@ -304,13 +307,13 @@ class Worker:
             head = self._channel.receive_head(deadline)
             if head.status in wanted:
                 return head
-            if head.status not in _REASONS:
+            if head.status not in REASONS:
                 raise UnsolicitedError
             length = head.length if head.length <= TEXT_BYTES else 0
             body = self._channel.receive(length, deadline)
         except (LateError, GoneError, UnsolicitedError) as error:
             raise self._translated(error, late) from None
-        raise self._failure(_REASONS[head.status], self._words(head.status, body, expected))
+        raise self._failure(REASONS[head.status], self._words(head.status, body, expected))
 
     def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
         """A model that follows `head`."""
@@ -328,13 +331,13 @@ class Worker:
     def _words(self, status: ReplyKind, body: bytes, expected: tuple[int, ...]) -> str:
         """Detail of a failure the worker reported. Once it knows cases it may not speak freely."""
         if status is ReplyKind.SHAPE:
-            return f"got shape {_shape_words(body, expected)}, expected {expected}"
+            return f"got shape {shape_words(body, expected)}, expected {expected}"
         text = printable(body.decode("utf-8", "replace")).strip()
         if not self._cases_seen:
             return text
         if status is ReplyKind.CONTRACT:
             return "no array of numbers, or no model with simulate"
-        return text if text in _KNOWN_ERRORS else "an exception of its own"
+        return text if text in KNOWN_ERRORS else "an exception of its own"
 
     def _translated(self, error: Exception, late: Reason) -> CandidateError | SandboxError:
         if isinstance(error, LateError):
@@ -354,7 +357,7 @@ class Worker:
         if self._cases_seen:
             return self._failure(Reason.EXITED)
         said = self._channel.take_output()[-_LAST_WORDS:].strip()
-        starved = any(words in said.lower() for words in _OUT_OF_MEMORY)
+        starved = any(words in said.lower() for words in OUT_OF_MEMORY)
         how = "" if ending.code is None else f"exit code {ending.code}; "
         detail = f"{how}last printed: {said or 'nothing'}"
         return self._failure(Reason.MEMORY if starved else Reason.EXITED, detail)
@@ -377,9 +380,12 @@ def _floats(data: bytes) -> Array:
     return np.frombuffer(data, dtype="<f8").astype(np.float64)
 
 
-def _shape_words(body: bytes, expected: tuple[int, ...]) -> str:
-    """The shape a candidate returned, in numbers near the expected ones only."""
-    dimensions = np.frombuffer(body[: len(body) // 8 * 8], dtype="<i8")[:SHAPE_DIMENSIONS]
-    likely = {0, 1, *(n + shift for n in expected for shift in (-1, 0, 1))}
-    words = [str(n) if n in likely else "?" for n in dimensions.tolist()]
-    return f"({', '.join(words)})"
+def _estimates(said: EstimateRows) -> ParameterEstimates:
+    rows: list[ParameterEstimate] = []
+    for row in said.rows:
+        value, error, low, high, lower, upper, share = row.figures
+        rows.append(
+            ParameterEstimate(row.name, value, error, low, high, row.unit, lower, upper, share)
+        )
+    correlation = np.array(said.correlation).reshape(len(rows), len(rows))
+    return ParameterEstimates(tuple(rows), correlation, said.equations)

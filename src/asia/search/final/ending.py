@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from asia.errors import CandidateError
 from asia.evaluation import Evaluator, Refit
-from asia.ledger import Again, Experiment, Refitted, SearchView, Store
+from asia.ledger import Again, Experiment, Refitted, SearchView, Store, put_estimates
 from asia.scoring import Failure
 from asia.search.final.choice import FinalEvidence, choose_model
 from asia.search.final.refit import CheckedRefit, check_refit
@@ -32,6 +32,7 @@ def refit_winner(
         again=None if refit is None else _second_fit(best, refit),
         check=checked.check,
         stack=stack,
+        estimates=_kept_estimates(store, checked),
     )
     chosen = choose_model(FinalEvidence.of(best, refitted))
     return replace(refitted, use=chosen.model, reason=chosen.reason)
@@ -45,6 +46,11 @@ def _refit(
     models = [store.get(fold.model) for fold in best.result.folds]
     refit = evaluator.refit(source)
     return refit, check_refit(evaluator, source, models, refit.model, metric)
+
+
+def _kept_estimates(store: Store, checked: CheckedRefit) -> str | None:
+    found = checked.estimates
+    return None if found is None or not found.parameters else put_estimates(store, found)
 
 
 def _second_fit(best: Experiment, refit: Refit) -> Again:

@@ -9,9 +9,10 @@ from statistics import median
 
 import numpy as np
 
+from asia.candidate import ParameterEstimates
 from asia.data import Array
 from asia.errors import CandidateError
-from asia.evaluation import Evaluator, mean_simulation
+from asia.evaluation import Evaluator, RefitModel, mean_simulation
 from asia.ledger import RefitCheck, RefitStart, error_value
 from asia.scoring import score_fold
 
@@ -37,34 +38,39 @@ class CheckedRefit:
     """Why there is none."""
     check: RefitCheck | None
     """The comparison; None where it could not be made."""
+    estimates: ParameterEstimates | None = None
+    """What it says of its parameters; None where it says nothing."""
 
 
 def check_refit(
     evaluator: Evaluator,
     source: str,
     fold_models: Sequence[bytes],
-    first: bytes | CandidateError,
+    first: RefitModel | CandidateError,
     metric: str,
 ) -> CheckedRefit:
     """Compare a refit with the fold models on the training records; where it is worse than their
     ensemble, fit again from other seeds and keep the best. first: the refit as `Evaluator.refit`
     made it."""
     comparison = _Comparison(evaluator, source, metric, fold_models)
-    tried: list[bytes | CandidateError] = []
+    tried: list[RefitModel | CandidateError] = []
+    models: list[bytes] = []
     while len(tried) < STARTS:
-        model = first if not tried else evaluator.refit_again(source, len(tried))
-        if isinstance(model, bytes) and model in tried:
-            break  # a fit without randomness
-        tried.append(model)
-        comparison.add(model)
+        fitted = first if not tried else evaluator.refit_again(source, len(tried))
+        if isinstance(fitted, RefitModel):
+            if fitted.model in models:
+                break  # a fit without randomness
+            models.append(fitted.model)
+        tried.append(fitted)
+        comparison.add(fitted.model if isinstance(fitted, RefitModel) else fitted)
         if is_worthy(comparison.result):
             break
     check = comparison.result
     if check.kept is None:
         return CheckedRefit(None, _none_words(check.starts), check)
     kept = tried[check.kept - 1]
-    assert isinstance(kept, bytes)
-    return CheckedRefit(kept, "", check)
+    assert isinstance(kept, RefitModel)
+    return CheckedRefit(kept.model, "", check, kept.estimates)
 
 
 def is_worthy(check: RefitCheck) -> bool:

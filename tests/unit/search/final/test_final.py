@@ -244,3 +244,48 @@ def test_a_ledger_of_an_older_version_names_the_ensemble(tmp_path: Path) -> None
     record = open_run(tmp_path / "unsealed").view.unsealed
     assert record is not None
     assert ledger.tested_model(record, named.model) == record.ensemble
+
+
+ESTIMATES = """
+
+
+class Estimating(Model):
+    def parameters(self):
+        return {f"w{i}": float(w) for i, w in enumerate(self.weights[:, 0])}
+
+    def estimates(self, trajectories, context):
+        from asia.candidate import ParameterEstimate, ParameterEstimates
+        rows = tuple(ParameterEstimate(n, v, 0.1, v - 0.2, v + 0.2, lower=-5.0, upper=5.0)
+                     for n, v in self.parameters().items())
+        samples = sum(len(t) for t in trajectories)
+        return ParameterEstimates(rows, np.eye(len(rows)), (f"fitted to {samples} samples",))
+
+
+fit_well = fit
+
+
+def fit(trajectories, context):
+    return Estimating(fit_well(trajectories, context).weights)
+"""
+
+
+def test_what_the_refit_says_of_its_parameters_is_kept_and_shown(tmp_path: Path) -> None:
+    """By any candidate that has `estimates`, from all training records; in its ledger as an
+    artifact that verifies; for people and scripts."""
+    directory, view = go(tmp_path, arx(2) + ESTIMATES)
+    assert view.best is not None
+    assert view.best.number == 2
+    found = ledger.identified(open_run(directory))
+    assert found is not None
+    assert found.equations == (f"fitted to {WHOLE} samples",)
+    assert [len(one.folds) for one in found.parameters] == [2] * 5
+    assert all(one.fold_error is not None for one in found.parameters)
+    verify(directory)
+    words = "show", directory.name, "--runs", directory.parent
+    shown = json.loads(command_line(*words, "--json").out)
+    assert [one["name"] for one in shown["parameters"]] == [f"w{i}" for i in range(5)]
+    assert "what was identified" in command_line(*words).out
+    assert json.loads(command_line(*words, "1", "--json").out)["parameters"] is None
+    (directory / "artifacts" / str(ended(view).estimates)).write_bytes(b"{}")
+    with pytest.raises(UserError, match="changed"):
+        verify(directory)

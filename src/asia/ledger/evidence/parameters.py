@@ -1,0 +1,195 @@
+"""What was identified: the parameters of the winner with their uncertainty."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+from pydantic import TypeAdapter, ValidationError
+
+from asia.candidate import ParameterEstimate, ParameterEstimates
+from asia.errors import UserError
+from asia.ledger._run import Run
+from asia.ledger._store import Store
+from asia.ledger.evidence.findings import findings_of
+
+LEAST_SHARE = 0.5
+"""Of what is known of a parameter: if the records give less, they do not determine it."""
+STRONG = 0.95
+"""Parameters whose errors are correlated more than this are known together only."""
+# Of the width of a range: this near to its end a parameter sits at it.
+_AT_END = 0.005
+_ONE_SIDED = ("forward", "tail")
+
+
+@dataclass(frozen=True)
+class EstimatedParameter:
+    """A parameter of the model that was fitted to all training records."""
+
+    name: str
+    """The model's word."""
+    unit: str
+    """Its unit; "" where none is given."""
+    value: float
+    """In this unit."""
+    standard_error: float | None
+    """In this unit; None where the records say nothing of it."""
+    low: float | None
+    """Lower end of the 95 % interval; None where it is open."""
+    high: float | None
+    """Upper end."""
+    lower: float | None
+    """The least value of its search range; None where it is open."""
+    upper: float | None
+    """The greatest one."""
+    data_share: float
+    """The part of what is known of it that the records give, from 0 to 1."""
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the records determine it: better than a prior does, and better than its search
+        range."""
+        if self.standard_error is None or self.data_share < LEAST_SHARE:
+            return False
+        ends = (self.low, self.high, self.lower, self.upper)
+        if any(end is None for end in ends):
+            return True
+        low, high, lower, upper = (end for end in ends if end is not None)
+        return low > lower or high < upper
+
+    @property
+    def at_bound(self) -> str:
+        """`lower` or `upper` where it sits at this end of its range, or beyond it; else ""."""
+        lower, upper, value = self.lower, self.upper, self.value
+        if lower is None or upper is None:
+            return ""
+        if lower > 0:
+            if value <= 0:
+                return "lower"
+            lower, upper, value = math.log(lower), math.log(upper), math.log(value)
+        place = (value - lower) / (upper - lower) if upper > lower else 0.5
+        return "lower" if place < _AT_END else "upper" if place > 1.0 - _AT_END else ""
+
+
+@dataclass(frozen=True)
+class EstimatedModel:
+    """All of them."""
+
+    parameters: tuple[EstimatedParameter, ...]
+    """In the order of the model."""
+    correlation: tuple[tuple[float | None, ...], ...]
+    """Of their errors; None where one is not known."""
+    equations: tuple[str, ...]
+    """The model's equations with numbers in them, one a line; () where it gives none."""
+
+
+@dataclass(frozen=True)
+class IdentifiedParameter:
+    """A parameter beside what the fold models say of it."""
+
+    fitted: EstimatedParameter
+    """From all training records."""
+    folds: tuple[float, ...]
+    """Its value in each fold model; () where these do not name it."""
+    fold_error: float | None
+    """Its standard error by the spread of the fold models (delete-a-group jackknife: Kott, Journal
+    of Official Statistics 17(4), 2001); None where folds train on the past alone."""
+
+
+@dataclass(frozen=True)
+class IdentifiedModel:
+    """What a search identified."""
+
+    experiment: int
+    """The winner."""
+    parameters: tuple[IdentifiedParameter, ...]
+    """In the order of the model."""
+    correlation: tuple[tuple[float | None, ...], ...]
+    """Of their errors."""
+    equations: tuple[str, ...]
+    """With numbers in them."""
+
+    @property
+    def entangled(self) -> tuple[tuple[str, str, float], ...]:
+        """Pairs of parameters whose errors are strongly correlated, the strongest first."""
+        names = [one.fitted.name for one in self.parameters]
+        found = [
+            (names[i], names[j], rho)
+            for i, row in enumerate(self.correlation)
+            for j, rho in enumerate(row[:i])
+            if rho is not None and abs(rho) > STRONG
+        ]
+        return tuple(sorted(found, key=lambda pair: -abs(pair[2])))
+
+
+_FITTED: TypeAdapter[EstimatedModel] = TypeAdapter(EstimatedModel)
+
+
+def put_estimates(store: Store, estimates: ParameterEstimates) -> str:
+    """Keep them; the name of the artifact."""
+    fitted = EstimatedModel(
+        tuple(_fitted(one) for one in estimates.parameters),
+        tuple(tuple(map(_finite, row)) for row in estimates.correlation.tolist()),
+        estimates.equations,
+    )
+    return store.put(_FITTED.dump_json(fitted))
+
+
+def get_estimates(store: Store, name: str) -> EstimatedModel:
+    """Those of an artifact. Raises UserError where it is missing or this version cannot read it."""
+    try:
+        return _FITTED.validate_json(store.get(name))
+    except ValidationError:
+        raise UserError(
+            f"artifact {name} was written by another version of ASIA: read it with that one"
+        ) from None
+
+
+def identified(run: Run) -> IdentifiedModel | None:
+    """What the winner of a run says of its parameters; None where it says nothing, while there is
+    no winner, and in older ledgers."""
+    refitted = run.view.refitted
+    if refitted is None or refitted.estimates is None or not run.store.kept:
+        return None
+    fitted = get_estimates(run.store, refitted.estimates)
+    findings = findings_of(run.store, run.view.experiment(refitted.experiment), bounded=False)
+    tables = [dict(one.parameters) for one in findings]
+    jackknife = len(tables) > 1 and _folds_kind(run.directory) not in _ONE_SIDED
+    rows: list[IdentifiedParameter] = []
+    for one in fitted.parameters:
+        known = bool(tables) and all(one.name in table for table in tables)
+        values = tuple(table[one.name] for table in tables) if known else ()
+        error = _jackknife(values) if jackknife and values else None
+        rows.append(IdentifiedParameter(one, values, error))
+    return IdentifiedModel(refitted.experiment, tuple(rows), fitted.correlation, fitted.equations)
+
+
+def _fitted(one: ParameterEstimate) -> EstimatedParameter:
+    error, low, high, lower, upper = map(
+        _finite, (one.standard_error, one.low, one.high, one.lower, one.upper)
+    )
+    share = one.data_share if math.isfinite(one.data_share) else 0.0
+    if error is None:
+        low, high = None, None
+    return EstimatedParameter(one.name, one.unit, one.value, error, low, high, lower, upper, share)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _jackknife(values: tuple[float, ...]) -> float:
+    mean, count = fmean(values), len(values)
+    return math.sqrt((count - 1) / count * sum((value - mean) ** 2 for value in values))
+
+
+def _folds_kind(directory: Path) -> str:
+    """ "" where the lock file does not say."""
+    try:
+        lock = tomllib.loads((directory / "problem.lock.toml").read_text("utf-8"))
+        return str(lock["protocol"]["folds"]["kind"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

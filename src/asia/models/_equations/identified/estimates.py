@@ -1,0 +1,92 @@
+"""What the records say of the parameters of a trained grey-box."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asia.candidate import ParameterEstimate, ParameterEstimates
+from asia.data import Array
+from asia.models import uncertainty
+from asia.models._equations.config import GreyBoxStructure
+from asia.models._equations.fit import FittedEquations
+from asia.models._equations.simulation_error import SimulationError
+from asia.models._equations.starts import RecordPieces, Starts, first_guess
+from asia.models._noise.weighting import ErrorWeighting
+from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._solvers.minimise import TRIALS, minimise
+
+if TYPE_CHECKING:
+    from asia.models._equations.programs import CompiledSimulator
+
+_INITIAL_STATES = LevenbergMarquardt(iterations=30, damping=1e-3, tolerance=1e-12)
+
+
+@dataclass(frozen=True)
+class Around:
+    """A trained grey-box beside the records that it was fitted to."""
+
+    structure: GreyBoxStructure
+    """What was fitted."""
+    fitted: FittedEquations
+    """The coordinates that were found."""
+    segments: RecordPieces
+    """The records as the fit cut them."""
+    values: Callable[[Array], dict[str, float]]
+    """The named parameters at coordinates (size,)."""
+
+    def estimates(self, equations: Sequence[str]) -> ParameterEstimates:
+        """The initial states of the records are estimated anew, at the fitted coordinates."""
+        # Imports JAX, which a trained model does without.
+        from asia.models._equations.programs import CompiledSimulator
+
+        simulate = CompiledSimulator(self.structure, self.segments.u, TRIALS)
+        size = self.structure.layout.size
+        rest = minimise(
+            (error := self._error(simulate, np.zeros(size))).cost,
+            error.linearise,
+            error.theta0,
+            _INITIAL_STATES,
+        )
+        error = self._error(simulate, np.ones(size))
+        e, jacobian, nuisance = error.jacobians(rest.theta)
+        lengths = (self.segments.mask > 0).sum(axis=1)
+        residuals, jacobians, own = (
+            [part[:length] for part, length in zip(values, lengths, strict=True)]
+            for values in (e, jacobian, nuisance)
+        )
+        covariance = uncertainty.sandwich(
+            residuals, jacobians, error.ridge(rest.theta), own if nuisance.shape[-1] else None
+        )
+        return uncertainty.estimates(covariance, self._report, self.fitted.z, equations)
+
+    def _error(self, simulate: CompiledSimulator, active: Array) -> SimulationError:
+        structure, segments, fitted = self.structure, self.segments, self.fitted
+        guess = first_guess(structure, segments)[None]
+        shift = np.zeros((1, len(segments.u), structure.nx))
+        starts = Starts(fitted.z[None], shift, guess, fitted.scales.for_rows())
+        whiten = None
+        if fitted.noise is not None:
+            mask = segments.mask
+            if structure.measured:
+                mask = mask * (np.arange(mask.shape[1]) > 0)
+            whiten = ErrorWeighting.of(fitted.noise, structure.sampling_time, mask, fitted.huber)
+        return SimulationError(structure, segments, starts, active, simulate, whiten)
+
+    def _report(self, z: Array) -> list[ParameterEstimate]:
+        ranges = dict(zip(self.structure.equations.parameters, self.structure.ranges, strict=False))
+        learned = self.structure.learned
+        above = {n for n, p in zip(learned.names, learned.positive, strict=True) if p}
+        found: list[ParameterEstimate] = []
+        for name, value in self.values(z).items():
+            one = ParameterEstimate(name, value, math.nan, math.nan, math.nan)
+            if name in ranges:
+                one = replace(one, lower=ranges[name].min, upper=ranges[name].max)
+            elif name in above:
+                one = replace(one, lower=float(np.finfo(float).tiny))
+            found.append(one)
+        return found

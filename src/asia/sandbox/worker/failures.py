@@ -1,0 +1,35 @@
+"""What the parent says of a worker that failed. Once a worker knows cases, its own words could hold
+what it was given: only what stands here is passed on."""
+
+from __future__ import annotations
+
+import builtins
+
+import numpy as np
+
+from asia.errors import Reason
+from asia.sandbox.worker.wire import SHAPE_DIMENSIONS, ReplyKind
+
+REASONS = {
+    ReplyKind.SYNTAX: Reason.SYNTAX,
+    ReplyKind.CONTRACT: Reason.CONTRACT,
+    ReplyKind.CRASH: Reason.CRASH,
+    ReplyKind.EXITED: Reason.EXITED,
+    ReplyKind.MEMORY: Reason.MEMORY,
+    ReplyKind.SHAPE: Reason.WRONG_LENGTH,
+}
+"""Of each reply that reports a failure."""
+KNOWN_ERRORS = frozenset(
+    name
+    for name, value in vars(builtins).items()
+    if isinstance(value, type) and issubclass(value, BaseException)
+) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
+OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
+
+
+def shape_words(body: bytes, expected: tuple[int, ...]) -> str:
+    """The shape a candidate returned, in numbers near the expected ones only."""
+    dimensions = np.frombuffer(body[: len(body) // 8 * 8], dtype="<i8")[:SHAPE_DIMENSIONS]
+    likely = {0, 1, *(n + shift for n in expected for shift in (-1, 0, 1))}
+    words = [str(n) if n in likely else "?" for n in dimensions.tolist()]
+    return f"({', '.join(words)})"

@@ -1,0 +1,126 @@
+"""What a fitted model says of its parameters, as bytes of a fixed layout.
+
+Both ends of a worker's pipes use it. The reading end parses numbers, names of a few characters and
+lines of printable text, and nothing else. Estimates are a head, one row a parameter, the
+correlations, and the equations as text.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+PARAMETERS = 64
+"""The most named parameters of a fitted model that are kept."""
+_PARAMETER = struct.Struct("<48sd")
+PARAMETERS_BYTES = PARAMETERS * _PARAMETER.size
+_NO_NAME = re.compile(r"[^A-Za-z0-9 _.,/\[\]-]")
+_NO_UNIT = re.compile(r"[^A-Za-z0-9 _.,/\[\]*^%()+-]")
+_NO_TEXT = re.compile(r"[^\x20-\x7e\n]")
+
+_HEAD = struct.Struct("<Q")
+_ESTIMATE = struct.Struct("<48s16s7d")
+_NUMBER = struct.Struct("<d")
+_TEXT_BYTES = 8000
+ESTIMATES_BYTES = (
+    _HEAD.size + PARAMETERS * (_ESTIMATE.size + PARAMETERS * _NUMBER.size) + _TEXT_BYTES
+)
+
+
+class EstimateRow(NamedTuple):
+    """One parameter."""
+
+    name: str
+    """Its name."""
+    unit: str
+    """Its unit; "" where none is given."""
+    figures: tuple[float, ...]
+    """Value, standard error, both ends of the interval, both ends of the range, share of data."""
+
+
+class EstimateRows(NamedTuple):
+    """All of a model."""
+
+    rows: tuple[EstimateRow, ...]
+    """Its parameters."""
+    correlation: tuple[float, ...]
+    """Of their errors, row after row."""
+    equations: tuple[str, ...]
+    """Lines of text."""
+
+
+def pack_parameters(offered: object) -> bytes:
+    """Rows of one length, each a name and a float64; what is not finite is left out. Raises where
+    `offered` is no mapping of names to numbers."""
+    if not isinstance(offered, Mapping):
+        raise TypeError("parameters: expected a mapping of names to numbers")
+    rows = [(_raw(name, 48), float(v)) for name, v in offered.items()]
+    finite = [row for row in rows if math.isfinite(row[1])]
+    return b"".join(_PARAMETER.pack(*row) for row in finite[:PARAMETERS])
+
+
+def unpack_parameters(body: bytes) -> tuple[tuple[str, float], ...]:
+    """The names, of letters, digits and a few marks, each once, with their numbers. Raises
+    ValueError where `body` has another size than rows have, or a number is not finite."""
+    if len(body) % _PARAMETER.size or len(body) > PARAMETERS_BYTES:
+        raise ValueError(f"{len(body)} bytes of parameters")
+    found: dict[str, float] = {}
+    for raw, value in _PARAMETER.iter_unpack(body):
+        if not math.isfinite(value):
+            raise ValueError("a parameter that is not finite")
+        found.setdefault(_name(raw), value)
+    return tuple(found.items())
+
+
+def pack_estimates(offered: Any) -> bytes:
+    """Those of an `asia.candidate.ParameterEstimates`. Raises where it is none."""
+    rows: Sequence[Any] = list(offered.parameters)[:PARAMETERS]
+    body = [_HEAD.pack(len(rows))]
+    for one in rows:
+        figures = (
+            one.value, one.standard_error, one.low, one.high, one.lower, one.upper, one.data_share,
+        )  # fmt: skip
+        body.append(_ESTIMATE.pack(_raw(one.name, 48), _raw(one.unit, 16), *map(float, figures)))
+    for i in range(len(rows)):
+        body += [_NUMBER.pack(float(offered.correlation[i][j])) for j in range(len(rows))]
+    text = "\n".join(str(line).replace("\n", " ") for line in offered.equations)
+    body.append(text.encode("ascii", "replace")[:_TEXT_BYTES])
+    return b"".join(body)
+
+
+def unpack_estimates(body: bytes) -> EstimateRows:
+    """The same at the other end. Raises ValueError where `body` cannot be what `pack_estimates`
+    writes."""
+    if not _HEAD.size <= len(body) <= ESTIMATES_BYTES:
+        raise ValueError(f"{len(body)} bytes of estimates")
+    (count,) = _HEAD.unpack_from(body)
+    table = _HEAD.size + count * _ESTIMATE.size
+    text = table + count * count * _NUMBER.size
+    if count > PARAMETERS or text > len(body) or len(body) - text > _TEXT_BYTES:
+        raise ValueError(f"{len(body)} bytes of {count} estimates")
+    rows: dict[str, EstimateRow] = {}
+    for raw, unit, *figures in _ESTIMATE.iter_unpack(body[_HEAD.size : table]):
+        if not math.isfinite(figures[0]):
+            raise ValueError("a parameter that is not finite")
+        name = _name(raw)
+        rows[name] = EstimateRow(name, _NO_UNIT.sub("_", _plain(unit)), tuple(figures))
+    if len(rows) != count:
+        raise ValueError("a parameter that is named twice")
+    correlation = tuple(value for (value,) in _NUMBER.iter_unpack(body[table:text]))
+    words = _NO_TEXT.sub("_", body[text:].decode("ascii", "replace"))
+    return EstimateRows(tuple(rows.values()), correlation, tuple(words.splitlines()))
+
+
+def _raw(word: object, size: int) -> bytes:
+    return str(word).encode("ascii", "replace")[:size]
+
+
+def _plain(raw: bytes) -> str:
+    return raw.rstrip(b"\0").decode("ascii", "replace")
+
+
+def _name(raw: bytes) -> str:
+    return _NO_NAME.sub("_", _plain(raw)) or "_"
