@@ -1,0 +1,105 @@
+"""Storages in series, for systems that fill and run off."""
+
+from __future__ import annotations
+
+from asia.agents._view import Facts
+from asia.agents.library.card import Card
+from asia.agents.library.cost import Timing
+from asia.agents.library.evidence import coloured, curved, fails_on_top, plateau_share
+from asia.agents.library.family import Family
+from asia.agents.library.methods import LM, noise_space, slow_noise
+from asia.agents.library.move import Move, Situation
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.space import OneOf, Space, Span
+
+_STANDS_STILL, _MOST_STORAGES = 0.02, 4
+
+
+def _start(facts: Facts) -> Recipe:
+    """With limits where an output stands still at its highest."""
+    config = (("count", 2), ("outflow", "power"))
+    if plateau_share(facts) > _STANDS_STILL:
+        config = (*config, ("full", True), ("spill", True))
+    return Recipe("compartments", config, LM, (("iterations", 60), ("starts", 8)))
+
+
+def _space(facts: Facts) -> Space:
+    return Space(
+        config=(
+            OneOf("count", (1, 2, 3)),
+            OneOf("outflow", ("linear", "root", "power")),
+            OneOf("full", (False, True)),
+            OneOf("spill", (False, True), needs="full"),
+            OneOf("sensor", (None, "power", "spline")),
+            OneOf("residual", (0, 4)),
+            Span("residual_ridge", 1e-3, 1e-1, needs="residual"),
+        ),
+        options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8, 16)), *noise_space(facts)),
+    )
+
+
+def _count(at: Situation) -> int:
+    return round(at.recipe.number("count", 2))
+
+
+def _full_weight(at: Situation) -> float:
+    if at.recipe.get("full"):
+        return 0.0
+    return 0.95 if fails_on_top(at.trial) or plateau_share(at.facts) > _STANDS_STILL else 0.5
+
+
+CARD = Card(
+    (
+        Family(
+            name="compartments",
+            label="compartments",
+            use="storages in a row that fill, run off and run over: levels, temperatures, contents",
+            base=4.5,
+            points=(("short", 0.5), ("several", -1)),
+            unfit=frozenset({"windows", "long", "integrating"}),
+            start=_start,
+            space=_space,
+            small=(("iterations", 3), ("starts", 1)),
+            timing=Timing(start=1.3, unit=1.7e-06),
+        ),
+    ),
+    (
+        slow_noise(),
+        Move(
+            name="storages run over",
+            weight=_full_weight,
+            change=lambda c: c.recipe.configured(full=True, spill=True),
+            hypothesis="Each storage can be full, and part of what it cannot hold enters the next.",
+            expected="Lower error where the output is high, on every fold where it is reached.",
+        ),
+        Move(
+            name="bent sensor",
+            weight=lambda c: (0.85 if curved(c.trial) else 0.75) * (c.recipe.get("sensor") is None),
+            change=lambda c: c.recipe.configured(sensor="power"),
+            hypothesis="The output need not be proportional to the content: a rising curve lies "
+            "between them.",
+            expected="A lower V; the curvature in the residual goes.",
+        ),
+        Move(
+            name="run-off with the root of the content",
+            weight=lambda c: 0.6 * (c.recipe.get("outflow") == "power"),
+            change=lambda c: c.recipe.configured(outflow="root"),
+            hypothesis="A free stream runs off with the root of the level: fewer numbers to find.",
+            expected="About the same training error and a lower V, if the law is right.",
+        ),
+        Move(
+            name="one storage more",
+            weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (_count(c) < _MOST_STORAGES),
+            change=lambda c: c.recipe.configured(count=_count(c) + 1),
+            hypothesis="The output answers later than so many storages do.",
+            expected="A whiter residual just after steps of the input.",
+        ),
+        Move(
+            name="network in the balances",
+            weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (not c.recipe.get("residual")),
+            change=lambda c: c.recipe.configured(residual=4, residual_ridge=5e-2),
+            hypothesis="A small network, held small, adds what the laws of the run-off lack.",
+            expected="A lower training error; lower V only if the effect is real.",
+        ),
+    ),
+)
