@@ -56,7 +56,8 @@ CARD = Card(
             use="storages in a row that fill, run off and run over: levels, temperatures, contents",
             base=4.5,
             points=(("short", 0.5), ("several", -1)),
-            unfit=frozenset({"windows", "long", "integrating"}),
+            # Contents cannot be negative, so that no change of sign is a symmetry.
+            unfit=frozenset({"windows", "long", "integrating", "symmetric"}),
             start=_start,
             space=_space,
             small=(("iterations", 3), ("starts", 1)),
