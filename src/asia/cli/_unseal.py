@@ -16,7 +16,7 @@ from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, Ye
 from asia.cli._output.board import board_lines, board_object
 
 if TYPE_CHECKING:
-    from asia.ledger import Run, SearchView, TestedModel, Unsealed
+    from asia.ledger import Run, SearchView, TestBands, TestedModel, Unsealed
     from asia.scoring import Failure, MeeTable
 
 
@@ -122,6 +122,13 @@ def _as_object(record: Unsealed) -> dict[str, Any]:
     for name, model in (("refit", record.refit), ("stack", record.stack)):
         if model is not None:
             answer[name] = _scores(record, model)
+    if record.bands is not None:
+        answer["bands"] = {
+            "model": record.bands.model,
+            "level": record.bands.level,
+            "covered": dict(zip(record.channels, record.bands.covered, strict=True)),
+            "outside": record.bands.outside,
+        }
     return answer
 
 
@@ -202,3 +209,16 @@ def _print_text(record: Unsealed, view: SearchView, *, by_record: bool) -> None:
             say(f"    {line}")
     for line in use_lines(view)[:1]:
         say(f"model to {one_line(line)}")
+    if record.bands is not None:
+        say(_band_line(record.channels, record.bands))
+
+
+def _band_line(channels: tuple[str, ...], bands: TestBands) -> str:
+    """What the output bands held, beside what they are meant to hold."""
+    held = ", ".join(
+        f"{name} {share:.1%}" for name, share in zip(channels, bands.covered, strict=True)
+    )
+    line = f"bands of {bands.level:.0%} around it held: {held}"
+    if bands.outside > 0.0:
+        line += f"; {bands.outside:.1%} of the samples are outside the region of validity"
+    return line.replace("%", " %")

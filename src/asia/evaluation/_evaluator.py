@@ -85,7 +85,7 @@ class Evaluator(WorkerRunner):
         self._without = frozenset(without)
         self.folds = tuple(folds)
         self.horizon = rule.horizon
-        self._records = tuple(records)
+        self.records = tuple(records)
         self.training_blocks = spread(whole(records, rule), MOST_TRAINING_WINDOWS)
         self.scale = np.concatenate([record.y for record in records]).std(axis=0)
         self._context = context
@@ -221,7 +221,7 @@ class Evaluator(WorkerRunner):
         model: bytes | None = None
         try:
             with self._worker(imported_libraries(source, fitting=True)) as worker:
-                worker.fit(source, self._records, self._fold_context("all", start))
+                worker.fit(source, self.records, self._fold_context("all", start))
                 model = worker.dump()
                 return RefitModel(model, worker.estimates())
         except CandidateError as error:

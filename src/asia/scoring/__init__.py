@@ -1,5 +1,6 @@
 """(y, y_hat) -> Score or Failure. Sees targets, never runs a candidate."""
 
+from asia.scoring._bands import Bands, HeldOutErrors, output_bands
 from asia.scoring._correlation import (
     Correlation,
     cross_correlation,
@@ -31,18 +32,22 @@ from asia.scoring._signed import (
     ranges_of,
     signed_residuals,
 )
+from asia.scoring._validity import Region, region_of
 
 __all__ = [
+    "Bands",
     "Correlation",
     "Diagnostics",
     "Evidence",
     "Failure",
     "FoldScore",
     "GroupError",
+    "HeldOutErrors",
     "MeeTable",
     "Outcome",
     "PartKind",
     "Ranges",
+    "Region",
     "Score",
     "SignedResidual",
     "TestScore",
@@ -54,8 +59,10 @@ __all__ = [
     "fit_index",
     "independent_band",
     "mee_table",
+    "output_bands",
     "r2",
     "ranges_of",
+    "region_of",
     "score_fold",
     "score_test",
     "signed_residuals",

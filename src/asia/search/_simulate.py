@@ -2,18 +2,62 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import get_args, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asia.data import Array
 from asia.errors import UserError
+from asia.evaluation import Evaluator
 from asia.ledger import Run, Use, model_to_use, open_run
-from asia.problem.load import load_lock
+from asia.problem.load import Problem, load_lock
 from asia.protocol import Block, Case
 from asia.search._run import LOCK, make_evaluator
-from asia.search.final.members import final_members
+from asia.search.final.bands import band_basis, models_behind
+from asia.search.final.members import FinalMember, final_members
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulation with its output bands."""
+
+    y_hat: Array
+    """Simulated outputs (H, ny), physical units."""
+    lower: Array
+    """Lower edge of the bands (H, ny)."""
+    upper: Array
+    """Upper edge of the bands (H, ny)."""
+    level: float
+    """The share of measured outputs that the bands are meant to hold."""
+    outside: NDArray[np.bool_]
+    """Whether each sample (H,) is outside the region of validity: inputs and simulated outputs
+    are farther from the training records than 99 % of these are from their mean."""
+
+
+@overload
+def simulate(
+    directory: Path | str,
+    past_u: Array,
+    past_y: Array,
+    u: Array,
+    model: Use | None = None,
+) -> Array: ...
+
+
+@overload
+def simulate(
+    directory: Path | str,
+    past_u: Array,
+    past_y: Array,
+    u: Array,
+    model: Use | None = None,
+    *,
+    bands: float,
+) -> Simulation: ...
 
 
 def simulate(
@@ -22,18 +66,40 @@ def simulate(
     past_y: Array,
     u: Array,
     model: Use | None = None,
-) -> Array:
+    *,
+    bands: float | None = None,
+) -> Array | Simulation:
     """Open-loop simulation with the winner of a run.
 
     past_u (n_past_u, nu), past_y (n_past_y, ny): the samples just before the first simulated one;
     u (H, nu); physical units -> y_hat (H, ny). model: `ensemble`, the mean of the winner's fold
     models; `refit`, the winner fitted on all training records; `stack`, a weighted mean of several
-    experiments; None for the one that the search names as the model to use. Raises UserError for a
-    wrong shape or when the run has no such model, CandidateError when the simulation fails.
+    experiments; None for the one that the search names as the model to use. bands: a level such as
+    0.9, to have a `Simulation` with the bands that hold this share of the measured outputs.
+    Raises UserError for a wrong shape or level or when the run has no such model, CandidateError
+    when the simulation fails.
     """
     run = open_run(Path(directory))
-    members = final_members(run.view, _named(run, model))
+    named = _named(run, model)
+    members = final_members(run.view, named)
+    if bands is not None and not 0.0 < bands < 1.0:
+        raise UserError(f"bands is {bands}, expected a share between 0 and 1, such as 0.9")
     problem = load_lock(run.directory / LOCK)
+    block = _block(run, problem, past_u, past_y, u)
+    evaluator = make_evaluator(problem, run.view)
+    each = _simulated(evaluator, run, members, block)
+    y_hat = each.mean(axis=0)
+    if bands is None:
+        return y_hat
+    behind = models_behind(run.view, named)
+    folds = each if behind == members else _simulated(evaluator, run, behind, block)
+    basis = band_basis(evaluator, run.view, run.store, named)
+    found, outside = basis.around(block.case, folds, y_hat, bands)
+    return Simulation(y_hat, found.lower, found.upper, bands, outside)
+
+
+def _block(run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array) -> Block:
+    """What is asked, as a block. Raises UserError for a wrong shape."""
     rule, nu, ny = problem.protocol, len(problem.inputs), len(problem.outputs)
     for name, array, shape in (
         ("past_u", past_u, (rule.past_inputs, nu)),
@@ -43,14 +109,19 @@ def simulate(
         if np.shape(array) != shape:
             raise UserError(f"{name} has shape {np.shape(array)}, expected {shape}")
     case = Case(run.name, *(np.asarray(a, np.float64) for a in (past_u, past_y, u)))
-    block = Block(case, np.zeros((len(u), ny)), record=0, start=0)
-    evaluator = make_evaluator(problem, run.view)
-    y_hat = np.zeros_like(block.y)
+    return Block(case, np.zeros((len(u), ny)), record=0, start=0)
+
+
+def _simulated(
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember], block: Block
+) -> Array:
+    """Simulations (K, H, ny) whose mean is that of the members: one a fold, or that of a refit."""
+    total = np.zeros((1, *block.y.shape))
     for member in members:
         models = [run.store.get(one) for one in member.models]
         replies = evaluator.simulate(run.store.text(member.source), models, [block])
-        y_hat += member.weight * np.mean([reply[0] for reply in replies], axis=0)
-    return y_hat
+        total = total + member.weight * np.stack([reply[0] for reply in replies])
+    return total
 
 
 def _named(run: Run, model: Use | None) -> Use:

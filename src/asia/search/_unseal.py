@@ -17,11 +17,13 @@ from asia.ledger import (
     Experiment,
     SearchView,
     Store,
+    TestBands,
     TestedModel,
     Unsealed,
     Unsealing,
     Use,
     check_lock,
+    model_to_use,
     open_run,
     replay,
     verify,
@@ -33,9 +35,11 @@ from asia.sandbox import LEVELS
 from asia.scoring import Failure, mee_table, score_test
 from asia.seal._test import check_openable, open_test
 from asia.search._run import LOCK, make_evaluator
+from asia.search.final.bands import band_basis, models_behind
 from asia.search.final.members import FinalMember, final_members, has_model
 
 Answers = tuple[Array, ...]
+BAND_LEVEL = 0.9
 
 CONSENT = (
     "the candidates of run '{run}' ran at isolation level process, where a candidate can read "
@@ -150,6 +154,7 @@ def _score(
             for use in get_args(Use)
             if has_model(view, use)
         }
+        bands = scorer.bands(view)
     return Unsealed(
         experiment=best.number,
         test_digest=digest,
@@ -162,6 +167,7 @@ def _score(
         refit=scores.get("refit"),
         stack=scores.get("stack"),
         horizon=problem.protocol.horizon,
+        bands=bands,
     )
 
 
@@ -178,8 +184,8 @@ class _TestScorer:
     store: Store
     blocks: tuple[Block, ...]
     problem: Problem
-    asked: dict[FinalMember, Answers | Failure] = field(
-        default_factory=dict[FinalMember, "Answers | Failure"]
+    asked: dict[FinalMember, Sequence[Answers] | Failure] = field(
+        default_factory=dict[FinalMember, "Sequence[Answers] | Failure"]
     )
 
     def score(self, members: Sequence[FinalMember]) -> TestedModel | Failure:
@@ -189,19 +195,68 @@ class _TestScorer:
             answers = self._simulated(replace(member, weight=1.0))
             if isinstance(answers, Failure):
                 return answers
-            total = [t + member.weight * y_hat for t, y_hat in zip(total, answers, strict=True)]
+            y_hat = mean_simulation(answers)
+            total = [t + member.weight * one for t, one in zip(total, y_hat, strict=True)]
         try:
             return self._record(tuple(total))
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
-    def _simulated(self, member: FinalMember) -> Answers | Failure:
-        """The mean of its models; each is simulated once, whatever it is a part of."""
+    def bands(self, view: SearchView) -> TestBands | None:
+        """The bands of the model to use, and how many of the measured samples they hold."""
+        named = model_to_use(view)
+        assert named is not None
+        final = self._each(final_members(view, named.model))
+        folds = self._each(models_behind(view, named.model))
+        if final is None or folds is None:
+            return None
+        basis = band_basis(self.evaluator, view, self.store, named.model)
+        found = [
+            basis.around(block.case, each, mean.mean(axis=0), BAND_LEVEL)
+            for block, each, mean in zip(self.blocks, folds, final, strict=True)
+        ]
+        lower, upper, outside = (
+            _by_record(parts, self.blocks)
+            for parts in (
+                [bands.lower for bands, _ in found],
+                [bands.upper for bands, _ in found],
+                [out[:, None].astype(np.float64) for _, out in found],
+            )
+        )
+        y = _by_record([b.y for b in self.blocks], self.blocks)
+        skip = self.problem.protocol.test.skip
+        held = [
+            (low[skip:] <= one[skip:]) & (one[skip:] <= high[skip:])
+            for one, low, high in zip(y, lower, upper, strict=True)
+        ]
+        return TestBands(
+            model=named.model,
+            level=BAND_LEVEL,
+            covered=tuple(np.concatenate(held).mean(axis=0).tolist()),
+            outside=float(np.concatenate([out[skip:] for out in outside]).mean()),
+            lower=self.store.put_arrays(lower),
+            upper=self.store.put_arrays(upper),
+        )
+
+    def _each(self, members: Sequence[FinalMember]) -> list[Array] | None:
+        """Simulations (K, H, ny) of each block whose mean is that of the members; None where one
+        fails."""
+        total: list[Array] = [np.zeros((1, *block.y.shape)) for block in self.blocks]
+        for member in members:
+            answers = self._simulated(replace(member, weight=1.0))
+            if isinstance(answers, Failure):
+                return None
+            parts = [np.stack(one) for one in zip(*answers, strict=True)]
+            total = [t + member.weight * part for t, part in zip(total, parts, strict=True)]
+        return total
+
+    def _simulated(self, member: FinalMember) -> Sequence[Answers] | Failure:
+        """What each of its models says; each is simulated once, whatever it is a part of."""
         if member not in self.asked:
             source, models = self.store.text(member.source), map(self.store.get, member.models)
             try:
                 each = self.evaluator.simulate_scored(source, list(models), self.blocks)
-                self.asked[member] = mean_simulation(each)
+                self.asked[member] = _all_of(each)
             except CandidateError as error:
                 self.asked[member] = Failure(error.reason, error.detail)
         return self.asked[member]
@@ -217,3 +272,13 @@ class _TestScorer:
         if MEE in rule.metrics:
             mee = mee_table(y, y_hat, names, rule.groups, rule.horizons)
         return TestedModel(scores, self.store.put_arrays(simulated), mee)
+
+
+def _all_of(each: Sequence[Answers | CandidateError]) -> list[Answers]:
+    """Raises the first error among the answers."""
+    found: list[Answers] = []
+    for one in each:
+        if isinstance(one, CandidateError):
+            raise one
+        found.append(one)
+    return found

@@ -14,7 +14,7 @@ from asia.agents import Agent
 from asia.cli._output.words import again_words
 from asia.errors import Reason, UserError
 from asia.evaluation import LINEAR
-from asia.ledger import Evaluated, SearchView, in_use, open_run, verify
+from asia.ledger import Evaluated, SearchView, Use, in_use, open_run, verify
 from asia.problem.load import load_problem
 from asia.scoring import Failure
 from asia.search import prepare, search, simulate, unseal
@@ -192,6 +192,16 @@ def test_unseal_once(whole: Path, tmp_path: Path) -> None:
     table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
     assert np.array_equal(measured[0][:, 0], table[3:, 1])
     assert first.record.ensemble.scores[0].value < 0.05
+    bands = first.record.bands
+    assert bands is not None
+    shapes = [(n, 1) for n in first.record.lengths]
+    lower, upper = (
+        open_run(directory).store.get_arrays(edge, shapes)[0] for edge in (bands.lower, bands.upper)
+    )
+    held = np.mean((lower <= measured[0]) & (measured[0] <= upper))
+    assert bands.covered == pytest.approx((held,))
+    assert held > 0.8
+    assert bands.outside < 0.5
     again = unseal(directory, process_consent=True)
     assert not again.first_time
     assert again.record == first.record
@@ -303,6 +313,24 @@ def test_the_winner_simulates(short_once: Path) -> None:
         assert np.sqrt(np.mean((y_hat - y[3:]) ** 2)) < 0.1 * y.std()
     with pytest.raises(UserError, match="past_y has shape"):
         simulate(directory, u[:3], y[:2], u[3:])
+
+
+@pytest.mark.parametrize("model", ["ensemble", "refit"])
+def test_the_winner_simulates_with_bands(short_once: Path, model: Use) -> None:
+    directory = short_once / "runs" / "toy-scripted-s0"
+    table = np.loadtxt(short_once / "toy" / "train.csv", delimiter=",", skiprows=1)
+    u, y = table[:, :1], table[:, 1:]
+    found = simulate(directory, u[:3], y[:3], u[3:], model, bands=0.9)
+    assert np.array_equal(found.y_hat, simulate(directory, u[:3], y[:3], u[3:], model))
+    assert np.all(found.lower <= found.y_hat)
+    assert np.all(found.y_hat <= found.upper)
+    assert np.mean((found.lower <= y[3:]) & (y[3:] <= found.upper)) > 0.85
+    assert np.mean(found.outside) < 0.05
+    far = simulate(directory, u[:3], y[:3], 10.0 * u[3:], model, bands=0.9)
+    assert np.mean(far.outside) > 0.8
+    assert np.mean(far.upper - far.lower) > 2.0 * np.mean(found.upper - found.lower)
+    with pytest.raises(UserError, match="between 0 and 1"):
+        simulate(directory, u[:3], y[:3], u[3:], model, bands=90.0)
 
 
 def test_a_source_that_cannot_be_parsed_is_an_invalid_experiment(

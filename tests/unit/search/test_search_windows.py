@@ -141,3 +141,7 @@ def test_the_winner_simulates_windows_and_longer(run: Path) -> None:
     for length in (10, 25):
         y_hat = simulate(run, np.zeros((0, 1)), np.ones((1, 4)), np.zeros((length, 1)))
         assert np.array_equal(y_hat, np.ones((length, 4)))
+        banded = simulate(run, np.zeros((0, 1)), np.ones((1, 4)), np.zeros((length, 1)), bands=0.8)
+        assert np.array_equal(banded.y_hat, y_hat)
+        assert np.all(banded.lower <= y_hat)
+        assert np.all(banded.upper[10:] - banded.lower[10:] <= banded.upper[9] - banded.lower[9])

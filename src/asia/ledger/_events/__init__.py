@@ -37,6 +37,7 @@ from asia.ledger._events.search import (
 from asia.ledger._events.test import (
     GuardLooked,
     GuardScore,
+    TestBands,
     TestedModel,
     Unsealed,
     Unsealing,
@@ -72,6 +73,7 @@ __all__ = [
     "StopReason",
     "Stopped",
     "Streamed",
+    "TestBands",
     "TestedModel",
     "Unsealed",
     "Unsealing",

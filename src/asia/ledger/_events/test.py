@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from asia._stopwatch import TimeSpent
+from asia.ledger._events.final import Use
 from asia.scoring import Failure, MeeTable, Outcome, TestScore
 
 
@@ -44,6 +45,24 @@ class TestedModel:
     """Artifact of its simulation."""
     mee: MeeTable | None = None
     """The table of Mean Euclidean Errors, where the protocol asks for one."""
+
+
+@dataclass(frozen=True)
+class TestBands:
+    """The output bands of the model to use, on the sealed test."""
+
+    model: Use
+    """The model to use."""
+    level: float
+    """The share of measured outputs that the bands are meant to hold."""
+    covered: tuple[float, ...]
+    """The share of the scored samples that they hold, one an output."""
+    outside: float
+    """The share of the scored samples outside the region of validity."""
+    lower: str
+    """Artifact of their lower edges, one (lengths[i], ny) array a trajectory."""
+    upper: str
+    """Artifact of their upper edges."""
 
 
 @dataclass(frozen=True)
@@ -89,4 +108,6 @@ class Unsealed:
     other; the last may repeat some samples."""
     stack: TestedModel | Failure | None = None
     """The weighted mean of several experiments; None where the search has none."""
+    bands: TestBands | None = None
+    """Of the model to use; None where a fold model does not simulate the test."""
     event: Literal["unsealed"] = "unsealed"

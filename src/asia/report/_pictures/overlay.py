@@ -30,12 +30,14 @@ from asia.report._drawing.time import Stretch, TimeAxis, last_sample, lay_out, t
 MOST_PANELS = 8
 _SINGLE_COLUMN = 3
 _MANY_SAMPLES = 20_000
+_BAND = 0.2
 
 
 @dataclass(frozen=True)
 class Piece:
     """One stretch of a record: measured and simulated (H,) outputs, `other` a second simulation,
-    `start` its first sample in the record; the first `skip` samples do not count."""
+    `start` its first sample in the record; the first `skip` samples do not count. `band`: lower and
+    upper edges (H,) of the output bands."""
 
     name: str
     start: int
@@ -43,6 +45,7 @@ class Piece:
     simulated: Array
     other: Array | None = None
     skip: int = 0
+    band: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -69,12 +72,14 @@ class Panel:
 
 @dataclass(frozen=True)
 class Words:
-    """Title of the picture, names of the curves, and what the pieces of a panel are."""
+    """Title of the picture, names of the curves and of the bands, and what the pieces of a panel
+    are."""
 
     title: str
     simulated: str
     other: str = ""
     pieces: str = "records"
+    band: str = ""
 
 
 def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) -> Figure:
@@ -110,6 +115,8 @@ def _time_axes(panels: Sequence[Panel], sampling_time: float, pieces: str) -> li
 def _curves(axes: Axes, panel: Panel, axis: TimeAxis, characters: int) -> None:
     raster = sum(len(p.measured) for p in panel.pieces) > _MANY_SAMPLES
     for piece, time in zip(panel.pieces, axis.times, strict=True):
+        if piece.band is not None:
+            axes.fill_between(time, *piece.band, color=BLUE, alpha=_BAND, lw=0, rasterized=raster)
         axes.plot(time, piece.measured, color=FAINT, lw=2.6, rasterized=raster)
         if piece.other is not None:
             axes.plot(time, piece.other, color=ORANGE, lw=0.9, dashes=(4, 1.5), rasterized=raster)
@@ -143,6 +150,9 @@ def _errors(axes: Axes, panel: Panel, axis: TimeAxis) -> None:
         if piece.other is not None:
             error = piece.measured - piece.other
             axes.plot(time, error, color=ORANGE, lw=0.7, dashes=(4, 1.5), rasterized=raster)
+        if piece.band is not None:
+            low, high = (edge - piece.simulated for edge in piece.band)
+            axes.fill_between(time, low, high, color=BLUE, alpha=_BAND, lw=0, rasterized=raster)
         axes.plot(time, piece.measured - piece.simulated, color=BLUE, lw=0.9, rasterized=raster)
     unit = plain(panel.signal.unit, 8)
     axes.set_ylabel(f"error\n[{unit}]" if unit else "error", fontsize=7.5)
@@ -169,13 +179,15 @@ def _legend(figure: Figure, panels: Sequence[Panel], words: Words) -> None:
     ]
     if any(p.other is not None for p in pieces):
         handles += axes.plot([], [], color=ORANGE, lw=0.9, dashes=(4, 1.5), label=words.other)
-    shaded: Sequence[object] = ()
+    shaded: list[object] = []
+    if any(p.band is not None for p in pieces):
+        shaded += axes.fill([np.nan], [np.nan], color=BLUE, alpha=_BAND, lw=0, label=words.band)
     if any(p.skip for p in pieces):
-        shaded = axes.fill([np.nan], [np.nan], color=SHADE, label="left out of the error")
+        shaded += axes.fill([np.nan], [np.nan], color=SHADE, label="left out of the error")
     figure.legend(
         handles=[*handles, *shaded],  # pyright: ignore[reportArgumentType]
         loc="lower center",
         borderaxespad=0.3,
-        ncols=4,
+        ncols=3 if len(handles) + len(shaded) > 4 else 4,
         labelcolor=INK,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -116,6 +116,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: Tes
     ensemble = run.store.get_arrays(ensemble_record.y_hat, shapes)
     refitted = opened.refit if isinstance(opened.refit, TestedModel) else None
     refit = run.store.get_arrays(refitted.y_hat, shapes) if refitted else None
+    edges = _edges(opened, lambda digest: run.store.get_arrays(digest, shapes))
     channels = range(min(len(opened.channels), MOST_PANELS))
     trajectories = range(min(len(shapes), max(1, MOST_PANELS // len(channels))))
     panels = tuple(
@@ -130,6 +131,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: Tes
                     ensemble[i][:, c],
                     refit[i][:, c] if refit else None,
                     opened.skip,
+                    (edges[0][i][:, c], edges[1][i][:, c]) if edges else None,
                 ),
             ),
         )
@@ -153,6 +155,7 @@ def _draw_test_windows(
     measured = opened_windows(run, opened, opened.measured)
     ensemble = opened_windows(run, opened, ensemble_record.y_hat)
     refit = opened_windows(run, opened, refitted.y_hat) if refitted else None
+    edges = _edges(opened, lambda digest: opened_windows(run, opened, digest))
     fits = fit_index(np.concatenate(measured), np.concatenate(ensemble))
     channels = lowest([float(f) if np.isfinite(f) else np.inf for f in fits], MOST_PANELS)
     scale = np.concatenate(measured).std(axis=0)
@@ -169,6 +172,7 @@ def _draw_test_windows(
                     measured[index][:, c],
                     ensemble[index][:, c],
                     refit[index][:, c] if refit else None,
+                    band=(edges[0][index][:, c], edges[1][index][:, c]) if edges else None,
                 )
                 for word, index in windows
             ),
@@ -191,7 +195,24 @@ def _named(run: Run) -> str:
 def _test_words(title: str, problem: Problem, opened: Unsealed) -> Words:
     folds = problem.protocol.folds.count
     names = f"ensemble of {folds} fold models", "refitted on all training data"
-    return Words(title, *names, "records" if opened.horizon is None else "windows")
+    pieces = "records" if opened.horizon is None else "windows"
+    return Words(title, *names, pieces, _band_words(opened))
+
+
+def _band_words(opened: Unsealed) -> str:
+    if opened.bands is None:
+        return ""
+    level, held = opened.bands.level, min(opened.bands.covered)
+    least = "" if len(opened.bands.covered) == 1 else "at least "
+    return f"band of {level:.0%}, holds {least}{held:.0%}".replace("%", " %")
+
+
+def _edges(
+    opened: Unsealed, read: Callable[[str], tuple[Array, ...]]
+) -> tuple[tuple[Array, ...], tuple[Array, ...]] | None:
+    """Lower and upper edges of the output bands over the test, where there are any."""
+    bands = opened.bands
+    return None if bands is None else (read(bands.lower), read(bands.upper))
 
 
 def _test_title(

@@ -1,0 +1,134 @@
+"""Bands around a simulation, from the errors of fold models where these were not fitted.
+
+Source: CV+ of Barber, Candes, Ramdas, Tibshirani, Predictive inference with the jackknife+,
+Annals of Statistics 49 (2021). Their guarantee wants independent samples. Here the samples of a
+block depend on each other, so the level is raised for as few independent errors as there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+
+_HALVINGS = 50
+# Steps of a window whose errors count as errors of one step, as a share of the window.
+_NEIGHBOURS = 0.02
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """What the model of one fold missed on the blocks that the fold holds out."""
+
+    blocks: tuple[Array, ...]
+    """Measured less simulated (H, ny), one a block."""
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Where the measured outputs are expected, around one simulation."""
+
+    lower: Array
+    """(H, ny), in the units of the outputs."""
+    upper: Array
+    """(H, ny)."""
+
+
+def output_bands(
+    folds: Sequence[HeldOutErrors],
+    y_hat: Array,
+    level: float,
+    wider: Array | None = None,
+    *,
+    by_step: bool = False,
+) -> Bands:
+    """Bands for the simulations (K, H, ny) of K fold models, which a measured output leaves with
+    a probability of 1 - level.
+
+    folds: one a fold model. wider: (H,) factors of 1 or more on the errors, None for 1.
+    by_step: the blocks are windows of one length, and errors depend on the step in it.
+    Raises ValueError for a level outside (0, 1).
+    """
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"level is {level}, expected a share between 0 and 1")
+    count, samples, outputs = y_hat.shape
+    factor = np.ones(samples) if wider is None else wider
+    lower, upper = np.zeros((samples, outputs)), np.zeros((samples, outputs))
+    for channel in range(outputs):
+        errors = [[block[:, channel] for block in fold.blocks] for fold in folds]
+        reach = raised_level(level, independent_errors(errors))
+        for part, sizes in _parts(errors, samples, by_step=by_step):
+            centres = y_hat[:, part, channel]
+            upper[part, channel] = _edge(sizes, centres, factor[part], reach)
+            lower[part, channel] = -_edge(sizes, -centres, factor[part], reach)
+    assert count == len(folds)
+    return Bands(lower, upper)
+
+
+def independent_errors(folds: Sequence[Sequence[Array]]) -> float:
+    """How many independent errors the held-out errors are worth: their number over the sum of
+    their autocorrelation up to its first zero crossing, both sides. folds: blocks (H,) of each."""
+    worth = 0.0
+    for blocks in folds:
+        centre = np.concatenate(list(blocks)).mean()
+        for block in blocks:
+            worth += len(block) / _correlation_length(block - centre)
+    return worth
+
+
+def _correlation_length(error: Array) -> float:
+    size = 2 * len(error)
+    power = np.abs(np.fft.rfft(error, size)) ** 2
+    covariance = np.fft.irfft(power, size)[: len(error)]
+    if covariance[0] <= 0.0:
+        return float(len(error))
+    correlation = covariance / covariance[0]
+    crossing = np.flatnonzero(correlation <= 0.0)
+    until = int(crossing[0]) if len(crossing) else len(error)
+    return min(float(len(error)), 1.0 + 2.0 * float(correlation[1:until].sum()))
+
+
+def raised_level(level: float, errors: float) -> float:
+    """The share of the known errors that a band of this level holds, for so many independent
+    ones: (1 + 1 / errors) times the level, 1 at most."""
+    return min(1.0, level * (1.0 + 1.0 / max(errors, 1.0)))
+
+
+def _parts(
+    errors: Sequence[Sequence[Array]], samples: int, *, by_step: bool
+) -> list[tuple[slice, list[Array]]]:
+    """The stretches of a simulation that have their own errors, with the sorted sizes of each
+    fold's errors."""
+    if not by_step:
+        return [(slice(0, samples), [np.sort(np.abs(np.concatenate(list(b)))) for b in errors])]
+    length = min(len(block) for blocks in errors for block in blocks)
+    near = int(_NEIGHBOURS * length)
+    stacked = [np.abs(np.stack([block[:length] for block in blocks])) for blocks in errors]
+    parts: list[tuple[slice, list[Array]]] = []
+    for step in range(min(length, samples)):
+        around = slice(max(0, step - near), step + near + 1)
+        stop = samples if step == length - 1 else step + 1
+        parts.append((slice(step, stop), [np.sort(s[:, around].ravel()) for s in stacked]))
+    return parts
+
+
+def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -> Array:
+    """The lowest values (H,) that a share `level` of all centre + factor * size stays below.
+    sizes: sorted, one a fold; centres (K, H)."""
+    total = sum(len(s) for s in sizes)
+    wanted = level * total - 1e-9 * total
+    low = np.min(centres, axis=0)
+    most = np.array([s[-1] for s in sizes])
+    high = np.max(centres + factor * most[:, None], axis=0)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        below = np.zeros(len(middle))
+        for size, centre in zip(sizes, centres, strict=True):
+            below += np.searchsorted(size, (middle - centre) / factor, side="right")
+        enough = below >= wanted
+        high = np.where(enough, middle, high)
+        low = np.where(enough, low, middle)
+    return high

@@ -1,0 +1,76 @@
+"""Bands of a final model, from the held-out simulations that the ledger keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data import Array
+from asia.evaluation import Evaluator
+from asia.ledger import Experiment, SearchView, Store, Use
+from asia.protocol import Case, Fold
+from asia.scoring import Bands, HeldOutErrors, Region, output_bands, region_of
+from asia.search.final.members import FinalMember, final_members
+
+
+@dataclass(frozen=True)
+class BandBasis:
+    """What the bands of one final model are made of."""
+
+    errors: tuple[HeldOutErrors, ...]
+    """Of the fold models behind it."""
+    region: Region
+    """Of all training records."""
+    windows: bool
+    """Whether the protocol simulates windows, so that errors depend on the step."""
+
+    def around(
+        self, case: Case, folds: Array, y_hat: Array, level: float
+    ) -> tuple[Bands, NDArray[np.bool_]]:
+        """Bands at the level, and whether each sample (H,) is outside the region of validity,
+        where the bands are wider in proportion to the distance. folds: the simulations (K, H, ny)
+        of the fold models; y_hat (H, ny) that of the final model, which the bands always hold."""
+        distance = self.region.distance(case.past_u, case.u, y_hat)
+        wider = np.maximum(distance, 1.0)
+        found = output_bands(self.errors, folds, level, wider, by_step=self.windows)
+        bands = Bands(np.minimum(found.lower, y_hat), np.maximum(found.upper, y_hat))
+        return bands, distance > 1.0
+
+
+def models_behind(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
+    """The fold models that say how wrong a final model is: of a stack its members', otherwise the
+    winner's."""
+    return final_members(view, "stack" if use == "stack" else "ensemble")
+
+
+def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -> BandBasis:
+    """The basis for the bands of a final model that the search has."""
+    if use == "stack" and view.refitted is not None and view.refitted.stack is not None:
+        weights = {m.experiment: m.weight for m in view.refitted.stack.members}
+    else:
+        assert view.best is not None
+        weights = {view.best.number: 1.0}
+    parts = [(view.experiment(number), weight) for number, weight in weights.items()]
+    errors = tuple(HeldOutErrors(_missed(fold, parts, store)) for fold in evaluator.folds)
+    region = region_of([(r.u, r.y) for r in evaluator.records])
+    return BandBasis(errors, region, evaluator.horizon is not None)
+
+
+def _missed(
+    fold: Fold, parts: Sequence[tuple[Experiment, float]], store: Store
+) -> tuple[Array, ...]:
+    """Measured less simulated on what a fold holds out."""
+    total = [block.y.copy() for block in fold.validation]
+    shapes = [block.y.shape for block in fold.validation]
+    for experiment, weight in parts:
+        assert experiment.result is not None
+        for left, y_hat in zip(
+            total,
+            store.get_arrays(experiment.result.folds[fold.index].y_hat, shapes),
+            strict=True,
+        ):
+            left -= weight * y_hat
+    return tuple(total)
