@@ -22,7 +22,7 @@ from asia.search.final.members import FinalMember, final_members
 
 
 @dataclass(frozen=True)
-class Simulation:
+class BandedSimulation:
     """A simulation with its output bands."""
 
     y_hat: Array
@@ -57,7 +57,7 @@ def simulate(
     model: Use | None = None,
     *,
     bands: float,
-) -> Simulation: ...
+) -> BandedSimulation: ...
 
 
 def simulate(
@@ -68,14 +68,14 @@ def simulate(
     model: Use | None = None,
     *,
     bands: float | None = None,
-) -> Array | Simulation:
+) -> Array | BandedSimulation:
     """Open-loop simulation with the winner of a run.
 
     past_u (n_past_u, nu), past_y (n_past_y, ny): the samples just before the first simulated one;
     u (H, nu); physical units -> y_hat (H, ny). model: `ensemble`, the mean of the winner's fold
     models; `refit`, the winner fitted on all training records; `stack`, a weighted mean of several
     experiments; None for the one that the search names as the model to use. bands: a level such as
-    0.9, to have a `Simulation` with the bands that hold this share of the measured outputs.
+    0.9, to have a `BandedSimulation` with the bands that hold this share of the measured outputs.
     Raises UserError for a wrong shape or level or when the run has no such model, CandidateError
     when the simulation fails.
     """
@@ -95,7 +95,7 @@ def simulate(
     folds = each if behind == members else _simulated(evaluator, run, behind, block)
     basis = band_basis(evaluator, run.view, run.store, named)
     found, outside = basis.around(block.case, folds, y_hat, bands)
-    return Simulation(y_hat, found.lower, found.upper, bands, outside)
+    return BandedSimulation(y_hat, found.lower, found.upper, bands, outside)
 
 
 def _block(run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array) -> Block:
