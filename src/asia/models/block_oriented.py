@@ -39,6 +39,8 @@ _PLACES: dict[str, Nonlinearity] = {
 }
 # Windows of a problem with a horizon that are fitted; each has an initial state of its own.
 _WINDOWS = 40
+# Of the initial states of the two filters.
+_INITIAL_RIDGE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,11 @@ class Config:
     """Units of the tanh layer of the map from the past window to the initial state."""
     delay: int | None = 0
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
+    searched: bool = False
+    """For "wiener_hammerstein" with one input and output: whether order, delay and the shares of
+    poles and zeros are searched by many short fits of two filters and `hidden` units on a fixed
+    grid, which takes little time for each sample. With other structures, more inputs or outputs, or
+    polynomials it changes nothing."""
 
     def __post_init__(self) -> None:
         check_choice(self, "structure", (*_PLACES, "wiener_hammerstein"))
@@ -111,12 +118,44 @@ def train(
     short or mis-shaped."""
     check(trajectories, context)
     pieces = window_pieces(trajectories, context, _WINDOWS)
-    if model.blocks.structure != "wiener_hammerstein":
+    blocks = model.blocks
+    series = blocks.structure == "wiener_hammerstein" and blocks.basis == "tanh"
+    if blocks.searched and series and context.nu == context.ny == 1:
+        fitted = _searched(blocks, pieces, context, method)
+    elif blocks.structure != "wiener_hammerstein":
         plain = neural_ss.build(model.config, context)
         fitted = neural_ss.train(plain, pieces, context, method).fitted
     else:
-        fitted = _wiener_hammerstein(model.blocks, pieces, context, method)
+        fitted = _wiener_hammerstein(blocks, pieces, context, method)
     return replace(model, fitted=fitted)
+
+
+def _searched(
+    config: Config, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
+) -> FittedStateSpace:
+    from asia.models._state_space.filter_search import searched
+    from asia.models._state_space.filters import FilterRidge
+    from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
+
+    scaling = Scaling.of(trajectories)
+    records = scaled(trajectories, scaling)
+    choice = linear.Config(order=config.order, delay=config.delay)
+    ridge = FilterRidge(config.linear_ridge, config.ridge, _INITIAL_RIDGE)
+    found = searched(records, context, choice, config.hidden, ridge, method, context.log)
+    template = WienerHammersteinStructure(
+        1, context.nu, context.ny, "state", config.basis, config.hidden, config.degree, None
+    )
+    structure, params = found.filters.state_space(template)
+    fit = StateFit(found.filters.x0, params, found.error, found.history)
+    late = [linear.shifted(r, found.delay) for r in records]
+    if method.noise_model != "white":
+        weights = dict.fromkeys(params, config.linear_ridge) | {"f": config.ridge}
+        weights["x0"] = _INITIAL_RIDGE
+        samples, time = of_records(late, fit.x0), context.sampling_time
+        fit = fit_states(structure, [params], samples, weights, method, silent, time)[0]
+        params = fit.params
+    encoder = state_encoder(structure, fit, late, context, config.encoder)
+    return FittedStateSpace(structure, ((params, encoder),), found.delay, scaling)
 
 
 def _wiener_hammerstein(

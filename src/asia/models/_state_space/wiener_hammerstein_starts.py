@@ -43,14 +43,18 @@ class WienerHammersteinStart(NamedTuple):
     """Its mean squared error, infinite where it was not judged."""
 
 
-class _Filter(NamedTuple):
+class LinearFilter(NamedTuple):
     """Zeros, poles and gain of one of the systems."""
 
     zeros: Roots
+    """Zeros."""
     poles: Roots
+    """Poles, at least as many."""
     gain: float
+    """Factor."""
 
     def system(self) -> tuple[Array, Array, Array, Array]:
+        """A, B, C and D."""
         numerator, denominator = signal.zpk2tf(self.zeros, self.poles, self.gain)
         if len(self.poles) == 0:
             static = np.array([[self.gain]])
@@ -58,9 +62,16 @@ class _Filter(NamedTuple):
         a, b, c, d = signal.tf2ss(numerator, denominator)
         return np.asarray(a), np.asarray(b), np.asarray(c), np.asarray(d)
 
-    def __call__(self, u: Array) -> Array:
+    def in_delays(self) -> tuple[Array, Array]:
+        """Numerator and denominator, both as long as the poles ask for, in powers of the delay."""
         numerator, denominator = signal.zpk2tf(self.zeros, self.poles, self.gain)
-        return np.asarray(signal.lfilter(numerator, denominator, u, axis=0), np.float64)
+        delayed = np.zeros(len(self.poles) - len(self.zeros))
+        # A constant comes back as a number.
+        up, down = (np.asarray(c, np.float64).reshape(-1) for c in (numerator, denominator))
+        return np.concatenate([delayed, up]), down
+
+    def __call__(self, u: Array) -> Array:
+        return np.asarray(signal.lfilter(*self.in_delays(), u, axis=0), np.float64)
 
 
 def wiener_hammerstein_starts(
@@ -76,7 +87,7 @@ def wiener_hammerstein_starts(
     if template.nu == template.ny == 1:
         function = template.function(rng, 1)
         found = [
-            _shared_start(records, system, pair, template, function) for pair in _shares(system)
+            _shared_start(records, system, pair, template, function) for pair in shares(system)
         ]
         kept = sorted((s for s in found if s is not None), key=lambda s: s.error)
         if kept:
@@ -84,7 +95,11 @@ def wiener_hammerstein_starts(
     return _plain_starts(system, template, rng)[:most]
 
 
-def _shares(system: LinearSystem) -> list[tuple[_Filter, _Filter]]:
+def shares(
+    system: LinearSystem, most: int = _MOST_SHARES
+) -> list[tuple[LinearFilter, LinearFilter]]:
+    """The ways, `most` at most, to share out the poles and zeros of a system with one input and
+    one output between a first and a second filter."""
     zeros, poles, gain = signal.ss2zpk(system.a, system.b, system.c, system.d)
     zeros, poles = np.asarray(zeros, complex), np.asarray(poles, complex)
     # A zero this far out is the rounding of a delay.
@@ -92,13 +107,13 @@ def _shares(system: LinearSystem) -> list[tuple[_Filter, _Filter]]:
     gain = float(np.real(gain * np.prod(-zeros[far])))
     poles, zeros = _settled(poles, zeros[~far])
     pole_groups, zero_groups = _groups(poles), _groups(zeros)
-    pairs: list[tuple[_Filter, _Filter]] = []
+    pairs: list[tuple[LinearFilter, LinearFilter]] = []
     for choice in product((True, False), repeat=len(pole_groups) + len(zero_groups)):
         p1, p2 = _parted(pole_groups, choice[: len(pole_groups)])
         z1, z2 = _parted(zero_groups, choice[len(pole_groups) :])
         if len(z1) <= len(p1) and len(z2) <= len(p2):
-            pairs.append((_Filter(z1, p1, 1.0), _Filter(z2, p2, gain)))
-    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_SHARES)).astype(int)
+            pairs.append((LinearFilter(z1, p1, 1.0), LinearFilter(z2, p2, gain)))
+    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), most)).astype(int)
     return [pairs[i] for i in np.unique(chosen)]
 
 
@@ -132,7 +147,7 @@ def _parted(groups: Sequence[Roots], first: Sequence[bool]) -> tuple[Roots, Root
 def _shared_start(
     records: ScaledData,
     system: LinearSystem,
-    pair: tuple[_Filter, _Filter],
+    pair: tuple[LinearFilter, LinearFilter],
     template: WienerHammersteinStructure,
     function: dict[str, Any],
 ) -> WienerHammersteinStart | None:

@@ -80,3 +80,22 @@ def test_windows_from_one_measured_state() -> None:
 def test_unknown_structure_is_refused() -> None:
     with pytest.raises(UserError, match="wiener_hammerstein"):
         block_oriented.Config("hammer")  # type: ignore[arg-type]
+
+
+def asymmetric(u: Array) -> Array:
+    """A lag that rings, a saturation on one side, and a lag with a zero."""
+    v = 3.0 * filtered(u)
+    low = filtered(-np.logaddexp(0.0, 1.0 - 4.0 * v) / 4.0, *LAG)
+    return low - 0.4 * np.concatenate([np.zeros((1, 1)), low[:-1]])
+
+
+@pytest.mark.slow
+def test_search_finds_order_and_shares_of_two_filters() -> None:
+    data = case(asymmetric, lengths=(2000,), noise=0.01)
+    config = block_oriented.Config(
+        "wiener_hammerstein", hidden=10, ridge=1e-8, delay=None, searched=True
+    )
+    model = fitted(block_oriented, config, data, LevenbergMarquardt(30))
+    line = fitted(linear, linear.Config(order=3), data, None)
+    # The start from a past window of few samples is part of it.
+    assert data.ratio(model) < 0.1 * data.ratio(line)

@@ -7,17 +7,31 @@ from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, noise_space, slow_noise
-from asia.agents.library.move import Move
-from asia.agents.library.recipe import Recipe
+from asia.agents.library.move import Move, Situation
+from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
-from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.traits import traits
 
 _STRUCTURES = ("hammerstein", "wiener", "hammerstein_wiener", "wiener_hammerstein")
 
 
-def _block_oriented(_: Facts) -> Recipe:
-    config = (("structure", "wiener_hammerstein"), ("hidden", 8), ("ridge", 1e-5), ("delay", None))
-    return Recipe("block_oriented", config, LM, (("iterations", 60), ("starts", 2)))
+# On records this long the searched fit has samples to spare for a fine grid, and its noise floor
+# lies far below what a ridge for short records allows.
+_FINE: Arguments = (("hidden", 24), ("ridge", 1e-9), ("linear_ridge", 1e-9))
+
+
+def _searchable(facts: Facts) -> bool:
+    """Whether the two filters can be searched: one input, one output, whole records."""
+    return facts.horizon is None and len(facts.inputs) == len(facts.outputs) == 1
+
+
+def _block_oriented(facts: Facts) -> Recipe:
+    plain: Arguments = (("structure", "wiener_hammerstein"), ("delay", None))
+    options = (("iterations", 60), ("starts", 2))
+    if _searchable(facts) and "long" in traits(facts):
+        return Recipe("block_oriented", (*plain, *_FINE, ("searched", True)), LM, options)
+    return Recipe("block_oriented", (*plain, ("hidden", 8), ("ridge", 1e-5)), LM, options)
 
 
 def _space(facts: Facts) -> Space:
@@ -28,6 +42,7 @@ def _space(facts: Facts) -> Space:
             OneOf("hidden", (4, 8, 12)),
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
+            *_searched_space(facts),
         ),
         options=(
             OneOf("iterations", (40, 80)),
@@ -37,11 +52,24 @@ def _space(facts: Facts) -> Space:
     )
 
 
+def _searched_space(facts: Facts) -> tuple[Parameter, ...]:
+    if not _searchable(facts):
+        return ()
+    return (OneOf("searched", (False, True), needs="structure", being="wiener_hammerstein"),)
+
+
+def _search_weight(at: Situation) -> float:
+    series = at.recipe.get("structure") == "wiener_hammerstein"
+    return 0.6 * (series and _searchable(at.facts) and not at.recipe.get("searched"))
+
+
 def _to(structure: str, where: str, hypothesis: str) -> Move:
     return Move(
         name=f"static function {where} the system",
         weight=lambda c: 0.0 if c.recipe.get("structure") == structure else 0.45,
-        change=lambda c: c.recipe.configured(structure=structure),
+        change=lambda c: c.recipe.without("searched", "linear_ridge").configured(
+            structure=structure
+        ),
         hypothesis=hypothesis,
         expected="A lower V at the same training error, if the structure is right.",
     )
@@ -54,7 +82,7 @@ CARD = Card(
             label="block-oriented model",
             use="linear systems in series with static functions: actuators and sensors that bend",
             base=5,
-            points=(("long", -1), ("windows", -3), ("several", -1)),
+            points=(("long", 1), ("windows", -3), ("several", -2)),
             start=_block_oriented,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
@@ -66,6 +94,23 @@ CARD = Card(
         more_ridge(),
         much_more_ridge(),
         less_ridge(),
+        Move(
+            name="search for the two filters",
+            weight=_search_weight,
+            change=lambda c: c.recipe.configured(searched=True, hidden=12),
+            hypothesis="Order and the shares of poles and zeros are what tells two filters around "
+            "a static function apart; the best linear model shows neither.",
+            expected="A far lower V, if the structure is right.",
+        ),
+        Move(
+            name="finer static function",
+            weight=lambda c: 0.6 * bool(c.recipe.get("searched")),
+            change=lambda c: c.recipe.configured(
+                hidden=round(1.6 * c.recipe.number("hidden", 8.0))
+            ).trained(starts=3),
+            hypothesis="The static function bends within a narrow range: more units of its grid.",
+            expected="A lower V at a lower training error, until the noise is reached.",
+        ),
         _to("hammerstein", "before", "The actuator bends, all else is linear (Hammerstein)."),
         _to("wiener", "after", "The sensor bends, all else is linear (Wiener)."),
     ),

@@ -1,0 +1,221 @@
+"""Search for a Wiener-Hammerstein model with one input and one output by many short fits.
+
+The best linear models of several orders are split into two filters in every way; a static function
+on a grid is solved by least squares for each way, the most promising are fitted for a few
+iterations on parts of the records, and those with the least error on the stretches left out go on,
+in the end on all records. A linear model's own error says little of its order where most of it is
+distortion, so the order is judged here. Source: Sjoberg and Schoukens, Initializing
+Wiener-Hammerstein models based on partitioning of the best linear approximation, Automatica 48(2),
+2012.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Array
+from asia.models import linear
+from asia.models._data.records import ScaledData, ScaledTrajectory, holdout_masks
+from asia.models._linear.fit import Refinement
+from asia.models._linear.system import LinearSystem
+from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._solvers.minimise import minimise
+from asia.models._solvers.progress import Progress
+from asia.models._state_space.filters import (
+    FilterEquations,
+    FilterRidge,
+    TwoFilters,
+    simulated,
+)
+from asia.models._state_space.wiener_hammerstein_starts import LinearFilter, shares
+
+# Orders of the linear model where none is given, iterations of its fit, and the samples for it.
+_ORDERS = (2, 3, 4, 5, 6, 7, 8)
+_LINEAR, _LINEAR_SAMPLES = Refinement(iterations=15), 4000
+# Samples of the short fits, the share of them left out, and samples that judge a split.
+_SEARCHED_SAMPLES, _LEFT_OUT, _JUDGED_SAMPLES, _SETTLE = 12_000, 0.3, 3000, 50
+# Splits that are judged of an order, that are fitted, and those that are fitted further.
+_MOST_SPLITS, _FITTED, _FITTED_ON = 600, 4, 6
+_FEW, _MORE = 12, 40
+# The static function's grid reaches so many deviations of its argument.
+_REACH = 3.5
+
+
+@dataclass(frozen=True)
+class FilterFit:
+    """A model that the search found."""
+
+    filters: TwoFilters
+    """Its parameters."""
+    delay: int
+    """Of the input, in samples."""
+    error: float
+    """Mean squared error on the stretches left out, or on all that was fitted."""
+    history: Array
+    """Root of the cost by iteration."""
+
+
+def searched(
+    records: ScaledData,
+    context: Context,
+    choice: linear.Config,
+    hidden: int,
+    ridge: FilterRidge,
+    method: LevenbergMarquardt,
+    log: Progress,
+) -> FilterFit:
+    """The model with the least training error of those that the search ends with,
+    `method.starts` of them; choice: order and delay, each None where it is open."""
+    part = _shortened(records, _SEARCHED_SAMPLES)
+    kept, left = _divided(part)
+    found = list[FilterFit]()
+    few = replace(method, iterations=min(_FEW, method.iterations))
+    for delay, system in _linear_models(part, context, choice):
+        late = [linear.shifted(r, delay) for r in kept]
+        for start in _split(late, system, hidden):
+            one = _fitted(start, delay, kept, ridge, few)
+            found.append(replace(one, error=_error(one, left)))
+    more = replace(method, iterations=min(_MORE, method.iterations))
+    best = sorted(found, key=lambda one: one.error)[:_FITTED_ON]
+    further = list[FilterFit]()
+    for one in best:
+        again = _fitted(one.filters, one.delay, kept, ridge, more)
+        further.append(replace(again, error=_error(again, left)))
+    further.sort(key=lambda one: one.error)
+    fits = list[FilterFit]()
+    for i, one in enumerate(further[: method.starts]):
+        start = _at_rest(one.filters, len(records))
+        fits.append(_fitted(start, one.delay, records, ridge, method))
+        log(float(i), float(np.sqrt(min(fit.error for fit in fits))))
+    return min(fits, key=lambda one: one.error)
+
+
+def _linear_models(
+    part: ScaledData, context: Context, choice: linear.Config
+) -> list[tuple[int, LinearSystem]]:
+    """Delays with linear models of every order asked for. A delay estimated with few states may
+    stand for states that are missing, so that none competes."""
+    short = _shortened(part, _LINEAR_SAMPLES)
+    orders = _ORDERS if choice.order is None else (choice.order,)
+    orders = tuple(o for o in orders if 8 * o <= min(len(r) for r in short)) or orders[:1]
+    delays = {choice.delay or 0}
+    if choice.delay is None:
+        settled = linear.Config(order=orders[0], delay=None)
+        delays.add(linear.fit_records(short, context, settled, _LINEAR)[1])
+    found = list[tuple[int, LinearSystem]]()
+    for delay in sorted(delays):
+        for order in orders:
+            known = linear.Config(order=order, delay=delay)
+            quiet = replace(context, log=_unheard)
+            fit, _, _ = linear.fit_records(short, quiet, known, _LINEAR)
+            found.append((delay, fit.system))
+    return found
+
+
+def _unheard(step: float, loss: float) -> None:
+    del step, loss
+
+
+def _shortened(records: ScaledData, samples: int) -> list[ScaledTrajectory]:
+    """The first records, at most four, and of each the first samples, to so many in all."""
+    few = sorted(records, key=len, reverse=True)[:4]
+    each = samples // len(few)
+    return [r.part(0, min(len(r), each)) for r in few]
+
+
+def _divided(part: ScaledData) -> tuple[list[ScaledTrajectory], list[ScaledTrajectory]]:
+    """The same records twice: with the weights of what is fitted, and of what is left out."""
+    masks = holdout_masks(part, _LEFT_OUT, shortest=_SETTLE)
+    pairs = list(zip(part, masks, strict=True))
+    kept = [replace(r, weight=r.weight * ~m) for r, m in pairs]
+    return kept, [replace(r, weight=r.weight * m) for r, m in pairs]
+
+
+def _split(late: ScaledData, system: LinearSystem, hidden: int) -> list[TwoFilters]:
+    """The best splits of a linear model."""
+    judged = [
+        start
+        for pair in shares(system, _MOST_SPLITS)
+        if (start := _start(late, system, pair, hidden)) is not None
+    ]
+    judged.sort(key=lambda pair: pair[0])
+    return [filters for _, filters in judged[:_FITTED]]
+
+
+def _start(
+    late: ScaledData, system: LinearSystem, pair: tuple[LinearFilter, LinearFilter], hidden: int
+) -> tuple[float, TwoFilters] | None:
+    """A split with its static function solved for, and its mean squared error."""
+    one, two = pair
+    parts = [r.part(0, _JUDGED_SAMPLES) for r in late[:2]]
+    with np.errstate(all="ignore"):
+        middles = [one(r.u)[:, 0] for r in parts]
+        size = float(np.concatenate(middles).std())
+        if not np.isfinite(size) or size < 1e-12:
+            return None
+        slope, shift = _grid(hidden)
+        rows, targets = list[Array](), list[Array]()
+        for r, middle in zip(parts, middles, strict=True):
+            v = middle[:, None] / size
+            through = two(np.concatenate([v, np.tanh(v * slope + shift)], axis=1))
+            skip = min(_SETTLE, len(v) // 4)
+            rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[skip:])
+            targets.append(r.y[skip:, 0])
+        x, y = np.concatenate(rows), np.concatenate(targets)
+    if not np.isfinite(x).all():
+        return None
+    scale = np.sqrt((x**2).sum(axis=0)) + 1e-12
+    gram = (x / scale).T @ (x / scale) + 1e-6 * np.eye(x.shape[1])
+    theta = np.linalg.solve(gram, (x / scale).T @ y) / scale
+    error = float(((x @ theta - y) ** 2).mean())
+    # The function is the identity plus a bend: the slope of the whole goes to the second filter.
+    gain = float(theta[0])
+    gain = gain if abs(gain) > 1e-2 else float(np.copysign(1e-2, gain))
+    b1, a1 = one._replace(gain=one.gain / size).in_delays()
+    b2, a2 = two._replace(gain=two.gain * gain).in_delays()
+    x0 = np.zeros((1, system.order))
+    bend = theta[1:-1] / gain
+    return error, TwoFilters(b1, a1[1:], slope, shift, bend, b2, a2[1:], theta[-1:], x0)
+
+
+def _grid(hidden: int) -> tuple[Array, Array]:
+    """Slopes and shifts of tanh units whose centres cover the argument of unit size evenly."""
+    centres = np.linspace(-_REACH, _REACH, hidden + 2)[1:-1]
+    slope = np.full(hidden, max(1.0, 0.5 * hidden / _REACH))
+    return slope, -slope * centres
+
+
+def _at_rest(filters: TwoFilters, records: int) -> TwoFilters:
+    return filters._replace(x0=np.zeros((records, filters.x0.shape[1])))
+
+
+def _fitted(
+    start: TwoFilters,
+    delay: int,
+    records: ScaledData,
+    ridge: FilterRidge,
+    method: LevenbergMarquardt,
+) -> FilterFit:
+    late = [linear.shifted(r, delay) for r in records]
+    if len(start.x0) != len(late):
+        start = _at_rest(start, len(late))
+    origin = start.packed()
+    equations = FilterEquations(start, late, start.pull(ridge), origin)
+    found = minimise(equations.costs, equations.normal, origin[None], method)
+    filters = start.unpacked(found.theta[0])
+    return FilterFit(filters, delay, float(found.cost[0]), np.sqrt(found.history[0]))
+
+
+def _error(one: FilterFit, left: ScaledData) -> float:
+    """Mean squared error where the weights of these records are; infinite where it diverges."""
+    total, count = 0.0, 0.0
+    with np.errstate(all="ignore"):
+        for i, record in enumerate(left):
+            late = linear.shifted(record, one.delay)
+            apart = (simulated(one.filters, late.u[:, 0], i) - late.y[:, 0]) * late.weight
+            total, count = total + float(apart @ apart), count + float((late.weight**2).sum())
+    error = total / max(count, 1.0)
+    return error if np.isfinite(error) else float("inf")
