@@ -198,7 +198,7 @@ def test_models_without_equations_get_the_symmetries_of_their_signals(leader: st
         return trial(proposal, number, 0.3 if proposal.family == leader else 0.9)
 
     def given(known: Facts) -> set[str]:
-        done = search(ExpertAgent, known, 20, outcome)
+        done = search(ExpertAgent, known, 24, outcome)
         return {t.family for t in done if recipe_of(t).get("symmetry")}
 
     assert leader in given(odd)
