@@ -8,7 +8,7 @@ odd ones, and ends with its sealed record opened: error of all three models agai
 outputs and against the noise-free truth. DIR/results keeps a file a search, with all that the rule
 knows, so that another rule can be judged without new searches. The same command goes on with what
 is in DIR; --table prints the tables of what is there and searches nothing. Seeds below 200 were
-used to set the rule: give others to judge it.
+used to set the rule: give others to judge it. The tables end with what output bands held.
 """
 
 from __future__ import annotations
@@ -180,6 +180,7 @@ def _kept(
             for name, y_hat in simulated.items()
         },
         "noise": float(np.mean(system.noise_std / scale)),
+        "bands": None if opened.bands is None else asdict(opened.bands),
     }  # fmt: skip
 
 
@@ -212,7 +213,35 @@ def tables(found: Sequence[dict[str, Any]]) -> str:
     lines += ["", f"Loss of the rule above {100 * FAR_OFF:.0f} %, measured: {len(over)}."]
     lines += [f"- {one['run']}: {_named(one)}, {one['rmse']}" for one in over]
     stacked = [one for one in found if one["stack"]]
-    return "\n".join([*lines, "", *_stack_lines(stacked, len(found))])
+    lines += ["", *_stack_lines(stacked, len(found))]
+    return "\n".join([*lines, "", *_band_lines([b for b in map(_bands, found) if b])])
+
+
+def _bands(one: dict[str, Any]) -> dict[str, Any] | None:
+    return one.get("bands")
+
+
+def _band_lines(found: Sequence[dict[str, Any]]) -> list[str]:
+    """What the output bands held on the sealed records, everywhere and near the training data."""
+    if not found:
+        return ["No search kept output bands."]
+    lines = [
+        f"Output bands of {found[0]['level']:.0%}, share of sealed samples that they held:",
+        "",
+        "| outside the region of validity | searches | mean | median | lowest | highest |",
+        "|---|---|---|---|---|---|",
+    ]
+    for words, low, high in (
+        ("any", -1.0, 1.0), ("at most 2 %", -1.0, 0.02), ("2 to 10 %", 0.02, 0.1),
+        ("above 10 %", 0.1, 1.0),
+    ):  # fmt: skip
+        held = [float(np.mean(b["covered"])) for b in found if low < b["outside"] <= high]
+        if held:
+            cells = [
+                f"{100 * x:.1f} %" for x in (np.mean(held), median(held), min(held), max(held))
+            ]
+            lines.append(f"| {words} | {len(held)} | {' | '.join(cells)} |")
+    return lines
 
 
 def _named(one: dict[str, Any]) -> str:
