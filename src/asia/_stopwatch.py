@@ -13,6 +13,16 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
+def duration(seconds: float) -> str:
+    """`7s`, `3m05s` or `1h02m`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole}s"
+    if whole < 3600:
+        return f"{whole // 60}m{whole % 60:02d}s"
+    return f"{whole // 3600}h{whole % 3600 // 60:02d}m"
+
+
 class Activity(StrEnum):
     """What time is spent on, in the order of a table."""
 

@@ -51,6 +51,7 @@ __all__ = [
     "official_figures",
     "read_board",
     "simulated_cases",
+    "write_page",
     "write_report",
 ]
 
@@ -67,6 +68,19 @@ def write_report(directory: Path, *, missing_only: bool = False) -> tuple[Path, 
     from asia.report._write import write
 
     return write(directory, missing_only=missing_only)
+
+
+def write_page(directory: Path) -> Path:
+    """Write all about the run in `directory` on one page, `<directory>/report/report.html`, which
+    opens offline; the same ledger gives the same bytes.
+
+    Raises UserError when `directory` is not a run, or its records, artifacts or training data are
+    not what they were, and InternalError, before anything is written, where a number of the page is
+    not what the ledger says.
+    """
+    from asia.report._page import write_page
+
+    return write_page(directory)
 
 
 def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:

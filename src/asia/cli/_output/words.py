@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from asia._stopwatch import duration
 from asia.ledger import (
     Evaluated,
     Event,
@@ -34,16 +35,6 @@ RESIDUALS_SHOWN = (
 
 # V over that of the training mean from which on a model says next to nothing.
 _BETTER = 0.95
-
-
-def duration(seconds: float) -> str:
-    """`7s`, `3m05s` or `1h02m`."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole}s"
-    if whole < 3600:
-        return f"{whole // 60}m{whole % 60:02d}s"
-    return f"{whole // 3600}h{whole % 3600 // 60:02d}m"
 
 
 def validation_words(validation_scores: int) -> str:

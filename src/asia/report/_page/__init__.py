@@ -1,0 +1,5 @@
+"""The page of a run: one HTML file that tells all of it, offline."""
+
+from asia.report._page.page import LIMIT, page_of, write_page
+
+__all__ = ["LIMIT", "page_of", "write_page"]

@@ -1,0 +1,62 @@
+"""Measured against simulated outputs, as the sections show them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from asia.data import Array
+from asia.problem.load import Problem
+from asia.report._drawing.time import time_unit
+from asia.report._page.html import Html, join, tag
+from asia.report._page.svg.curves import Curves, draw_curves, legend
+
+MOST_PANELS = 6
+"""Of a section."""
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """One output over one record, block or window."""
+
+    title: Html
+    """What it shows."""
+    alt: str
+    """The same for those who do not see it."""
+    channel: int
+    """Number of the output."""
+    first: int
+    """Number of the first sample in its record."""
+    measured: Array
+    """(H, ny)."""
+    simulated: Array
+    """(H, ny)."""
+    skip: int = 0
+    """Samples at the start that do not count."""
+
+
+def draw_overlays(problem: Problem, overlays: Sequence[Overlay]) -> Html:
+    """The first `MOST_PANELS`, with a legend."""
+    words = [("measured", "measured"), ("model", "simulated"), ("error", "difference")]
+    shown = [_draw(problem, one) for one in overlays[:MOST_PANELS]]
+    return join((legend(words), tag("div", *shown, class_="grid")))
+
+
+def _draw(problem: Problem, overlay: Overlay) -> Html:
+    signal = problem.outputs[overlay.channel]
+    end = overlay.first + len(overlay.measured)
+    unit = time_unit(problem.sampling_time * end)
+    step = problem.sampling_time / unit.seconds
+    return draw_curves(
+        Curves(
+            title=overlay.title,
+            alt=f"{overlay.alt}: measured and simulated {signal.name}",
+            axis=f"{signal.name} [{signal.unit}]" if signal.unit else signal.name,
+            time=f"time [{unit.name}]",
+            start=overlay.first * step,
+            step=step,
+            measured=overlay.measured[:, overlay.channel],
+            simulated=overlay.simulated[:, overlay.channel],
+            skip=overlay.skip,
+        )
+    )

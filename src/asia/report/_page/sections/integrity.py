@@ -1,0 +1,121 @@
+"""What kept the search honest, and what it cost."""
+
+from __future__ import annotations
+
+from asia.ledger import GuardLooked, hand_over_words
+from asia.report._page.html import Html, facts, join, said, table, tag
+from asia.report._page.section import Section
+from asia.report._page.subject import Subject
+from asia.scoring import Score
+
+
+def _write(subject: Subject) -> Html:
+    view = subject.view
+    start = view.started
+    notes = "; ".join(start.isolation_notes)
+    layers = ", ".join(start.layers)
+    pairs = (
+        (
+            "isolation",
+            join((tag("b", start.isolation_words), said(f" ({layers})") if layers else "")),
+        ),
+        ("what it lacks", said(notes, 800) if notes else None),
+        ("test", _test(subject)),
+        ("held-out scores shown", _oracle(subject)),
+        ("guard records", _guard(subject)),
+        ("a person's notes", _notes(subject)),
+        ("evaluations", _time(subject)),
+        ("outcomes", _outcomes(subject)),
+        ("language model", _cost(subject)),
+    )
+    relays = [tag("li", said(hand_over_words(event))) for event in view.handed_over]
+    relay = tag("ul", *relays) if relays else None
+    return join((facts(pairs), relay, *(_look(subject, look) for look in view.looks)))
+
+
+def _test(subject: Subject) -> Html:
+    view = subject.view
+    if view.started.test_digest is None:
+        return join(("none",))
+    digest = tag("code", view.started.test_digest[:12])
+    state = "opened once, after the search" if view.unsealed else "sealed, never opened"
+    consent = view.unsealing is not None and view.unsealing.process_consent
+    agreed = (
+        "; a person agreed to open it though nothing kept candidates from it" if consent else ""
+    )
+    before = view.unsealing.opened_before if view.unsealing else ()
+    earlier = join(("; opened before by ", said(", ".join(before)))) if before else None
+    return join((state, ", committed before the first experiment as ", digest, agreed, earlier))
+
+
+def _oracle(subject: Subject) -> Html:
+    if subject.view.started.early_stopping == "inner":
+        return join(("none: candidates hold out parts of their own training data",))
+    count = subject.over("evaluated", "validation_scores", "sum", "count")
+    return join((count, ": V is not leak-free"))
+
+
+def _guard(subject: Subject) -> Html:
+    if subject.view.started.guard_digest is None:
+        return join(("none",))
+    if not subject.view.looks:
+        return join(("there are some, and nobody has looked at them",))
+    return join(("looked at ", subject.over("guard", "look", "count", "count"), " times"))
+
+
+def _notes(subject: Subject) -> Html:
+    notes = [tag("li", said(note.text, 600)) for note in subject.view.notes]
+    return tag("ul", *notes) if notes else join(("none",))
+
+
+def _time(subject: Subject) -> Html:
+    count = subject.over("evaluated", "experiment", "count", "count")
+    spent = subject.over("evaluated", "seconds", "sum", "duration")
+    return join((count, " in ", spent))
+
+
+def _outcomes(subject: Subject) -> Html:
+    found = {e.result.status: None for e in subject.view.finished if e.result}
+    parts = [
+        join((subject.over("evaluated", f"status={status}", "count", "count"), f" {status}"))
+        for status in sorted(found)
+    ]
+    return join(parts, ", ") if parts else join(("none yet",))
+
+
+def _cost(subject: Subject) -> Html:
+    view = subject.view
+    usage = view.usage
+    if usage is None:
+        return join(("none was asked",))
+    parts = [
+        (event, f"usage.{name}")
+        for event in (*view.exchanges, *view.sessions)
+        if event.usage is not None
+        for name in ("input_tokens", "output_tokens")
+    ]
+    tokens = subject.made("sum", "count", *parts) if parts else "no"
+    if usage.cost is None:
+        return join((tokens, " tokens, cost unknown"))
+    costs = [
+        (event, "usage.cost")
+        for event in (*view.exchanges, *view.sessions)
+        if event.usage is not None and event.usage.cost is not None
+    ]
+    return join((tokens, " tokens, ", subject.made("sum", "dollars", *costs)))
+
+
+def _look(subject: Subject, look: GuardLooked) -> Html:
+    rows = [
+        [
+            subject.number(look, f"scores.{k}.experiment", "number"),
+            subject.number(look, f"scores.{k}.outcome.value", "error")
+            if isinstance(score.outcome, Score)
+            else "no score",
+        ]
+        for k, score in enumerate(look.scores)
+    ]
+    return table(["experiment", "error on the guard"], rows, "A look at the guard records")
+
+
+SECTION = Section("integrity", "What kept it honest, and what it cost", _write)

@@ -1,0 +1,141 @@
+"""The sealed test, once it was opened."""
+
+from __future__ import annotations
+
+from asia.ledger import TestedModel, Unsealed, model_to_use
+from asia.protocol import find_metric
+from asia.report._board import Board, read_board
+from asia.report._page.html import Html, join, said, table, tag
+from asia.report._page.overlay import Overlay, draw_overlays
+from asia.report._page.section import Section
+from asia.report._page.subject import Subject
+
+_MODELS = (
+    ("ensemble", "ensemble of the fold models"),
+    ("refit", "refit on all training records"),
+    ("stack", "stack of several experiments"),
+)
+
+
+def _write(subject: Subject) -> Html | None:
+    opened = subject.view.unsealed
+    if opened is None:
+        return None
+    how = join((subject.number(opened, "skip", "count"), " samples of each record are left out"))
+    if opened.horizon is not None:
+        how = join(("windows of ", subject.number(opened, "horizon", "count"), " samples"))
+    words = tag("p", "The test records were opened once, after the search had ended: ", how, ".")
+    return join(
+        (
+            words,
+            _table(subject, opened),
+            _by_record(subject, opened),
+            _board(subject),
+            _pictures(subject, opened),
+        )
+    )
+
+
+def _models(opened: Unsealed) -> list[tuple[str, str, TestedModel]]:
+    found = [(key, words, getattr(opened, key)) for key, words in _MODELS]
+    return [(key, words, model) for key, words, model in found if isinstance(model, TestedModel)]
+
+
+def _table(subject: Subject, opened: Unsealed) -> Html | None:
+    named = model_to_use(subject.view)
+    rows: list[list[str | None]] = []
+    for key, words, model in _models(opened):
+        name = tag("b", words, " (to use)") if named and named.model == key else tag("span", words)
+        for k, score in enumerate(model.scores):
+            at = f"{key}.scores.{k}"
+            channels = [
+                subject.number(opened, f"{at}.per_channel.{c}", "sig4")
+                for c in range(len(opened.channels))
+            ]
+            label = find_metric(score.metric).label
+            rows.append([name, label, subject.number(opened, f"{at}.value", "sig4"), *channels])
+    failed = [words for key, words in _MODELS if _failed(opened, key)]
+    note = tag("p", "No answer from: ", ", ".join(failed), ".") if failed else None
+    if not rows:
+        return note
+    head = ["model", "metric", "mean over outputs", *map(said, opened.channels)]
+    return join((table(head, rows, "Error on the sealed test, in the unit of the output"), note))
+
+
+def _failed(opened: Unsealed, key: str) -> bool:
+    model = getattr(opened, key)
+    return model is not None and not isinstance(model, TestedModel)
+
+
+def _by_record(subject: Subject, opened: Unsealed) -> Html | None:
+    models = _models(opened)
+    if len(opened.trajectories) < 2 or not models:
+        return None
+    rows = [
+        [
+            said(name),
+            *(
+                subject.number(opened, f"{key}.scores.0.per_trajectory.{i}", "sig4")
+                for key, _, _ in models
+            ),
+        ]
+        for i, name in enumerate(opened.trajectories)
+    ]
+    return table(["record", *(words for _, words, _ in models)], rows, "Error on each test record")
+
+
+def _board(subject: Subject) -> Html | None:
+    if subject.problem is None:
+        return None
+    board = read_board(subject.problem, subject.view)
+    if not board.entries or not board.standings:
+        return None
+    parts: list[Html] = [_board_of(board, index) for index in range(len(board.standings))]
+    return join((tag("h3", "Among the published results"), *parts))
+
+
+def _board_of(board: Board, index: int) -> Html:
+    """Published results and ours, the lowest first. They are no events of this ledger, and the
+    official figure is the one above in another unit, so both are quoted."""
+    ours = board.standings[index]
+    entries = [(e.figures[index], e.words) for e in board.entries if index < len(e.figures)]
+    rows = [(v, words, False) for v, words in entries if v is not None]
+    rows.append((ours.figure.value, "this search, the model to use", True))
+    rows.sort(key=lambda row: row[0])
+    most = rows[-1][0]
+    bars: list[list[str | None]] = []
+    for value, words, own in rows:
+        share = f"width:{100 * value / most:.1f}%"
+        bar = tag("span", class_="bar own" if own else "bar", style=share)
+        name = tag("b", words) if own else said(words)
+        bars.append([name, said(f"{value:.4g}"), bar])
+    caption = f"Test error of {ours.figure.name} [{board.unit}]"
+    return table(["result", "error", "size"], bars, caption)
+
+
+def _pictures(subject: Subject, opened: Unsealed) -> Html | None:
+    problem, models = subject.problem, _models(opened)
+    if problem is None or not models or opened.horizon is not None:
+        return None
+    named = model_to_use(subject.view)
+    chosen = next((m for m in models if named and m[0] == named.model), models[0])
+    shapes = [(length, len(opened.channels)) for length in opened.lengths]
+    measured = subject.run.store.get_arrays(opened.measured, shapes)
+    simulated = subject.run.store.get_arrays(chosen[2].y_hat, shapes)
+    parts = [
+        Overlay(
+            title=join((said(name), ", ", chosen[1])),
+            alt=f"Test record {name}",
+            channel=channel,
+            first=problem.protocol.past,
+            measured=measured[i],
+            simulated=simulated[i],
+            skip=opened.skip,
+        )
+        for i, name in enumerate(opened.trajectories)
+        for channel in range(len(problem.outputs))
+    ]
+    return draw_overlays(problem, parts)
+
+
+SECTION = Section("test", "The sealed test", _write)

@@ -1,0 +1,208 @@
+"""Five lines for someone who has to decide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from asia.evaluation import FAR_BELOW, consistency
+from asia.ledger import Experiment, TestedModel, model_to_use, tested_model
+from asia.protocol import find_metric
+from asia.report._page.html import Html, join, said, tag
+from asia.report._page.section import Section
+from asia.report._page.subject import Subject, result_of
+
+# V over that of a rung from which on a model is hardly better.
+_BETTER = 0.95
+
+
+def doubts(subject: Subject) -> Iterator[str]:
+    """What speaks against the figures, in words without numbers."""
+    view = subject.view
+    best = view.best
+    if best is None or best.score is None:
+        return
+    value = best.score.value
+    for name, words in (
+        ("training mean", "the model is hardly better than the mean of the data"),
+        ("linear model", "the model is hardly better than a linear one"),
+    ):
+        rung = subject.rung(name)
+        if rung is not None and value > _BETTER * rung[1]:
+            yield words
+            break
+    if view.started.isolation == "process":
+        yield "candidates ran without walls and could have read the answers"
+    if view.started.early_stopping == "validation":
+        yield "candidates were given their score on the held-out data while they trained"
+    if view.started.residuals == "held_out":
+        yield "held-out residuals were shown to whoever proposed"
+    again = view.refitted.again if view.refitted else None
+    if again is not None and again.ratio != 1.0:
+        yield "a second fit of the winner came out differently"
+    result = result_of(best)
+    if consistency(value, [fold.diagnostics.train_error for fold in result.folds]) < FAR_BELOW:
+        yield "the error on held-out data is far below that on training data"
+    if result.deadline:
+        yield "the winner's fit ran into its deadline, so it depends on the machine"
+
+
+def _write(subject: Subject) -> Html:
+    view = subject.view
+    best = view.best
+    if best is None:
+        stamp, kind = "No model", "none"
+        lines = [_nothing(subject)]
+    else:
+        against = list(doubts(subject))
+        stamp, kind = ("Doubtful", "doubt") if against else ("A model was found", "good")
+        lines = [
+            _found(subject, best),
+            _error(subject, best),
+            _test(subject),
+            _use(subject),
+            _trust(subject, against),
+        ]
+    if not view.complete and view.unsealed is None:
+        lines.append(join(("The search is not finished: all of this may change.",)))
+    tiles = None if best is None else _tiles(subject, best)
+    return join(
+        (
+            tag("p", stamp, class_=f"stamp {kind}"),
+            tag("ol", *(tag("li", line) for line in lines), class_="verdict"),
+            tiles,
+        )
+    )
+
+
+def _nothing(subject: Subject) -> Html:
+    count = subject.over("proposed", "experiment", "count", "count")
+    return join(("None of the candidates has a score. They were ", count, " in all."))
+
+
+def _found(subject: Subject, best: Experiment) -> Html:
+    view = subject.view
+    count = subject.over("evaluated", "experiment", "count", "count")
+    return join(
+        (
+            tag("b", said(best.proposed.title)),
+            " (experiment ",
+            tag("a", subject.name(best), href=f"#e{best.number}"),
+            ") is the best of ",
+            count,
+            " candidates for ",
+            said(view.started.problem),
+            ".",
+        )
+    )
+
+
+def _error(subject: Subject, best: Experiment) -> Html:
+    result = result_of(best)
+    share = subject.number(result, "outcome.value", "share")
+    start: tuple[str | None, ...] = (
+        "On data that it was not fitted to it errs by ",
+        tag("b", share),
+        " of the output's own variation",
+    )
+    rung = subject.rung("linear model")
+    if rung is None:
+        return join((*start, "."))
+    linear, value = rung
+    own = subject.view.best
+    assert own is not None
+    assert own.score is not None
+    if value > own.score.value:
+        first, second = (linear, "outcome.value"), (result, "outcome.value")
+        words = " times as much"
+    else:
+        first, second = (result, "outcome.value"), (linear, "outcome.value")
+        words = " times less"
+    times = subject.made("ratio", "times", first, second)
+    other = subject.number(linear, "outcome.value", "share")
+    return join((*start, "; the best linear model by ", other, ", ", times, words, "."))
+
+
+def _test(subject: Subject) -> Html:
+    view = subject.view
+    opened = view.unsealed
+    if opened is None:
+        if view.started.test_digest is None:
+            return join(("There is no sealed test: no figure here is of unseen records.",))
+        return join(
+            (
+                "The sealed test is still closed. The error above also served to choose the model, "
+                "so expect a somewhat larger one.",
+            )
+        )
+    named = model_to_use(view)
+    use = named.model if named else "ensemble"
+    model = tested_model(opened, use)
+    if not isinstance(model, TestedModel):
+        return join(("On the sealed test the model to use gives no answer.",))
+    place = use if getattr(opened, use) is not None else "ensemble"
+    value = subject.number(opened, f"{place}.scores.0.value", "sig4")
+    label = find_metric(model.scores[0].metric).label
+    units = {s.unit for s in subject.problem.outputs} if subject.problem else set[str]()
+    unit = said(f" {units.pop()}") if len(units) == 1 else ""
+    return join(
+        (
+            "On the sealed test, opened once after the search, its ",
+            label,
+            " is ",
+            tag("b", value),
+            unit,
+            ".",
+        )
+    )
+
+
+def _use(subject: Subject) -> Html:
+    named = model_to_use(subject.view)
+    assert named is not None
+    words = {
+        "ensemble": "the ensemble, the mean of the fold models",
+        "refit": "the refit, the winner fitted to all training records",
+        "stack": "the stack, a weighted mean of several candidates",
+    }[named.model]
+    return join(("Model to use: ", tag("b", words), "."))
+
+
+def _trust(subject: Subject, against: list[str]) -> Html:
+    if against:
+        return join(("Reasons for doubt: ", "; ".join(against), "."))
+    refitted = subject.view.refitted
+    again = (
+        ", and a second fit of the winner came out the same" if refitted and refitted.again else ""
+    )
+    return join((f"Candidates were kept from the data that they were judged on{again}.",))
+
+
+def _tiles(subject: Subject, best: Experiment) -> Html:
+    result = result_of(best)
+    tiles: list[tuple[str, Html]] = [("V, the best candidate", subject.v(best))]
+    rungs = [
+        ("V, best linear model", "linear model"),
+        ("V, the noise floor", "simulated truth"),
+        ("V, mean of the data", "training mean"),
+    ]
+    for label, name in rungs:
+        rung = subject.rung(name)
+        if rung is not None:
+            tiles.append((label, subject.number(rung[0], "outcome.value", "error")))
+    score = best.score
+    assert score is not None
+    paths = [
+        (result, f"outcome.folds.{k}.fit_index.{c}")
+        for k, fold in enumerate(score.folds)
+        for c, fit in enumerate(fold.fit_index)
+        if fit is not None
+    ]
+    if paths:
+        tiles.append(("lowest fit index", subject.made("least", "percent", *paths)))
+    tiles.append(("experiments", subject.over("evaluated", "experiment", "count", "count")))
+    tiles.append(("spent on them", subject.over("evaluated", "seconds", "sum", "duration")))
+    shown = [tag("div", tag("dt", label), tag("dd", value)) for label, value in tiles]
+    return tag("dl", *shown, class_="tiles")
+
+
+SECTION = Section("verdict", "Verdict", _write)

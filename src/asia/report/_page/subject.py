@@ -1,0 +1,156 @@
+"""What a section reads: one run, with numbers that know where they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from asia.errors import InternalError
+from asia.ledger import Evaluated, Event, Experiment, Run, SearchView
+from asia.problem.load import Problem
+from asia.protocol import Fold, make_folds
+from asia.report._page.html import Html
+from asia.report._page.numbers import ONE, follow, write_number
+from asia.scoring import Score
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How much of a long search the page holds."""
+
+    sources: int
+    """How many experiments may have their changed source on the page."""
+    stories: int
+    """How many experiments may have a hypothesis and a fold table; the others have a row."""
+    rows: int
+    """How many experiments are listed at all."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The run of a page."""
+
+    run: Run
+    """The run."""
+    problem: Problem | None
+    """Its problem with the training data; None where the ledger came without its artifacts."""
+    detail: Detail
+    """How much is shown."""
+
+    @property
+    def view(self) -> SearchView:
+        """What the ledger says."""
+        return self.run.view
+
+    @cached_property
+    def _places(self) -> dict[int, int]:
+        return {id(line.event): line.seq for line in self.run.lines}
+
+    @cached_property
+    def folds(self) -> Sequence[Fold]:
+        """The folds; () without the data."""
+        return () if self.problem is None else make_folds(self.problem.train, self.problem.protocol)
+
+    @cached_property
+    def lineage(self) -> tuple[int, ...]:
+        """Numbers of the winner and of all that it was made from, the first one first; () without
+        a winner."""
+        found: list[int] = []
+        here = self.view.best
+        while here is not None and here.number not in found:
+            found.append(here.number)
+            parent = here.proposed.parent
+            here = None if parent is None else self.view.experiment(parent)
+        return tuple(reversed(found))
+
+    @cached_property
+    def told(self) -> tuple[Experiment, ...]:
+        """The experiments on the page: all; in a long search those that were kept, the winner's
+        lineage and the last ones."""
+        return self._chosen(self.detail.rows)
+
+    @cached_property
+    def with_source(self) -> frozenset[int]:
+        """Numbers of the experiments whose changed source is on the page."""
+        return frozenset(e.number for e in self._chosen(self.detail.sources))
+
+    @cached_property
+    def with_story(self) -> frozenset[int]:
+        """Numbers of the experiments that are told whole."""
+        return frozenset(e.number for e in self._chosen(self.detail.stories))
+
+    def _chosen(self, most: int) -> tuple[Experiment, ...]:
+        every = self.view.experiments
+        if len(every) <= most:
+            return every
+        order = sorted(every, key=lambda e: (e.number not in self.lineage, not e.kept, -e.number))
+        return tuple(sorted(order[:most], key=lambda e: e.number))
+
+    def place(self, event: Event) -> int:
+        """Sequence number of an event of the run."""
+        try:
+            return self._places[id(event)]
+        except KeyError:
+            raise InternalError(f"report: this '{event.event}' is not in the ledger") from None
+
+    def number(self, event: Event, path: str, form: str) -> Html:
+        """A number as an event has it, such as `outcome.value`."""
+        return self.made(ONE, form, (event, path))
+
+    def made(self, rule: str, form: str, *parts: tuple[Event, str]) -> Html:
+        """A number made of several, by one of `numbers.RULES`."""
+        values: list[Any] = []
+        names: list[str] = []
+        for event, path in parts:
+            try:
+                values += follow(event, path)
+            except (KeyError, IndexError, AttributeError, ValueError) as error:
+                raise InternalError(f"report: '{event.event}' has no {path}: {error!r}") from error
+            names.append(f"{self.place(event)}:{path}")
+        return write_number(values, " ".join(names), rule, form)
+
+    def over(self, kind: str, path: str, rule: str, form: str) -> Html:
+        """A number made of all events of a kind, such as the sum of `seconds` of `evaluated`."""
+        values: list[Any] = []
+        for line in self.run.lines:
+            if line.event.event == kind:
+                values += follow(line.event, path)
+        return write_number(values, f"{kind}:{path}", rule, form)
+
+    def setting(self, path: str, form: str) -> Html | None:
+        """A number of the problem's lock file; None where it names none."""
+        try:
+            values = follow(self._lock, path)
+        except (KeyError, IndexError):
+            return None
+        return write_number(values, f"lock:{path}", ONE, form)
+
+    @cached_property
+    def _lock(self) -> dict[str, Any]:
+        import tomllib
+
+        path = self.run.directory / "problem.lock.toml"
+        return tomllib.loads(path.read_text("utf-8")) if path.exists() else {}
+
+    def v(self, experiment: Experiment) -> Html:
+        """V of an experiment that has a score."""
+        return self.number(result_of(experiment), "outcome.value", "error")
+
+    def name(self, experiment: Experiment) -> Html:
+        """`#07`."""
+        return self.number(experiment.proposed, "experiment", "number")
+
+    def rung(self, name: str) -> tuple[Event, float] | None:
+        """A rung with its V; None where it has none."""
+        for rung in self.view.rungs:
+            if rung.name == name and isinstance(rung.outcome, Score):
+                return rung, rung.outcome.value
+        return None
+
+
+def result_of(experiment: Experiment) -> Evaluated:
+    """The result of an experiment that has one."""
+    assert experiment.result is not None
+    return experiment.result

@@ -1,0 +1,128 @@
+"""Records over time: measured, simulated, and the error below. The curves stretch with the page,
+their words are HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+from asia.report._page.html import Html, join, said, tag
+from asia.report._page.svg.scales import Scale, thinned, written
+
+_WIDTH = 1000
+_HEIGHT = 220
+_STRIP = 70
+_COLUMNS = 420
+_MARGIN = 0.06
+
+
+@dataclass(frozen=True)
+class Curves:
+    """One output over one record or window."""
+
+    title: Html
+    """What it shows."""
+    alt: str
+    """The same for those who do not see it."""
+    axis: str
+    """Name and unit of the output."""
+    time: str
+    """Name and unit of the time axis."""
+    start: float
+    """Time of the first sample."""
+    step: float
+    """Time from one sample to the next."""
+    measured: Array
+    """(H,)."""
+    simulated: Array
+    """(H,)."""
+    skip: int = 0
+    """Samples at the start that do not count."""
+
+
+def draw_curves(curves: Curves) -> Html:
+    """The curves with a strip of errors below."""
+    y, y_hat = curves.measured, curves.simulated
+    low, high = _limits(y, y_hat)
+    error = y - y_hat
+    most = float(np.abs(error).max()) or 1.0
+    upper = _panel(_HEIGHT, Scale(low, high, _HEIGHT, 0), [("measured", y), ("model", y_hat)])
+    lower = _panel(_STRIP, Scale(-most, most, _STRIP, 0), [("error", error)])
+    end = curves.start + curves.step * len(y)
+    across = Scale(curves.start, end, 0, 100)
+    marks = [
+        tag("span", written(t), style=f"left:{across.at(t):.2f}%")
+        for t in across.ticks(8)
+        if across.at(t) <= 96
+    ]
+    shade = None
+    if curves.skip:
+        share = 100 * curves.skip / len(y)
+        shade = tag("span", class_="skip", style=f"width:{share:.2f}%")
+    return tag(
+        "figure",
+        tag("figcaption", curves.title),
+        tag("div", said(curves.axis), class_="axis"),
+        tag(
+            "div",
+            _values(low, high),
+            upper,
+            shade,
+            class_="plot",
+            role="img",
+            aria_label=curves.alt,
+        ),
+        tag("div", "error", class_="axis"),
+        tag("div", _values(-most, most, 2), lower, class_="plot strip", aria_hidden="true"),
+        tag("div", *marks, class_="times scale"),
+        tag("div", curves.time, class_="axis right"),
+        class_="curves",
+    )
+
+
+def legend(words: Sequence[tuple[str, str]]) -> Html:
+    """Names of the curves; words: class and name."""
+    items = [join((tag("span", class_=f"key {name}"), label, " ")) for name, label in words]
+    return tag("p", *items, class_="legend")
+
+
+def _limits(*values: Array) -> tuple[float, float]:
+    """Those of the measured output; a simulation that leaves them far behind is cut off."""
+    low, high = float(values[0].min()), float(values[0].max())
+    room = 0.5 * (high - low) or 1.0
+    least, most = (float(f([f(v) for v in values])) for f in (np.min, np.max))
+    low, high = max(low - room, min(low, least)), min(high + room, max(high, most))
+    edge = _MARGIN * (high - low) or 1.0
+    return low - edge, high + edge
+
+
+def _values(low: float, high: float, most: int = 4) -> Html:
+    scale = Scale(low, high, 100, 0)
+    ticks = [t for t in scale.ticks(most) if 3 <= scale.at(t) <= 97]
+    marks = [tag("span", written(t), style=f"top:{scale.at(t):.1f}%") for t in ticks]
+    return tag("div", *marks, class_="values scale", aria_hidden="true")
+
+
+def _panel(height: int, scale: Scale, lines: Sequence[tuple[str, Array]]) -> Html:
+    parts = [_line(name, values, scale) for name, values in lines]
+    zero = round(scale.at(0.0)) if scale.low < 0 < scale.high else None
+    rule = None if zero is None else tag("path", d=f"M0 {zero}H{_WIDTH}", class_="zero")
+    return tag(
+        "svg",
+        rule,
+        *parts,
+        viewBox=f"0 0 {_WIDTH} {height}",
+        preserveAspectRatio="none",
+        aria_hidden="true",
+        focusable="false",
+    )
+
+
+def _line(name: str, values: Array, scale: Scale) -> Html:
+    points = thinned(values.tolist(), _COLUMNS)
+    across = Scale(0, max(len(values) - 1, 1), 0, _WIDTH)
+    places = [f"{round(across.at(i))} {round(scale.at(v))}" for i, v in points]
+    return tag("path", d=f"M{'L'.join(places)}", class_=f"line {name}")

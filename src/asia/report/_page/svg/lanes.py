@@ -1,0 +1,96 @@
+"""Who was made from whom: the lanes beside a list of experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from asia.report._page.html import Html, tag
+
+ROW = 34
+"""Height of a row of the list, as in page.css."""
+_LANE = 16
+_MOST_LANES = 9
+
+
+@dataclass(frozen=True)
+class Kin:
+    """One row of the list."""
+
+    number: int
+    """Number of the experiment."""
+    parent: int | None
+    """What it was made from."""
+    status: str
+    """What was decided."""
+    winning: bool
+    """Whether the winner was made from it, or it is the winner."""
+
+
+def lanes(rows: Sequence[Kin]) -> dict[int, int]:
+    """The lane of each experiment, 0 for the winner's line. A child stands in the lane of its
+    parent where no other does from the parent on, else in the next free one."""
+    last = {row.parent: i for i, row in enumerate(rows) if row.parent is not None}
+    found: dict[int, int] = {}
+    until: dict[int, int] = {0: len(rows)}
+    continued: set[int] = set()
+    for i, row in enumerate(rows):
+        if row.winning:
+            found[row.number] = 0
+            continue
+        lane = found.get(row.parent or 0)
+        if lane is None or lane == 0 or row.parent in continued:
+            lane = next((k for k in range(1, _MOST_LANES) if until.get(k, -1) < i), _MOST_LANES)
+        elif row.parent is not None:
+            continued.add(row.parent)
+        found[row.number] = lane
+        until[lane] = max(until.get(lane, -1), last.get(row.number, i))
+    return found
+
+
+def draw_lanes(rows: Sequence[Kin]) -> tuple[Html, int]:
+    """The drawing, and its width in pixels."""
+    at = lanes(rows)
+    places = {row.number: (_x(at[row.number]), _y(i)) for i, row in enumerate(rows)}
+    edges: list[Html] = []
+    for row in rows:
+        if row.parent not in places:
+            continue
+        (x0, y0), (x1, y1) = places[row.parent], places[row.number]
+        path = (
+            f"M{x0} {y0}V{y1}"
+            if x0 == x1
+            else f"M{x0} {y0}C{x0} {y0 + 22} {x1} {y0 + 12} {x1} {y0 + ROW}V{y1}"
+        )
+        edges.append(tag("path", d=path, class_="edge won" if row.winning else "edge"))
+    dots = [_dot(row, *places[row.number]) for row in rows]
+    width = (max(at.values(), default=0) + 1) * _LANE + 8
+    height = ROW * len(rows)
+    return (
+        tag(
+            "svg",
+            *edges,
+            *dots,
+            viewBox=f"0 0 {width} {height}",
+            width=width,
+            height=height,
+            aria_hidden="true",
+            focusable="false",
+        ),
+        width,
+    )
+
+
+def _dot(row: Kin, x: int, y: int) -> Html:
+    name = {"keep": "kept", "discard": "other", "inconclusive": "other"}.get(row.status, "failed")
+    if name == "failed":
+        return tag("path", d=f"M{x - 4} {y - 4}l8 8m0 -8l-8 8", class_=name)
+    return tag("circle", cx=x, cy=y, r="5", class_=name)
+
+
+def _x(lane: int) -> int:
+    return 10 + lane * _LANE
+
+
+def _y(row: int) -> int:
+    return ROW * row + ROW // 2

@@ -1,0 +1,211 @@
+"""V of every experiment, the incumbent as a step line, tags at improvements, the rungs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from asia._text import one_line
+from asia.report._page.html import Html, join, tag
+from asia.report._page.svg.scales import Scale, rounded, written
+
+_LOG_FROM = 6.0
+_CHARACTER = 6.3
+_LINE = 15.0
+_MOST_TAGS = 14
+
+
+@dataclass(frozen=True)
+class Point:
+    """One experiment."""
+
+    number: int
+    """1-based."""
+    value: float | None
+    """V; None where it has none."""
+    status: str
+    """What was decided."""
+    title: str
+    """The candidate."""
+    sources: str
+    """Where V stands in the ledger; "" without one."""
+    shown: str
+    """V as it is written; "" without one."""
+
+
+@dataclass(frozen=True)
+class RungLevel:
+    """A trivial reference."""
+
+    name: str
+    """Name of the rung."""
+    value: float
+    """Its V."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle that a text or a marker takes up."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    def meets(self, other: Box) -> bool:
+        """Whether the two overlap."""
+        apart = self.right < other.left or other.right < self.left
+        return not (apart or self.bottom < other.top or other.bottom < self.top)
+
+
+@dataclass(frozen=True)
+class Size:
+    """A variant of the drawing."""
+
+    width: float
+    height: float
+    right: float
+    """Room on the right, where the names of the rungs stand when it holds them."""
+    tag: int
+    """Most characters of a tag."""
+
+
+WIDE = Size(900, 380, 170, 30)
+NARROW = Size(380, 340, 12, 3)
+
+
+def draw_progress(
+    points: Sequence[Point], levels: Sequence[RungLevel], axis: str, alt: str, size: Size
+) -> Html:
+    """The drawing. axis: name of V; alt: the picture in words."""
+    values = [p.value for p in points if p.value is not None] + [x.value for x in levels]
+    across, up = _scales(points, values, levels, size)
+    drawn = [_grid(across, up, size, axis), _levels(levels, across, up, size)]
+    drawn += [_steps(points, across, up), *(_marker(p, across, up) for p in points)]
+    drawn.append(_tags(points, across, up, size))
+    box = f"0 0 {size.width:g} {size.height:g}"
+    return tag("svg", *drawn, viewBox=box, role="img", aria_label=alt, class_="progress")
+
+
+def _scales(
+    points: Sequence[Point], values: Sequence[float], levels: Sequence[RungLevel], size: Size
+) -> tuple[Scale, Scale]:
+    most = max((p.number for p in points), default=1)
+    across = Scale(0.5, most + 0.5, 54, size.width - size.right)
+    bottom, top = size.height - 40, 26.0
+    kept = [p.value for p in points if p.value is not None and p.status == "keep"]
+    telling = [*kept, *(x.value for x in levels)] or [1.0]
+    low, high = min([*values, *telling]), min(max([*values, *telling]), 1.6 * max(telling))
+    log = high > _LOG_FROM * low > 0
+    if log:
+        return across, Scale(low / 1.35, high * 1.25, bottom, top, log=True)
+    return across, Scale(0.0, high * 1.15 or 1.0, bottom, top)
+
+
+def _label(x: float, y: float, words: str, anchor: str = "middle", name: str = "tick") -> Html:
+    return tag("text", words, x=rounded(x), y=rounded(y), text_anchor=anchor, class_=name)
+
+
+def _grid(across: Scale, up: Scale, size: Size, axis: str) -> Html:
+    parts: list[Html] = []
+    for value in up.ticks():
+        y = up.at(value)
+        line = f"M{rounded(across.start)} {rounded(y)}H{rounded(across.end)}"
+        parts.append(tag("path", d=line, class_="grid"))
+        parts.append(_label(across.start - 8, y + 4, written(value), "end"))
+    for value in across.ticks(8):
+        if value == round(value) and value >= 1:
+            parts.append(_label(across.at(value), up.start + 17, f"{value:g}"))
+    parts.append(_label((across.start + across.end) / 2, size.height - 6, "experiment"))
+    parts.append(_label(6, 14, axis, "start", "name"))
+    return join(parts)
+
+
+def _levels(levels: Sequence[RungLevel], across: Scale, up: Scale, size: Size) -> Html:
+    parts: list[Html] = []
+    taken: list[float] = []
+    beside = size.right > 100
+    for level in sorted(levels, key=lambda one: -one.value):
+        y = up.at(level.value)
+        line = f"M{rounded(across.start)} {rounded(y)}H{rounded(across.end)}"
+        parts.append(tag("path", d=line, class_="level"))
+        place = y + 4 if beside else y - 4
+        while any(abs(place - other) < _LINE for other in taken):
+            place += 1
+        taken.append(place)
+        x, anchor = (across.end + 8, "start") if beside else (across.end, "end")
+        parts.append(_label(x, place, one_line(level.name, 26), anchor, "rung"))
+    return join(parts)
+
+
+def _steps(points: Sequence[Point], across: Scale, up: Scale) -> Html | None:
+    kept = [(p.number, p.value) for p in points if p.status == "keep" and p.value is not None]
+    if not kept:
+        return None
+    first, value = kept[0]
+    path = f"M{rounded(across.at(first))} {rounded(up.at(value))}"
+    for number, better in kept[1:]:
+        path += f"H{rounded(across.at(number))}V{rounded(up.at(better))}"
+    return tag("path", d=f"{path}H{rounded(across.end)}", class_="best")
+
+
+def _marker(point: Point, across: Scale, up: Scale) -> Html:
+    x = across.at(point.number)
+    title = f"#{point.number:02d} {point.status}"
+    if point.value is None:
+        y = up.end - 6
+        cross = f"M{rounded(x - 4)} {rounded(y - 4)}l8 8m0 -8l-8 8"
+        words = tag("title", f"{title}: {one_line(point.title, 80)}")
+        return tag("g", words, tag("path", d=cross, class_="failed"))
+    y = up.at(point.value)
+    words = tag("title", f"{title}, V {point.shown}: {one_line(point.title, 80)}")
+    name = "kept" if point.status == "keep" else "other"
+    if point.value > up.high:
+        mark = tag("path", d=f"M{rounded(x - 5)} {rounded(y + 4)}h10l-5 -9z", class_=name)
+    else:
+        mark = tag("circle", cx=rounded(x), cy=rounded(y), r="4.5", class_=name)
+    return tag("g", words, mark)
+
+
+def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html:
+    """Names at the improvements, where there is room: the last one first, then the largest."""
+    placed = [_around(p, across, up) for p in points if p.value is not None]
+    parts: list[Html] = []
+    kept = [p for p in points if p.status == "keep" and p.value is not None]
+    for point in [*kept[-1:], *kept[:-1]][:_MOST_TAGS]:
+        words = f"#{point.number:02d}"
+        if size.tag > len(words):
+            words = one_line(f"{words} {point.title}", size.tag)
+        found = next(
+            (b for b in _candidates(point, words, across, up) if _fits(b, placed, across, up)), None
+        )
+        if found is None:
+            continue
+        placed.append(found)
+        parts.append(_label(found.left, found.bottom - 4, words, "start", "tag"))
+    return join(parts)
+
+
+def _around(point: Point, across: Scale, up: Scale) -> Box:
+    assert point.value is not None
+    x, y = across.at(point.number), up.at(point.value)
+    return Box(x - 5, y - 5, x + 5, y + 5)
+
+
+def _candidates(point: Point, words: str, across: Scale, up: Scale) -> list[Box]:
+    """Places for a tag: above, below, to the right and to the left of its point."""
+    assert point.value is not None
+    x, y, width = across.at(point.number), up.at(point.value), len(words) * _CHARACTER
+    found: list[Box] = []
+    for rise in (8.0, 22.0, -22.0, 36.0, -36.0, 52.0, -52.0):
+        for left in (x + 2, x - width / 2, x - width - 2, x - 24):
+            top = y - rise - _LINE if rise > 0 else y - rise - _LINE + 2
+            found.append(Box(left, top, left + width, top + _LINE))
+    return found
+
+
+def _fits(box: Box, placed: Sequence[Box], across: Scale, up: Scale) -> bool:
+    inside = box.left >= across.start and box.right <= across.end + 4
+    return (
+        inside and box.top >= up.end and box.bottom <= up.start and not any(map(box.meets, placed))
+    )

@@ -1,0 +1,203 @@
+"""The page of a run: what stands on it, what never does, and that no number on it is made up."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from asia.errors import InternalError
+from asia.ledger import Run, open_run
+from asia.problem.load import Seal, load_problem, lock_text
+from asia.report import write_page
+from asia.report._page import LIMIT, page_of
+from asia.report._page.audit import audit
+from asia.report._page.html import Html, fixed, join, said, tag
+from asia.report._page.section import Section
+from asia.report._page.subject import Subject
+
+from .made_up import Outcomes, write_run
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "0.1.0"
+ATTACK = "<script>alert(1)</script><img src=x onerror=alert(2)>"
+OUTCOMES: Outcomes = (("first", 0.9), (ATTACK, 0.5), ("failing", None), ("last", 0.2))
+
+
+@pytest.fixture
+def make_run(tmp_path: Path) -> Callable[..., Run]:
+    """A run of the two-tank problem, whose data need no file."""
+
+    def make(outcomes: Outcomes = OUTCOMES, **options: int) -> Run:
+        problem = load_problem("two_tanks_sim")
+        directory = tmp_path / "made"
+        directory.mkdir()
+        seal = Seal(None, None)
+        (directory / "problem.lock.toml").write_text(lock_text(problem, seal), "utf-8")
+        return open_run(write_run(directory, problem, outcomes, **options))
+
+    return make
+
+
+def write(run: Run, inner: Callable[[Subject], Html]) -> str:
+    """A page with one section."""
+    return page_of(run, (Section("one", "One", inner),))
+
+
+def test_the_same_ledger_gives_the_same_bytes(make_run: Callable[..., Run]) -> None:
+    directory = make_run().directory
+    first = write_page(directory).read_bytes()
+    other = shutil.copytree(directory, directory.with_name("elsewhere"))
+    assert write_page(directory).read_bytes() == first
+    assert write_page(other).read_bytes() == first
+
+
+def test_words_of_candidates_are_shown_as_text(make_run: Callable[..., Run]) -> None:
+    page = page_of(make_run())
+    assert "&lt;script&gt;alert" in page
+    assert "<script" not in page
+    assert "<img" not in page
+
+
+def test_nothing_is_loaded_from_elsewhere(make_run: Callable[..., Run]) -> None:
+    page = page_of(make_run(unsealed=1))
+    assert "default-src &#x27;none&#x27;" in page
+    assert not re.findall(r"""(?:src|href)=["'](?!#)|url\(|@import|https?:""", page)
+
+
+def test_every_part_of_an_opened_run_is_there(make_run: Callable[..., Run]) -> None:
+    page = page_of(make_run(unsealed=2))
+    for key in ("verdict", "model", "accuracy", "test", "use", "progress", "experiments"):
+        assert f'<section id="{key}"' in page
+    assert "On the sealed test, opened once" in page
+
+
+def test_no_figure_of_the_test_stands_on_a_page_of_a_sealed_run(
+    make_run: Callable[..., Run],
+) -> None:
+    page = page_of(make_run())
+    assert "sealed, never opened" in page
+    assert 'id="test"' not in page
+    assert "unsealed:" not in page
+
+
+def test_every_experiment_has_its_hypothesis_and_its_change(make_run: Callable[..., Run]) -> None:
+    page = page_of(make_run())
+    for number in range(1, len(OUTCOMES) + 1):
+        assert f'id="e{number}"' in page
+    assert page.count('<dt>hypothesis</dt><dd><span class="said">because<') == len(OUTCOMES)
+    assert "-60.0 %" in page  # 0.2 beside 0.5, the best before
+
+
+def test_ids_are_unique_and_links_lead_somewhere(make_run: Callable[..., Run]) -> None:
+    page = page_of(make_run(unsealed=1))
+    ids = re.findall(r'\bid="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'href="#([^"]+)"', page)) <= set(ids)
+
+
+def test_headings_descend_and_pictures_have_words(make_run: Callable[..., Run]) -> None:
+    page = page_of(make_run(unsealed=1))
+    levels = [int(level) for level in re.findall(r"<h([1-6])", page)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b - a <= 1 for a, b in itertools.pairwise(levels))
+    for svg in re.findall(r"<svg[^>]*>", page):
+        assert "aria-hidden" in svg or "aria-label" in svg
+
+
+def test_a_number_that_is_not_the_ledgers_is_refused(make_run: Callable[..., Run]) -> None:
+    run = make_run()
+    best = run.view.best
+    assert best is not None
+    assert best.result is not None
+
+    def changed(subject: Subject) -> Html:
+        return Html(subject.v(best).replace(">0.2000<", ">0.1000<"))
+
+    assert "0.2000" in write(run, lambda subject: subject.v(best))
+    with pytest.raises(InternalError, match=r"says 0\.1000 where the ledger.* says 0\.2000"):
+        write(run, changed)
+
+
+def test_a_number_of_another_event_is_refused(make_run: Callable[..., Run]) -> None:
+    run = make_run()
+    best = run.view.best
+    assert best is not None
+    assert best.result is not None
+    place = f"{next(x.seq for x in run.lines if x.event is best.result)}:"
+
+    def elsewhere(subject: Subject) -> Html:
+        return Html(subject.v(best).replace(place, "4:"))
+
+    with pytest.raises(InternalError, match=r"the (page|number)"):
+        write(run, elsewhere)
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        tag("p", "97 % better"),
+        tag("p", tag("b", "V is 0.1")),
+        tag("data", "0.5", data_from="9:outcome.nothing", data_as="error", value="0.5"),
+        tag("data", "0.5", data_from="900:outcome.value", data_as="error", value="0.5"),
+        tag("data", "0.5", data_from=f"{'a' * 64}:value", data_as="error", value="0.5"),
+    ],
+)
+def test_a_number_without_a_source_is_refused(make_run: Callable[..., Run], inner: Html) -> None:
+    with pytest.raises(InternalError, match="report: "):
+        write(make_run(), lambda _: inner)
+
+
+def test_quoted_and_fixed_numbers_and_code_pass(make_run: Callable[..., Run]) -> None:
+    parts = said("grey-box 2"), fixed("95 %"), tag("code", "x1 = 3"), tag("p", "no digit")
+    assert "95 %" in write(make_run(), lambda _: join(parts))
+
+
+def test_nothing_is_written_where_the_check_fails(
+    make_run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = make_run()
+
+    def failing(page: str, directory: Path, events: int) -> int:
+        raise InternalError("report: a number")
+
+    monkeypatch.setattr("asia.report._page.page.audit", failing)
+    with pytest.raises(InternalError):
+        write_page(run.directory)
+    assert not (run.directory / "report" / "report.html").exists()
+
+
+def test_the_numbers_of_a_whole_page_are_checked(make_run: Callable[..., Run]) -> None:
+    run = make_run(unsealed=1)
+    page = page_of(run)
+    assert audit(page, run.directory, len(run.lines)) == page.count("<data ") > 50
+
+
+def test_a_long_search_stays_below_the_limit(make_run: Callable[..., Run]) -> None:
+    values = [(f"candidate {k}: {'word ' * 12}", 0.9 - 1e-4 * (k % 97)) for k in range(1200)]
+    run = make_run(tuple(values))
+    page = page_of(run)
+    best = run.view.best
+    assert best is not None
+    assert len(page.encode()) <= LIMIT
+    assert f'id="e{best.number}"' in page
+
+
+@pytest.mark.parametrize("name", ["finished", "unsealed", "interrupted", "steered"])
+def test_old_ledgers_without_artifacts_have_a_page(tmp_path: Path, name: str) -> None:
+    place = shutil.copytree(
+        GOLDEN / "runs" / name, tmp_path / name, ignore=shutil.ignore_patterns("artifacts")
+    )
+    page = write_page(place).read_text("utf-8")
+    assert '<section id="verdict"' in page
+    assert ('id="test"' in page) == (name == "unsealed")
+
+
+def test_a_search_without_a_score_says_so(make_run: Callable[..., Run]) -> None:
+    page = page_of(make_run((("one", None), ("two", None))))
+    assert "No model" in page
+    assert "None of the candidates has a score" in page
