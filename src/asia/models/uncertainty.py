@@ -15,27 +15,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data import Array
+from asia.models._noise.process import ResidualProcess
 
 __all__ = ["Covariance", "estimates", "jacobians_of", "sandwich"]
 
 _CONFIDENCE = 0.95
-_MOST_LAGS = 30
-# Of the length of the records: more lags would be fitted to chance.
-_SHARE_OF_LAGS = 0.1
 # Each record counts by its own sum only where there are so many, and so many a parameter.
 _CLUSTERS, _CLUSTERS_A_PARAMETER = 30, 5
 # Of an information matrix with ones on its diagonal: what is below is rounding.
 _NO_INFORMATION = 1e-14
 _STEP = 1e-6
-# What a filter remembers below this share of its beginning does not count.
-_FORGOTTEN = 1e-3
-# Samples in which the correlation of any residual has gone.
-_LONG = 4096
 
 
 @dataclass(frozen=True)
@@ -73,15 +66,17 @@ def sandwich(
     weights = np.zeros((count, count)) if ridge is None else ridge
     own = sum((np.einsum("typ,tyq->pq", j, j) for j in free), np.zeros((count, count)))
     inverse, unknown = _inverse(own + weights)
-    noise = _ResidualProcess.of(residuals)
+    noise = ResidualProcess.of(residuals, jacobians, nuisance)
     middle = _middle(residuals, free, noise)
     squares = sum(float((e**2).sum()) for e in residuals)
     lost = float(np.trace(inverse @ middle))
     lost += sum(_lost(noise, q) for q in nuisance or ())
+    # What the fit took away of the noise, where the process does not know of it.
     kept = max(1.0 - lost / squares, 0.05) if squares > 0 else 1.0
     samples = sum(e.size for e in residuals)
     variance = squares / kept / samples
-    matrix = inverse @ (middle / kept + variance * weights) @ inverse
+    rest = 1.0 if noise.restricted else kept
+    matrix = inverse @ (middle / rest + variance * weights) @ inverse
     freedom = max(noise.independent(samples) * kept, 1.0)
     return Covariance(matrix, inverse @ weights @ inverse, inverse, unknown, freedom)
 
@@ -189,51 +184,8 @@ def _inverse(gram: Array) -> tuple[Array, Array]:
     return (inside / sizes[known]) @ inside.T, unknown / np.where(norms > 0, norms, 1.0)
 
 
-@dataclass(frozen=True)
-class _ResidualProcess:
-    """Residuals as autoregressive processes, one an output, with correlated innovations."""
-
-    filters: tuple[Array, ...]
-    """(1, a_1, ...) of each output."""
-    covariance: Array
-    """(ny, ny) of the innovations."""
-
-    @staticmethod
-    def of(residuals: Sequence[Array]) -> _ResidualProcess:
-        """Fitted to residuals (T, ny) of each record."""
-        outputs = residuals[0].shape[1]
-        filters = tuple(_burg([e[:, i] for e in residuals]) for i in range(outputs))
-        white = [
-            np.stack([lfilter(a, [1.0], e[:, i]) for i, a in enumerate(filters)], axis=1)
-            for e in residuals
-        ]
-        # The first innovations lack their past.
-        late = [w[len(max(filters, key=len)) - 1 :] for w in white]
-        late = [w for w in late if len(w)] or white
-        samples = np.concatenate(late)
-        return _ResidualProcess(filters, samples.T @ samples / len(samples))
-
-    def innovations_of(self, jacobian: Array) -> Array:
-        """(L + T, ny, P): the sum over time of its products with innovations has the covariance of
-        J'e. The first L rows are innovations before the record, which its residuals remember."""
-        before = max(_memory(a, len(jacobian)) for a in self.filters)
-        padded = np.concatenate([np.zeros((before, *jacobian.shape[1:])), jacobian])
-        turned = padded[::-1]
-        columns = [lfilter([1.0], a, turned[:, i], axis=0) for i, a in enumerate(self.filters)]
-        return np.stack(columns, axis=1)[::-1]
-
-    def middle(self, jacobian: Array) -> Array:
-        """(P, P): the covariance of J'e of one record."""
-        found = self.innovations_of(jacobian)
-        return np.einsum("tip,ij,tjq->pq", found, self.covariance, found)
-
-    def independent(self, samples: int) -> float:
-        """As many independent samples give a variance with the same relative error (Bartlett)."""
-        return samples * float(np.mean([_variance_share(a) for a in self.filters]))
-
-
 def _middle(
-    residuals: Sequence[Array], jacobians: Sequence[Array], noise: _ResidualProcess
+    residuals: Sequence[Array], jacobians: Sequence[Array], noise: ResidualProcess
 ) -> Array:
     count = jacobians[0].shape[-1]
     if len(residuals) >= max(_CLUSTERS, _CLUSTERS_A_PARAMETER * count):
@@ -244,55 +196,9 @@ def _middle(
     return sum((noise.middle(j) for j in jacobians), np.zeros((count, count)))
 
 
-def _lost(noise: _ResidualProcess, nuisance: Array) -> float:
+def _lost(noise: ResidualProcess, nuisance: Array) -> float:
     """How much of the sum of squares a record's own unknowns take away."""
     basis = _basis(nuisance)
     if not basis.size:
         return 0.0
     return float(np.trace(noise.middle(basis.reshape(*nuisance.shape[:2], -1))))
-
-
-def _burg(pieces: Sequence[Array]) -> Array:
-    """The filter (1, a_1, ...) that whitens the pieces (T,), its order by Akaike's criterion."""
-    longest = max(len(piece) for piece in pieces)
-    samples = sum(len(piece) for piece in pieces)
-    most = min(_MOST_LAGS, int(_SHARE_OF_LAGS * longest))
-    forward, backward = [np.array(p) for p in pieces], [np.array(p) for p in pieces]
-    power = sum(float(p @ p) for p in pieces) / samples
-    best, chosen = samples * np.log(max(power, 1e-300)), np.ones(1)
-    a = np.ones(1)
-    for order in range(1, most + 1):
-        pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True) if len(f) > 1]
-        energy = sum(float(f @ f + b @ b) for f, b in pairs)
-        if energy <= 0 or power <= 0:
-            break
-        k = -2.0 * sum(float(f @ b) for f, b in pairs) / energy
-        a = np.concatenate([a, [0.0]])
-        a = a + k * a[::-1]
-        forward, backward = [f + k * b for f, b in pairs], [b + k * f for f, b in pairs]
-        power *= 1.0 - k * k
-        criterion = samples * np.log(max(power, 1e-300)) + 2.0 * order
-        if criterion < best:
-            best, chosen = criterion, a
-    return chosen
-
-
-def _memory(a: Array, most: int) -> int:
-    """Samples after which an impulse through 1/a has all but gone."""
-    if len(a) == 1:
-        return 0
-    impulse = np.zeros(most)
-    impulse[0] = 1.0
-    response = np.abs(lfilter([1.0], a, impulse))
-    large = np.flatnonzero(response > _FORGOTTEN * response.max())
-    return int(large[-1]) + 1
-
-
-def _variance_share(a: Array) -> float:
-    """One over the sum of the squared correlations of the process 1/a at all lags."""
-    impulse = np.zeros(_LONG)
-    impulse[0] = 1.0
-    response = lfilter([1.0], a, impulse)
-    spectrum = np.abs(np.fft.rfft(response, 2 * _LONG)) ** 2
-    correlation = np.fft.irfft(spectrum)
-    return float(correlation[0] ** 2 / (correlation**2).sum())
