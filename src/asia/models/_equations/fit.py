@@ -48,6 +48,8 @@ class FittedEquations:
     older models."""
     huber: float | None = None
     """Threshold on the innovations of that noise."""
+    x0: Array | None = None
+    """Initial states (S, nx) of the records as the fit cut them; None in older models."""
 
 
 def fit(
@@ -146,7 +148,7 @@ def _finish(
     deviation = _deviation(structure, (y - segments.y)[inside])
     deviation = np.maximum(deviation, 1e-3 * scales.y_scale)
     prior = window_prior(structure, segments, scales, x, deviation)
-    return FittedEquations(z, scales, prior, history)
+    return FittedEquations(z, scales, prior, history, x0=x0)
 
 
 def _deviation(structure: GreyBoxStructure, error: Array) -> Array:

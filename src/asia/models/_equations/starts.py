@@ -102,7 +102,7 @@ def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, 
     return starts.x_guess[i] + shift * starts.scales.x_scale[:, i]
 
 
-def first_guess(structure: GreyBoxStructure, segments: RecordPieces) -> Array:
+def _first_guess(structure: GreyBoxStructure, segments: RecordPieces) -> Array:
     """Initial states (S, nx): the first measurement, else the middle of the bounds, else 0."""
     low, high = np.array(structure.low), np.array(structure.high)
     closed = np.isfinite(low) & np.isfinite(high)
@@ -160,7 +160,7 @@ def screen(
     drawn = _draws(structure, segments, count)
     z = np.tile(_neutral(structure), (drawn, 1))
     z[1:, layout.parameters] = rng.uniform(-1.0, 1.0, (drawn - 1, len(structure.ranges)))
-    guess = np.tile(first_guess(structure, segments), (drawn, 1, 1))
+    guess = np.tile(_first_guess(structure, segments), (drawn, 1, 1))
     base = _base_scales(structure, segments).for_rows(drawn)
     y, states = simulate(z, base, guess)
     center, scale = _spread(states, segments)

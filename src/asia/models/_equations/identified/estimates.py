@@ -15,15 +15,12 @@ from asia.models import uncertainty
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.fit import FittedEquations
 from asia.models._equations.simulation_error import SimulationError
-from asia.models._equations.starts import RecordPieces, Starts, first_guess
+from asia.models._equations.starts import RecordPieces, Starts
 from asia.models._noise.weighting import ErrorWeighting
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.minimise import TRIALS, minimise
+from asia.models._solvers.minimise import TRIALS
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
-
-_INITIAL_STATES = LevenbergMarquardt(iterations=30, damping=1e-3, tolerance=1e-12)
 
 
 @dataclass(frozen=True)
@@ -40,41 +37,39 @@ class Around:
     """The named parameters at coordinates (size,)."""
 
     def estimates(self, equations: Sequence[str]) -> ParameterEstimates:
-        """The initial states of the records are estimated anew, at the fitted coordinates."""
+        """Raises ValueError where these are not the records of the fit."""
         # Imports JAX, which a trained model does without.
         from asia.models._equations.programs import CompiledSimulator
 
-        simulate = CompiledSimulator(self.structure, self.segments.u, TRIALS)
-        size = self.structure.layout.size
-        rest = minimise(
-            (error := self._error(simulate, np.zeros(size))).cost,
-            error.linearise,
-            error.theta0,
-            _INITIAL_STATES,
-        )
-        error = self._error(simulate, np.ones(size))
-        e, jacobian, nuisance = error.jacobians(rest.theta)
+        structure, segments = self.structure, self.segments
+        if self.fitted.x0 is None or self.fitted.x0.shape != (len(segments.u), structure.nx):
+            raise ValueError(
+                "grey-box: estimates need the records that the model was fitted to, as many as then"
+            )
+        error = self._error(CompiledSimulator(structure, segments.u, TRIALS), self.fitted.x0)
+        theta = error.theta0
+        e, jacobian, nuisance = error.jacobians(theta)
         lengths = (self.segments.mask > 0).sum(axis=1)
         residuals, jacobians, own = (
             [part[:length] for part, length in zip(values, lengths, strict=True)]
             for values in (e, jacobian, nuisance)
         )
         covariance = uncertainty.sandwich(
-            residuals, jacobians, error.ridge(rest.theta), own if nuisance.shape[-1] else None
+            residuals, jacobians, error.ridge(theta), own if nuisance.shape[-1] else None
         )
         return uncertainty.estimates(covariance, self._report, self.fitted.z, equations)
 
-    def _error(self, simulate: CompiledSimulator, active: Array) -> SimulationError:
+    def _error(self, simulate: CompiledSimulator, x0: Array) -> SimulationError:
         structure, segments, fitted = self.structure, self.segments, self.fitted
-        guess = first_guess(structure, segments)[None]
-        shift = np.zeros((1, len(segments.u), structure.nx))
-        starts = Starts(fitted.z[None], shift, guess, fitted.scales.for_rows())
+        shift = np.zeros((1, *x0.shape))
+        starts = Starts(fitted.z[None], shift, x0[None], fitted.scales.for_rows())
         whiten = None
         if fitted.noise is not None:
             mask = segments.mask
             if structure.measured:
                 mask = mask * (np.arange(mask.shape[1]) > 0)
             whiten = ErrorWeighting.of(fitted.noise, structure.sampling_time, mask, fitted.huber)
+        active = np.ones(structure.layout.size)
         return SimulationError(structure, segments, starts, active, simulate, whiten)
 
     def _report(self, z: Array) -> list[ParameterEstimate]:
