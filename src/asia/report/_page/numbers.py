@@ -8,7 +8,8 @@ blank between them, `data-rule`, what is made of them, and `data-as`, how the re
 
 SOURCE is the sequence number of an event; the name of a kind of event, for all of them in order;
 `lock` for the problem's lock file; or the sha256 of a JSON artifact. PATH has a dot before each
-name or index, and may end in `name=value`, which holds where the two are equal.
+name or index, and may end in `name=value`, which holds where the two are equal, or in `*` for all
+of a sequence.
 """
 
 from __future__ import annotations
@@ -73,8 +74,11 @@ def _not_one(values: Sequence[Any]) -> Any:
 
 def follow(value: Any, path: str) -> list[Any]:
     """What stands at a path of nested mappings, sequences or dataclasses: one value; with
-    `name=value` at the end, one or none. Raises KeyError where there is nothing."""
+    `name=value` at the end, one or none; with `*` at the end, all of a sequence. Raises KeyError
+    where there is nothing."""
     for step in path.split("."):
+        if step == "*":
+            return list(value)
         name, equals, wanted = step.partition("=")
         if isinstance(value, dict):
             value = value[name]

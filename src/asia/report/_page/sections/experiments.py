@@ -37,7 +37,12 @@ def _experiment(subject: Subject, e: Experiment) -> Html:
     if e.number not in subject.with_story:
         return tag("details", heading, tag("p", said(e.proposed.hypothesis)), id=f"e{e.number}")
     return tag(
-        "details", heading, _story(subject, e), id=f"e{e.number}", class_="won" if won else None
+        "details",
+        heading,
+        _story(subject, e),
+        id=f"e{e.number}",
+        class_="won" if won else None,
+        open=won,
     )
 
 

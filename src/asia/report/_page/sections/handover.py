@@ -51,7 +51,7 @@ def _rows(subject: Subject, refitted: Refitted) -> Iterator[list[str | None]]:
             None if value is None else subject.number(refitted, f"{at}.{name}", "error")
             for name, value in (("error", start.error), ("disagreement", start.disagreement))
         )
-        objection = said(f" ({start.objection})") if start.objection else None
+        objection = join((" ", said(f"({start.objection})"))) if start.objection else None
         yield [
             join(("refit" if kept else "refit, not used", objection)),
             error or "no answer",
@@ -83,6 +83,8 @@ def _again(subject: Subject, refitted: Refitted) -> Html | None:
     fold = subject.number(refitted, "again.fold", "count")
     if again.ratio is None:
         return tag("p", "Fold ", fold, ", fitted a second time, fails: ", said(again.failed), ".")
+    if again.ratio == 1.0:
+        return tag("p", "Fold ", fold, ", fitted a second time, came out the same.")
     ratio = subject.number(refitted, "again.ratio", "sig4")
     return tag("p", "Fold ", fold, ", fitted a second time, has ", ratio, " times its error.")
 

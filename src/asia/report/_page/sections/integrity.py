@@ -17,7 +17,7 @@ def _write(subject: Subject) -> Html:
     pairs = (
         (
             "isolation",
-            join((tag("b", start.isolation_words), said(f" ({layers})") if layers else "")),
+            join((tag("b", start.isolation_words), " ", said(f"({layers})") if layers else None)),
         ),
         ("what it lacks", said(notes, 800) if notes else None),
         ("test", _test(subject)),

@@ -37,7 +37,20 @@ def _equations(subject: Subject, best: Experiment) -> Html | None:
         "The equations that the problem gives. What the winner adds to them or learns beside them "
         "stands in its code."
     )
-    return join((tag("h3", "Equations"), tag("p", words), tag("div", *rows, class_="equations")))
+    return join(
+        (
+            tag("h3", "Equations"),
+            tag("p", words),
+            tag(
+                "div",
+                *rows,
+                class_="equations",
+                tabindex="0",
+                role="region",
+                aria_label="equations",
+            ),
+        )
+    )
 
 
 def _source(subject: Subject, best: Experiment) -> Html | None:

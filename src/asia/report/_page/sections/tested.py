@@ -30,6 +30,7 @@ def _write(subject: Subject) -> Html | None:
             words,
             _table(subject, opened),
             _by_record(subject, opened),
+            _horizons(subject, opened),
             _board(subject),
             _pictures(subject, opened),
         )
@@ -42,24 +43,43 @@ def _models(opened: Unsealed) -> list[tuple[str, str, TestedModel]]:
 
 
 def _table(subject: Subject, opened: Unsealed) -> Html | None:
-    named = model_to_use(subject.view)
-    rows: list[list[str | None]] = []
-    for key, words, model in _models(opened):
-        name = tag("b", words, " (to use)") if named and named.model == key else tag("span", words)
-        for k, score in enumerate(model.scores):
-            at = f"{key}.scores.{k}"
-            channels = [
-                subject.number(opened, f"{at}.per_channel.{c}", "sig4")
-                for c in range(len(opened.channels))
-            ]
-            label = find_metric(score.metric).label
-            rows.append([name, label, subject.number(opened, f"{at}.value", "sig4"), *channels])
+    """A row for each metric and output, a column for each model."""
+    named, models = model_to_use(subject.view), _models(opened)
     failed = [words for key, words in _MODELS if _failed(opened, key)]
     note = tag("p", "No answer from: ", ", ".join(failed), ".") if failed else None
-    if not rows:
+    if not models:
         return note
-    head = ["model", "metric", "mean over outputs", *map(said, opened.channels)]
+    rows: list[list[str | None]] = []
+    for k, score in enumerate(models[0][2].scores):
+        label = find_metric(score.metric).label
+        paths = [("mean over the outputs", "value")] if len(opened.channels) > 1 else []
+        paths += [(name, f"per_channel.{c}") for c, name in enumerate(opened.channels)]
+        for name, path in paths:
+            values = [
+                subject.number(opened, f"{key}.scores.{k}.{path}", "sig4") for key, _, _ in models
+            ]
+            rows.append([join((label, " ", said(name))), *values])
+    use = named.model if named else ""
+    head = ["error", *(f"{words} (to use)" if key == use else words for key, words, _ in models)]
     return join((table(head, rows, "Error on the sealed test, in the unit of the output"), note))
+
+
+def _horizons(subject: Subject, opened: Unsealed) -> Html | None:
+    """The Mean Euclidean Errors of the model to use."""
+    named = model_to_use(subject.view)
+    models = [(key, words, model) for key, words, model in _models(opened) if model.mee]
+    chosen = next((m for m in models if named and m[0] == named.model), None)
+    if chosen is None or chosen[2].mee is None:
+        return None
+    key, words, mee = chosen[0], chosen[1], chosen[2].mee
+    rows: list[list[str | None]] = []
+    for i, group in enumerate(mee.groups):
+        at = f"{key}.mee.groups.{i}.steps"
+        values = [subject.number(opened, f"{at}.{h - 1}", "sig4") for h in mee.horizons]
+        total = subject.made("sum", "sig4", (opened, f"{at}.*"))
+        rows.append([said(group.name), *values, total])
+    head = ["outputs", *(said(f"after {h}") for h in mee.horizons), "sum"]
+    return table(head, rows, f"Mean Euclidean error after so many samples, {words}")
 
 
 def _failed(opened: Unsealed, key: str) -> bool:

@@ -143,7 +143,7 @@ def _test(subject: Subject) -> Html:
     value = subject.number(opened, f"{place}.scores.0.value", "sig4")
     label = find_metric(model.scores[0].metric).label
     units = {s.unit for s in subject.problem.outputs} if subject.problem else set[str]()
-    unit = said(f" {units.pop()}") if len(units) == 1 else ""
+    unit = join((" ", said(units.pop()))) if len(units) == 1 else None
     return join(
         (
             "On the sealed test, opened once after the search, its ",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.data import Array
-from asia.report._page.html import Html, join, said, tag
+from asia.report._page.html import Html, said, tag
 from asia.report._page.svg.scales import Scale, thinned, written
 
 _WIDTH = 1000
@@ -76,7 +76,7 @@ def draw_curves(curves: Curves) -> Html:
             aria_label=curves.alt,
         ),
         tag("div", "error", class_="axis"),
-        tag("div", _values(-most, most, 2), lower, class_="plot strip", aria_hidden="true"),
+        tag("div", _values(-most, most, 3), lower, class_="plot strip", aria_hidden="true"),
         tag("div", *marks, class_="times scale"),
         tag("div", curves.time, class_="axis right"),
         class_="curves",
@@ -85,7 +85,7 @@ def draw_curves(curves: Curves) -> Html:
 
 def legend(words: Sequence[tuple[str, str]]) -> Html:
     """Names of the curves; words: class and name."""
-    items = [join((tag("span", class_=f"key {name}"), label, " ")) for name, label in words]
+    items = [tag("span", tag("span", class_=f"key {name}"), label) for name, label in words]
     return tag("p", *items, class_="legend")
 
 

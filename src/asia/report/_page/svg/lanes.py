@@ -57,11 +57,11 @@ def draw_lanes(rows: Sequence[Kin]) -> tuple[Html, int]:
         if row.parent not in places:
             continue
         (x0, y0), (x1, y1) = places[row.parent], places[row.number]
-        path = (
-            f"M{x0} {y0}V{y1}"
-            if x0 == x1
-            else f"M{x0} {y0}C{x0} {y0 + 22} {x1} {y0 + 12} {x1} {y0 + ROW}V{y1}"
-        )
+        # Down the parent's lane, then over: another dot of the child's lane is no parent.
+        turn = y1 - ROW
+        path = f"M{x0} {y0}V{y1}"
+        if x0 != x1:
+            path = f"M{x0} {y0}V{turn}C{x0} {turn + 20} {x1} {turn + 14} {x1} {y1}"
         edges.append(tag("path", d=path, class_="edge won" if row.winning else "edge"))
     dots = [_dot(row, *places[row.number]) for row in rows]
     width = (max(at.values(), default=0) + 1) * _LANE + 8
