@@ -1,21 +1,54 @@
-"""asia report: the page and the pictures of a run."""
+"""asia report: the page and the pictures of a run, and what a paper needs of it."""
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from asia._text import say
 from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
 
-def report(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
+def report(
+    run: RunName = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(help="Only write the figures for a paper there: PDF, SVG, PNG."),
+    ] = None,
+    latex: Annotated[
+        Path | None, typer.Option(help="Only write the tables for a paper there, in LaTeX.")
+    ] = None,
+    methods: Annotated[
+        bool, typer.Option("--methods", help="Only print the paragraph on methods for a paper.")
+    ] = False,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
     """Write a run as one HTML page, and draw it as PNG and PDF pictures."""
+    from asia.report import methods_paragraph, write_figures, write_tables
+
+    directory = run_directory(runs, run)
+    if figures is not None:
+        for path in write_figures(directory, figures):
+            say(str(path))
+    if latex is not None:
+        for path in write_tables(directory, latex):
+            say(str(path))
+    if methods:
+        say(methods_paragraph(directory))
+    if figures is None and latex is None and not methods:
+        _whole(directory)
+
+
+def _whole(directory: Path) -> None:
+    """The page and the pictures, into the run's own folder."""
     from asia.cli._output.words import use_lines
     from asia.ledger import Store, open_run
     from asia.report import write_page, write_report
 
-    directory = run_directory(runs, run)
     for path in (write_page(directory), *write_report(directory)):
         say(str(path))
     for line in use_lines(open_run(directory).view):

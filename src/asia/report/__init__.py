@@ -48,11 +48,14 @@ __all__ = [
     "draw_cases",
     "draw_problem",
     "leaderboard",
+    "methods_paragraph",
     "official_figures",
     "read_board",
     "simulated_cases",
+    "write_figures",
     "write_page",
     "write_report",
+    "write_tables",
 ]
 
 
@@ -81,6 +84,32 @@ def write_page(directory: Path) -> Path:
     from asia.report._page import write_page
 
     return write_page(directory)
+
+
+def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:
+    """The pictures of a run for a paper, into `directory`, each as PDF, SVG and PNG: as wide as a
+    column (3.5 inches) where the picture has one column of panels, else as a page with two columns
+    (7.16 inches). Returns the paths written. Raises UserError as `write_report`."""
+    from asia.report._paper.figures import write_figures
+
+    return write_figures(run_directory, directory)
+
+
+def write_tables(run_directory: Path, directory: Path) -> tuple[Path, ...]:
+    """LaTeX tables of a run into `directory`: `experiments.tex`, `winner.tex`, and `test.tex` once
+    the test was opened. Returns the paths written. Raises UserError when `run_directory` is not a
+    run."""
+    from asia.report._paper.tables import write_tables
+
+    return write_tables(run_directory, directory)
+
+
+def methods_paragraph(directory: Path) -> str:
+    """What a paper says of how the model was found, from the ledger of the run in `directory`.
+    Raises UserError when that is not a run."""
+    from asia.report._paper.methods import methods_paragraph
+
+    return methods_paragraph(directory)
 
 
 def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:

@@ -37,7 +37,7 @@ def write(directory: Path, *, missing_only: bool = False) -> tuple[Path, ...]:
     """See `asia.report.write_report`."""
     run, report = open_run(directory), directory / "report"
     if not run.store.kept:
-        return save(iter([_progress(run, metric_of(directory))]), report)
+        return save(iter([progress_picture(run, metric_of(directory))]), report)
     problem = load_lock(directory / "problem.lock.toml")
     drawn = pictures(run, problem)
     if missing_only:
@@ -60,7 +60,7 @@ def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
 def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     """Name and drawing of each picture the run has matter for."""
     view, metric = run.view, problem.protocol.metric
-    yield _progress(run, metric)
+    yield progress_picture(run, metric)
     best, opened = view.best, view.unsealed
     if best is not None:
         folds = make_folds(problem.train, problem.protocol)
@@ -77,7 +77,7 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     yield from standing(run, problem)
 
 
-def _progress(run: Run, metric: str) -> Picture:
+def progress_picture(run: Run, metric: str) -> Picture:
     """All that a ledger has without its artifacts."""
     view = run.view
     beside = control(run.directory, view.started, len(view.finished))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from asia.report._board import Board
-from asia.report._drawing.style import BLUE, QUIET, RED, WIDTH, entitle, plain, quiet_grid
+from asia.report._drawing.style import BLUE, QUIET, RED, entitle, picture_width, plain, quiet_grid
 
 _ROW = 0.24
 _MARGINS = 1.1
@@ -30,7 +30,7 @@ def draw_boards(boards: Sequence[Board], title: str) -> Figure:
     """A row for each official figure: published test RMSE over the lowest of them, and ours where
     the test was opened. boards: with one published result or more each."""
     rows = [row for board in boards for row in _rows(board)]
-    figure = Figure(figsize=(WIDTH, _MARGINS + _ROW * len(rows)), layout="constrained")
+    figure = Figure(figsize=(picture_width(), _MARGINS + _ROW * len(rows)), layout="constrained")
     axes = figure.subplots()
     _draw(axes, rows)
     entitle(figure, title if len(title) < 70 else plain(title, 70))

@@ -17,9 +17,9 @@ from asia.report._drawing.style import (
     INK,
     ORANGE,
     QUIET,
-    WIDTH,
     entitle,
     number,
+    picture_width,
     plain,
     quiet_grid,
     v_axis_label,
@@ -37,7 +37,7 @@ def draw_arms(picture: ArmsPicture) -> Figure:
     median, between the lowest and the highest. Points far above are clipped to triangles on the
     edge."""
     sides, levels = picture.sides, picture.levels
-    figure = Figure(figsize=(WIDTH, _HEIGHT), layout="constrained")
+    figure = Figure(figsize=(picture_width(), _HEIGHT), layout="constrained")
     axes = figure.add_subplot()
     length = max((len(c.values) for s in sides for c in s.curves), default=1)
     _scale(axes, sides, levels, length)

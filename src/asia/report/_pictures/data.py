@@ -17,9 +17,9 @@ from asia.report._drawing.style import (
     ORANGE,
     QUIET,
     SHADE,
-    WIDTH,
     axis_label,
     entitle,
+    picture_width,
     plain,
     quiet_grid,
     shown,
@@ -48,7 +48,7 @@ def draw_data(problem: Problem) -> Figure:
     signals = [(s, True, c) for c, s in enumerate(inputs)]
     signals += [(s, False, c) for c, s in enumerate(outputs)]
     columns = 1 if len(signals) <= _ONE_COLUMN else 2
-    width, rows = WIDTH * (1.0 if columns == 1 else 1.45), -(-len(signals) // columns)
+    width, rows = picture_width() * (1.0 if columns == 1 else 1.45), -(-len(signals) // columns)
     figure = Figure(figsize=(width, 0.9 + 1.25 * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
     panels: list[Axes] = list(grid.T.ravel())

@@ -12,7 +12,7 @@ from sympy.printing.latex import greek_letters_set, latex
 
 from asia.problem import Physics
 from asia.problem.physics.expressions import parse_expression
-from asia.report._drawing.style import INK, QUIET, WIDTH
+from asia.report._drawing.style import INK, QUIET, picture_width
 
 _SHORT_NAME = re.compile(r"[A-Za-z]{1,2}\d*(_\w{1,3})?")
 _WHOLE_FLOAT = re.compile(r"(?<![\d.])(\d+)\.0(?!\d)")
@@ -47,7 +47,7 @@ def draw_equations(physics: Physics) -> Figure:
     """Definitions, dynamics, observation and bounds, one a row."""
     rows = list(_rows(physics))
     height = _TOP + _ROW * len(rows)
-    figure = Figure(figsize=(WIDTH, height))
+    figure = Figure(figsize=(picture_width(), height))
     for i, (kind, formula) in enumerate(rows):
         y = 1 - (_TOP + _ROW * (i + 0.3)) / height
         figure.text(0.02, y, kind, color=QUIET, va="center")

@@ -21,8 +21,8 @@ from asia.report._drawing.style import (
     ORANGE,
     QUIET,
     RED,
-    WIDTH,
     entitle,
+    picture_width,
     plain,
     quiet_grid,
 )
@@ -69,7 +69,7 @@ def draw_growth(
     """A panel each, the same lines and marks in all of them. sampling_time in seconds."""
     columns = _COLUMNS if len(panels) <= _FEW else _MANY_COLUMNS
     rows = -(-len(panels) // columns)
-    width = WIDTH if columns == _COLUMNS else 1.3 * WIDTH
+    width = picture_width() if columns == _COLUMNS else 1.3 * picture_width()
     each = 2.2 if columns == _COLUMNS else 1.55
     note = textwrap.wrap(caption, int(16 * width))
     below = _NOTE_LINE * len(note)

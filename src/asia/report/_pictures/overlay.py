@@ -19,9 +19,9 @@ from asia.report._drawing.style import (
     ORANGE,
     QUIET,
     SHADE,
-    WIDTH,
     axis_label,
     headline,
+    picture_width,
     plain,
     quiet_grid,
 )
@@ -85,7 +85,7 @@ class Words:
 def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) -> Figure:
     """A panel each, in two columns when there are many. sampling_time in seconds."""
     columns = 1 if len(panels) <= _SINGLE_COLUMN else 2
-    width = WIDTH if columns == 1 else 1.45 * WIDTH
+    width = picture_width() if columns == 1 else 1.45 * picture_width()
     figure = Figure()
     cells: list[PlotWithStrip] = []
     for index, (panel, axis) in enumerate(

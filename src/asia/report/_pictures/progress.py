@@ -25,8 +25,8 @@ from asia.report._drawing.style import (
     INK,
     QUIET,
     RED,
-    WIDTH,
     number,
+    picture_width,
     plain,
     quiet_grid,
     v_axis_label,
@@ -78,11 +78,12 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
     edge, the last look at the guard as diamonds, tags at improvements, the rungs and the control
     arm `beside` as thin lines. metric: its name."""
     search = _gather(view, beside)
-    figure = Figure(figsize=(WIDTH, _HEIGHT), layout="constrained")
+    width = picture_width()
+    figure = Figure(figsize=(width, min(_HEIGHT, width)), layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     _scale(axes, search, metric)
-    axes.set_title(_title(view), fontweight="bold", fontsize=9.5, pad=11.0)
+    _entitle(axes, _title(view))
     _mark(axes, search)
     _hand_overs(axes, view)
     labels = [_rung(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
@@ -132,6 +133,14 @@ def _guarded(view: SearchView) -> list[_Point]:
 
 def _point(e: Experiment, value: float) -> _Point:
     return _Point(e.number, value, e.proposed.title)
+
+
+def _entitle(axes: Axes, title: str) -> None:
+    if (width := picture_width()) < _HEIGHT:
+        title = "\n".join(textwrap.fill(line, int(11 * width)) for line in title.splitlines())
+        axes.set_title(title, fontweight="bold", fontsize=8.0, pad=8.0)
+    else:
+        axes.set_title(title, fontweight="bold", fontsize=9.5, pad=11.0)
 
 
 def _title(view: SearchView) -> str:

@@ -13,7 +13,16 @@ from asia.ledger import Experiment, Run
 from asia.problem.load import Problem
 from asia.protocol import Fold
 from asia.report._artifacts import fold_outputs
-from asia.report._drawing.style import BLUE, INK, SHADE, WIDTH, entitle, plain, quiet_grid, shown
+from asia.report._drawing.style import (
+    BLUE,
+    INK,
+    SHADE,
+    entitle,
+    picture_width,
+    plain,
+    quiet_grid,
+    shown,
+)
 from asia.report._pictures.simulation import lowest, worst_fits
 from asia.scoring import Correlation, with_input, with_own_past
 
@@ -35,7 +44,9 @@ def draw_residuals(
     chosen = lowest(worst_fits(experiment.score), _MOST_ROWS)
     rows = len(chosen)
     columns = 1 + min(len(problem.inputs), _MOST_INPUTS)
-    figure = Figure(figsize=(max(WIDTH, 2.9 * columns), 0.8 + 1.9 * rows), layout="constrained")
+    figure = Figure(
+        figsize=(max(picture_width(), 2.9 * columns), 0.8 + 1.9 * rows), layout="constrained"
+    )
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col")
     for row, output in enumerate(chosen):
         e = [r[:, output] for r in residual]

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from asia.data import Array
 from asia.data.frequency.response import FrequencyResponse
 from asia.problem.load import Problem
-from asia.report._drawing.style import BLUE, INK, ORANGE, WIDTH, entitle, plain, quiet_grid
+from asia.report._drawing.style import BLUE, INK, ORANGE, entitle, picture_width, plain, quiet_grid
 
 _MOST_OUTPUTS = 4
 _DEEPEST = 1e-9
@@ -19,7 +19,7 @@ def draw_responses(problem: Problem, found: tuple[FrequencyResponse | None, ...]
     shown = [
         (signal, one) for signal, one in zip(problem.outputs, found, strict=True) if one is not None
     ][:_MOST_OUTPUTS]
-    figure = Figure(figsize=(WIDTH, 0.9 + 2.2 * len(shown)), layout="constrained")
+    figure = Figure(figsize=(picture_width(), 0.9 + 2.2 * len(shown)), layout="constrained")
     grid = figure.subplots(len(shown), 1, squeeze=False, sharex=True)[:, 0]
     for axes, (signal, one) in zip(grid, shown, strict=True):
         size = float(np.sqrt((one.output**2).sum()))

@@ -17,8 +17,8 @@ from asia.report._drawing.style import (
     QUIET,
     RED,
     SHADE,
-    WIDTH,
     entitle,
+    picture_width,
     plain,
     quantity,
     quiet_grid,
@@ -36,7 +36,7 @@ def draw_standing(
     """Published test RMSE with our mark. ours: test RMSE in the unit of `output`; mark: another
     one to point out, with its name."""
     values = np.array([e.test_rmse for e in entries])
-    figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
+    figure = Figure(figsize=(picture_width(), 3.1), layout="constrained")
     box, bars = figure.subplots(1, 2, width_ratios=(1.0, 2.1))
     label = f"Test RMSE [{plain(output.unit, 16)}]" if output.unit else "Test RMSE"
     _box(box, values, ours)

@@ -16,9 +16,9 @@ from asia.report._drawing.style import (
     INK,
     ORANGE,
     RED,
-    WIDTH,
     axis_label,
     entitle,
+    picture_width,
     plain,
     quantity,
     quiet_grid,
@@ -66,7 +66,9 @@ def draw_tried_residuals(shown_cases: SimulatedCases) -> Figure:
     inputs = range(min(len(shown_cases.inputs), _MOST_INPUTS))
     columns = 2 + len(inputs)
     held_out = any(case.held_out for case in shown_cases.cases)
-    figure = Figure(figsize=(1.33 * WIDTH, 0.8 + 2.1 * len(outputs)), layout="constrained")
+    figure = Figure(
+        figsize=(1.33 * picture_width(), 0.8 + 2.1 * len(outputs)), layout="constrained"
+    )
     grid = figure.subplots(len(outputs), columns, squeeze=False)
     arrays = [case.arrays() for case in shown_cases.cases if case.held_out == held_out]
     for row, output in enumerate(outputs):
