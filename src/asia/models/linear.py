@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import Context, ParameterEstimate, ParameterEstimates
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._config import check_at_least, demand
@@ -30,6 +30,7 @@ from asia.models._data.records import (
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows, stretches
 from asia.models._linear.drift import drift_shift
+from asia.models._linear.estimates import ScaledRecord, system_estimates
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
@@ -121,13 +122,47 @@ class LinearStateSpace:
         training."""
         if self.fitted is None:
             raise UserError("linear model: not trained yet; call linear.train before parameters")
+        found = self._invariants(self.fitted.system, self.fitted.scaling)
+        return found | {"delay [samples]": float(self.fitted.delay)}
+
+    def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> ParameterEstimates:
+        """Gains and time constants with their standard errors, given the records of the fit.
+        Raises UserError before training, ValueError for free integrators, many states, and a fit
+        that is no minimum of the simulation error: one under a noise model, or over windows."""
+        if self.fitted is None:
+            raise UserError("linear model: not trained yet; call linear.train before estimates")
+        if self.config.integrators:
+            raise ValueError("linear model: with free integrators there are no static gains")
         f = self.fitted
-        gain = f.system.gain * f.scaling.y_std[:, None] / f.scaling.u_std
+        units = {
+            f"gain y{i + 1}/u{j + 1}": f"{y.unit}/{u.unit}" if y.unit or u.unit else ""
+            for i, y in enumerate(context.outputs)
+            for j, u in enumerate(context.inputs)
+        }
+        records = [_delayed_record(t, f) for t in trajectories]
+
+        def report(system: LinearSystem) -> list[ParameterEstimate]:
+            found = self._invariants(system, f.scaling).items()
+            rest = float("nan"), float("nan"), float("nan")
+            return [ParameterEstimate(n, v, *rest, units.get(n, "")) for n, v in found]
+
+        return system_estimates(f.system, records, report)
+
+    def _invariants(self, system: LinearSystem, scaling: Scaling) -> dict[str, float]:
+        """What does not depend on the coordinates of the states."""
+        gain = system.gain * scaling.y_std[:, None] / scaling.u_std
         found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
         found = found if len(found) <= _MOST_GAINS else {}
-        slowest = f.system.time_constants[:_MOST_TIME_CONSTANTS]
-        found |= {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
-        return found | {"delay [samples]": float(f.delay)}
+        slowest = system.time_constants[:_MOST_TIME_CONSTANTS]
+        return found | {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
+
+
+def _delayed_record(trajectory: Trajectory, fitted: FittedLinear) -> ScaledRecord:
+    """Without the samples whose delayed input was not measured."""
+    u = fitted.scaling.inputs(trajectory.u)
+    y = fitted.scaling.outputs(trajectory.y)
+    late = fitted.delay
+    return ScaledRecord(u[: len(u) - late], y[late:])
 
 
 def build(config: Config, context: Context) -> LinearStateSpace:

@@ -21,7 +21,7 @@ from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data import Array
 from asia.models._noise.process import ResidualProcess
 
-__all__ = ["Covariance", "estimates", "jacobians_of", "sandwich"]
+__all__ = ["Covariance", "estimates", "gradient", "jacobians_of", "sandwich"]
 
 _CONFIDENCE = 0.95
 # Each record counts by its own sum only where there are so many, and so many a parameter.
@@ -79,6 +79,16 @@ def sandwich(
     matrix = inverse @ (middle / rest + variance * weights) @ inverse
     freedom = max(noise.independent(samples) * kept, 1.0)
     return Covariance(matrix, inverse @ weights @ inverse, inverse, unknown, freedom)
+
+
+def gradient(
+    residuals: Sequence[Array], jacobians: Sequence[Array], nuisance: Sequence[Array]
+) -> Array:
+    """(P,): half the slope of the sum of squares, what each record has for itself fitted anew;
+    arguments as in `sandwich`. 0 at a minimum."""
+    free = (_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True))
+    parts = [np.einsum("typ,ty->p", j, e) for j, e in zip(free, residuals, strict=True)]
+    return np.sum(parts, axis=0)
 
 
 def estimates(

@@ -156,7 +156,7 @@ def _restricted(a: Array, pieces: Sequence[Array], columns: Sequence[Array]) -> 
         through = _filter(_STABLE * np.tanh(points))
         e, x = _filtered(through, pieces, columns, order)
         left, sizes, _ = np.linalg.svd(x, full_matrices=False)
-        kept = sizes > 1e-9 * sizes.max(initial=1e-300)
+        kept = sizes > 1e-7 * sizes.max(initial=1e-300)
         e = e - left[:, kept] @ (left[:, kept].T @ e)
         rest = max(len(e) - int(kept.sum()), 1)
         return rest * float(np.log(max(e @ e, 1e-300))) + 2.0 * float(np.log(sizes[kept]).sum())
@@ -181,7 +181,7 @@ def _filtered(
 def _innovations(a: Array, pieces: Sequence[Array], columns: Sequence[Array], lags: int) -> Array:
     """(N,): what no change of the columns explains of the filtered residuals."""
     e, x = _filtered(a, pieces, columns, lags)
-    return e - x @ np.linalg.lstsq(x, e)[0] if x.shape[1] else e
+    return e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e
 
 
 def _filter(reflections: Array) -> Array:

@@ -1,0 +1,100 @@
+"""What the records say of the static gains and time constants of a linear model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from asia.candidate import ParameterEstimate, ParameterEstimates
+from asia.data import Array
+from asia.models import uncertainty
+from asia.models._linear.system import LinearSystem
+
+# Entries of the matrices: those of a larger model are no quantities that people know.
+_MOST_ENTRIES = 150
+# Of a standard error: a fit that is further from its minimum minimises something else.
+_NEAR = 0.5
+
+
+@dataclass(frozen=True)
+class ScaledRecord:
+    """One record in z-scores, the inputs delayed."""
+
+    u: Array
+    """(T, nu)."""
+    y: Array
+    """(T, ny)."""
+
+
+def system_estimates(
+    system: LinearSystem,
+    records: Sequence[ScaledRecord],
+    report: Callable[[LinearSystem], Sequence[ParameterEstimate]],
+) -> ParameterEstimates:
+    """Of what `report` makes of the system, whatever the coordinates of its states. The initial
+    state of each record is fitted with it. Raises ValueError for a system of too many numbers, and
+    where the simulation error of the records has no minimum there."""
+    theta, shapes = _packed(system)
+    if len(theta) > _MOST_ENTRIES:
+        raise ValueError(f"{len(theta)} numbers: too many to tell their errors")
+    responses = [_free_response(system, len(record.u)) for record in records]
+    starts = [
+        _start(system, record, response)
+        for record, response in zip(records, responses, strict=True)
+    ]
+
+    def residuals(theta: Array) -> list[Array]:
+        other = _unpacked(theta, shapes)
+        return [
+            other.simulate(x0[None], record.u[None])[1][0] - record.y
+            for record, x0 in zip(records, starts, strict=True)
+        ]
+
+    found, slopes = uncertainty.jacobians_of(residuals, theta)
+    covariance = uncertainty.sandwich(found, slopes, nuisance=responses)
+    _check_minimum(covariance, found, slopes, responses)
+    return uncertainty.estimates(covariance, lambda x: report(_unpacked(x, shapes)), theta)
+
+
+def _check_minimum(
+    covariance: uncertainty.Covariance,
+    residuals: Sequence[Array],
+    slopes: Sequence[Array],
+    nuisance: Sequence[Array],
+) -> None:
+    step = -covariance.information @ uncertainty.gradient(residuals, slopes, nuisance)
+    errors = np.sqrt(np.maximum(np.diagonal(covariance.matrix), 0.0))
+    if np.any(np.abs(step) > _NEAR * errors + 1e-12):
+        raise ValueError("the fit is no minimum of the simulation error of these records")
+
+
+def _packed(system: LinearSystem) -> tuple[Array, list[tuple[int, ...]]]:
+    parts = [system.a, system.b, system.c, system.d, system.offset]
+    return np.concatenate([part.ravel() for part in parts]), [part.shape for part in parts]
+
+
+def _unpacked(theta: Array, shapes: Sequence[tuple[int, ...]]) -> LinearSystem:
+    ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
+    parts = [
+        theta[a:b].reshape(shape) for (a, b), shape in zip(pairwise(ends), shapes, strict=True)
+    ]
+    return LinearSystem(*parts)
+
+
+def _free_response(system: LinearSystem, samples: int) -> Array:
+    """(T, ny, n): outputs to each initial state of length 1."""
+    plain = LinearSystem(
+        system.a, system.b, system.c, system.d, np.zeros_like(system.offset)
+    )  # fmt: skip
+    rest = np.zeros((system.order, samples, system.b.shape[1]))
+    return plain.simulate(np.eye(system.order), rest)[1].transpose(1, 2, 0)
+
+
+def _start(system: LinearSystem, record: ScaledRecord, response: Array) -> Array:
+    """The initial state with the least simulation error."""
+    forced = system.simulate(np.zeros((1, system.order)), record.u[None])[1][0]
+    flat = response.reshape(-1, system.order)
+    return np.linalg.lstsq(flat, (record.y - forced).ravel())[0]
