@@ -25,9 +25,16 @@ def report(
     methods: Annotated[
         bool, typer.Option("--methods", help="Only print the paragraph on methods for a paper.")
     ] = False,
+    bundle: Annotated[
+        Path | None,
+        typer.Option(help="Only write a static site of all runs below --runs there, to publish."),
+    ] = None,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Write a run as one HTML page, and draw it as PNG and PDF pictures."""
+    if bundle is not None:
+        _publish(runs, bundle)
+        return
     from asia.report import methods_paragraph, write_figures, write_tables
 
     directory = run_directory(runs, run)
@@ -41,6 +48,16 @@ def report(
         say(methods_paragraph(directory))
     if figures is None and latex is None and not methods:
         _whole(directory)
+
+
+def _publish(runs: Path, directory: Path) -> None:
+    from asia.report import write_bundle
+
+    written = write_bundle(runs, directory)
+    for path in (written.index, *written.pages):
+        say(str(path))
+    for words in written.left_out:
+        say(f"left out {words}", file=sys.stderr)
 
 
 def _whole(directory: Path) -> None:

@@ -29,6 +29,7 @@ from asia.report._simulated import SimulatedCase, SimulatedCases, simulated_case
 
 if TYPE_CHECKING:
     from asia.problem.load import Problem
+    from asia.report._page import PublishedRuns
 
 __all__ = [
     "ArmCurves",
@@ -52,6 +53,7 @@ __all__ = [
     "official_figures",
     "read_board",
     "simulated_cases",
+    "write_bundle",
     "write_figures",
     "write_page",
     "write_report",
@@ -84,6 +86,15 @@ def write_page(directory: Path) -> Path:
     from asia.report._page import write_page
 
     return write_page(directory)
+
+
+def write_bundle(runs: Path, directory: Path) -> PublishedRuns:
+    """A static site of the runs below `runs` into `directory`, to publish: `index.html` and a page
+    for each run. Runs whose data or artifacts are not what they were are left out, and named.
+    Raises UserError where there is no run."""
+    from asia.report._page import write_bundle
+
+    return write_bundle(runs, directory)
 
 
 def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:

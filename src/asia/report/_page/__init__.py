@@ -1,5 +1,6 @@
 """The page of a run: one HTML file that tells all of it, offline."""
 
+from asia.report._page.bundle import PublishedRuns, write_bundle
 from asia.report._page.page import LIMIT, page_of, write_page
 
-__all__ = ["LIMIT", "page_of", "write_page"]
+__all__ = ["LIMIT", "PublishedRuns", "page_of", "write_bundle", "write_page"]

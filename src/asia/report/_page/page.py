@@ -20,7 +20,7 @@ LIMIT: Final = 1_500_000
 """Most bytes of a page."""
 
 # The first that fits is taken: sources leave a long search first, then stories, then rows.
-_DETAILS: Final = (
+DETAILS: Final = (
     Detail(sources=1_000, stories=2_000, rows=5_000),
     Detail(sources=100, stories=300, rows=2_000),
     Detail(sources=30, stories=100, rows=600),
@@ -45,7 +45,7 @@ def write_page(directory: Path) -> Path:
 def page_of(run: Run, sections: Sequence[Section] = SECTIONS) -> str:
     """The page, checked against the ledger. Raises as `write_page`."""
     problem = load_lock(run.directory / "problem.lock.toml") if run.store.kept else None
-    for detail in _DETAILS:
+    for detail in DETAILS:
         page = _whole(Subject(run, problem, detail), sections)
         if len(page.encode("utf-8", "replace")) <= LIMIT:
             audit(page, run.directory, len(run.lines))
@@ -58,24 +58,28 @@ def _whole(subject: Subject, sections: Sequence[Section]) -> str:
     shown = [(section, inner) for section, inner in written if inner is not None]
     name = subject.view.started.run
     links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one, _ in shown]
-    head = tag(
-        "head",
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
-        tag("meta", name="color-scheme", content="light dark"),
-        tag("title", f"{name}: report of a search"),
-        tag("style", Html(_style())),
-    )
-    body = tag(
-        "body",
+    parts = (
         tag("a", "Skip to the verdict", href="#verdict", class_="skiplink"),
         _header(subject),
         tag("nav", tag("ul", *links), aria_label="Sections"),
         tag("main", *(_section(section, inner) for section, inner in shown)),
         _footer(subject),
     )
-    return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
+    return document(f"{name}: report of a search", parts)
+
+
+def document(title: str, parts: Sequence[Html]) -> str:
+    """A whole HTML file with the style in it."""
+    head = tag(
+        "head",
+        tag("meta", charset="utf-8"),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        tag("meta", name="color-scheme", content="light dark"),
+        tag("title", title),
+        tag("style", Html(_style())),
+    )
+    return f"<!doctype html>\n{tag('html', head, tag('body', *parts), lang='en')}\n"
 
 
 def _section(section: Section, inner: Html) -> Html:

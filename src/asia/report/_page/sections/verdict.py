@@ -46,28 +46,34 @@ def doubts(subject: Subject) -> Iterator[str]:
         yield "the winner's fit ran into its deadline, so it depends on the machine"
 
 
+def stamp(subject: Subject) -> tuple[str, str]:
+    """The verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
+    if subject.view.best is None:
+        return "No model", "none"
+    if next(doubts(subject), None) is not None:
+        return "Doubtful", "doubt"
+    return "A model was found", "good"
+
+
 def _write(subject: Subject) -> Html:
     view = subject.view
     best = view.best
-    if best is None:
-        stamp, kind = "No model", "none"
-        lines = [_nothing(subject)]
-    else:
-        against = list(doubts(subject))
-        stamp, kind = ("Doubtful", "doubt") if against else ("A model was found", "good")
+    words, kind = stamp(subject)
+    lines = [_nothing(subject)]
+    if best is not None:
         lines = [
             _found(subject, best),
             _error(subject, best),
             _test(subject),
             _use(subject),
-            _trust(subject, against),
+            _trust(subject, list(doubts(subject))),
         ]
     if not view.complete and view.unsealed is None:
         lines.append(join(("The search is not finished: all of this may change.",)))
     tiles = None if best is None else _tiles(subject, best)
     return join(
         (
-            tag("p", stamp, class_=f"stamp {kind}"),
+            tag("p", words, class_=f"stamp {kind}"),
             tag("ol", *(tag("li", line) for line in lines), class_="verdict"),
             tiles,
         )
