@@ -21,7 +21,7 @@ from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data import Array
 from asia.models._noise.process import ResidualProcess
 
-__all__ = ["Covariance", "estimates", "gradient", "jacobians_of", "sandwich"]
+__all__ = ["Covariance", "Prior", "estimates", "gradient", "jacobians_of", "sandwich"]
 
 _CONFIDENCE = 0.95
 # Each record counts by its own sum only where there are so many, and so many a parameter.
@@ -47,23 +47,38 @@ class Covariance:
     """Degrees of freedom of the residuals, correlation taken into account."""
 
 
+@dataclass(frozen=True)
+class Prior:
+    """Knowledge beside the records: weight times a sum of squared deviations from what is known,
+    each over its standard deviation."""
+
+    matrix: Array
+    """(P, P): of that penalty in the normal equations, the weight included."""
+    weight: float
+    """With white residuals of variance s the sum of squares is a likelihood where this is s.
+    Another weight makes the estimate another one, but the knowledge no better."""
+
+
 def sandwich(
     residuals: Sequence[Array],
     jacobians: Sequence[Array],
     ridge: Array | None = None,
     nuisance: Sequence[Array] | None = None,
+    prior: Prior | None = None,
 ) -> Covariance:
     """The covariance of coordinates that make the sum of squares small.
 
     residuals: (T, ny) of each record; jacobians: (T, ny, P), their derivatives; ridge: (P, P), R
     where the sum has theta' R theta beside the squares; nuisance: (T, ny, Q), derivatives by what
-    is fitted for each record alone, such as its initial state.
+    is fitted for each record alone, such as its initial state; prior: knowledge in the same sum.
     """
     free = list(jacobians)
     if nuisance is not None:
         free = [_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True)]
     count = free[0].shape[-1]
-    weights = np.zeros((count, count)) if ridge is None else ridge
+    held = np.zeros((count, count)) if ridge is None else ridge
+    known = Prior(np.zeros((count, count)), 0.0) if prior is None else prior
+    weights = held + known.matrix
     own = sum((np.einsum("typ,tyq->pq", j, j) for j in free), np.zeros((count, count)))
     inverse, unknown = _inverse(own + weights)
     noise = ResidualProcess.of(residuals, jacobians, nuisance)
@@ -76,7 +91,8 @@ def sandwich(
     samples = sum(e.size for e in residuals)
     variance = squares / kept / samples
     rest = 1.0 if noise.restricted else kept
-    matrix = inverse @ (middle / rest + variance * weights) @ inverse
+    spread = middle / rest + variance * held + known.weight * known.matrix
+    matrix = inverse @ spread @ inverse
     freedom = max(noise.independent(samples) * kept, 1.0)
     return Covariance(matrix, inverse @ weights @ inverse, inverse, unknown, freedom)
 

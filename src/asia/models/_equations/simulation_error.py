@@ -137,20 +137,21 @@ class SimulationError:
         jacobian = jacobian.reshape(*e.shape, -1)
         return e, jacobian[..., : len(fitted)], jacobian[..., len(fitted) :]
 
-    def ridge(self, theta: Array) -> Array:
-        """(P, P): what priors and ridges add to the normal equations of the coordinates that are
-        fitted, at theta (1, n). Without the weak ridge on physical quantities: it helps the search
-        and is no knowledge."""
-        size, fitted = self._structure.layout.size, np.flatnonzero(self._active)
+    def penalties(self, theta: Array) -> tuple[Array, Array, float]:
+        """(P, P): what ridges, and what priors, add to the normal equations of the coordinates
+        that are fitted, at theta (1, n); and the weight of the priors. Without the weak ridge on
+        physical quantities: it helps the search and is no knowledge."""
+        layout, fitted = self._structure.layout, np.flatnonzero(self._active)
         cost, gradient = np.zeros(1), np.zeros((1, theta.shape[1]))
-        gram = np.zeros((1, theta.shape[1], theta.shape[1]))
-        self._add_ridges(theta[:1], cost, gram, gradient)
-        layout = self._structure.layout
-        for part in (layout.parameters, layout.limits, layout.spill):
-            gram[:, part, part] = 0.0
+        held, known = np.zeros((2, 1, theta.shape[1], theta.shape[1]))
+        self._add_ridges(theta[:1], cost, held, gradient)
         z, _ = self._parts(self._around(theta[:1], fitted))
-        self._add_knowledge(z, fitted, cost, gram, gradient)
-        return gram[0, :size, :size][np.ix_(fitted, fitted)]
+        self._add_knowledge(z, fitted, cost, known, gradient)
+        known[:, layout.learned, layout.learned] += held[:, layout.learned, layout.learned]
+        for part in (layout.parameters, layout.limits, layout.spill, layout.learned):
+            held[:, part, part] = 0.0
+        chosen = np.ix_(fitted, fitted)
+        return held[0][chosen], known[0][chosen], float(self._prior_weight**2)
 
     def _derivatives(
         self, chosen: Indices, z: Array, shift: Array, part: slice

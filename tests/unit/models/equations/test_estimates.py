@@ -99,6 +99,8 @@ def test_what_a_prior_says_is_not_counted_as_the_records() -> None:
     shares = {p.name: p.data_share for p in found.parameters}
     assert shares["c"] < 0.05
     assert shares["a"] > 0.95
+    errors = {p.name: p.standard_error for p in found.parameters}
+    assert errors["c"] == pytest.approx(0.1, rel=0.05)  # that of the data sheet, and no better
     assert all(np.isfinite(p.standard_error) for p in found.parameters)
 
 

@@ -54,8 +54,13 @@ class Around:
             [part[:length] for part, length in zip(values, lengths, strict=True)]
             for values in (e, jacobian, nuisance)
         )
+        held, known, weight = error.penalties(theta)
         covariance = uncertainty.sandwich(
-            residuals, jacobians, error.ridge(theta), own if nuisance.shape[-1] else None
+            residuals,
+            jacobians,
+            held,
+            own if nuisance.shape[-1] else None,
+            uncertainty.Prior(known, weight),
         )
         return uncertainty.estimates(covariance, self._report, self.fitted.z, equations)
 
