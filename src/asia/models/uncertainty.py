@@ -21,7 +21,7 @@ from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data import Array
 from asia.models._noise.process import ResidualProcess
 
-__all__ = ["Covariance", "Prior", "estimates", "gradient", "jacobians_of", "sandwich"]
+__all__ = ["Covariance", "PriorPenalty", "estimates", "gradient", "jacobians_of", "sandwich"]
 
 _CONFIDENCE = 0.95
 # Each record counts by its own sum only where there are so many, and so many a parameter.
@@ -48,7 +48,7 @@ class Covariance:
 
 
 @dataclass(frozen=True)
-class Prior:
+class PriorPenalty:
     """Knowledge beside the records: weight times a sum of squared deviations from what is known,
     each over its standard deviation."""
 
@@ -64,7 +64,7 @@ def sandwich(
     jacobians: Sequence[Array],
     ridge: Array | None = None,
     nuisance: Sequence[Array] | None = None,
-    prior: Prior | None = None,
+    prior: PriorPenalty | None = None,
 ) -> Covariance:
     """The covariance of coordinates that make the sum of squares small.
 
@@ -77,7 +77,7 @@ def sandwich(
         free = [_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True)]
     count = free[0].shape[-1]
     held = np.zeros((count, count)) if ridge is None else ridge
-    known = Prior(np.zeros((count, count)), 0.0) if prior is None else prior
+    known = PriorPenalty(np.zeros((count, count)), 0.0) if prior is None else prior
     weights = held + known.matrix
     own = sum((np.einsum("typ,tyq->pq", j, j) for j in free), np.zeros((count, count)))
     inverse, unknown = _inverse(own + weights)

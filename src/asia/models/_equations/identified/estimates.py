@@ -60,7 +60,7 @@ class Around:
             jacobians,
             held,
             own if nuisance.shape[-1] else None,
-            uncertainty.Prior(known, weight),
+            uncertainty.PriorPenalty(known, weight),
         )
         return uncertainty.estimates(covariance, self._report, self.fitted.z, equations)
 
