@@ -84,7 +84,7 @@ def _node(node: Node) -> Html:
             if sign == "*" and (isinstance(right, Number | Negative) or _is_word(left, right)):
                 shown = "·"
             other = _inside(right, strength + (sign == "-"))
-            room = "0.12em" if sign == "*" else None
+            room = {"·": "0.25em", "\N{INVISIBLE TIMES}": "0.12em"}.get(shown)
             mark = tag("mo", shown, lspace=room, rspace=room)
             return join((_inside(left, strength), mark, other))
         case Call(function, arguments):

@@ -81,7 +81,7 @@ def _seen(subject: Subject, e: Experiment) -> Html | None:
         if other.score is None or not other.score.value:
             continue
         pair = (result_of(e), "outcome.value"), (result_of(other), "outcome.value")
-        parts += ["; ", subject.made("change", "signed_share", *pair), f" to {words}, "]
+        parts += ["; ", subject.made("change", "signed_share", *pair), f" beside {words}, "]
         parts.append(subject.name(other))
     return join(parts)
 

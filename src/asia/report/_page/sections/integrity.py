@@ -118,4 +118,4 @@ def _look(subject: Subject, look: GuardLooked) -> Html:
     return table(["experiment", "error on the guard"], rows, "A look at the guard records")
 
 
-SECTION = Section("integrity", "What kept it honest, and what it cost", _write)
+SECTION = Section("integrity", "Integrity and cost", _write)
