@@ -107,8 +107,10 @@ def test_unseal_once(searched: Searched, asia: Asia) -> None:
     assert "already" not in first.err
     answer = json.loads(first.out)
     assert set(answer) == {
-        "test", "experiment", "skip", "refit", "use", "early_stopping", "residuals",
+        "test", "experiment", "skip", "refit", "use", "early_stopping", "residuals", "bands",
     }  # fmt: skip
+    assert set(answer["bands"]) == {"model", "level", "covered", "outside"}
+    assert set(answer["bands"]["covered"]) == {"y"}
     for model in ("test", "refit"):
         assert set(answer[model]) == {"rmse", "per_channel", "per_trajectory"}
         assert set(answer[model]["per_channel"]) == {"y"}

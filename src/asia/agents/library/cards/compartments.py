@@ -55,9 +55,9 @@ CARD = Card(
             label="compartments",
             use="storages in a row that fill, run off and run over: levels, temperatures, contents",
             base=4.5,
-            points=(("short", 0.5), ("several", -1)),
+            points=(("short", 0.5), ("several", -1), ("integrating", -3)),
             # Contents cannot be negative, so that no change of sign is a symmetry.
-            unfit=frozenset({"windows", "long", "integrating", "symmetric"}),
+            unfit=frozenset({"windows", "long", "symmetric"}),
             start=_start,
             space=_space,
             small=(("iterations", 3), ("starts", 1)),
