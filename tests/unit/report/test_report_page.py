@@ -6,12 +6,14 @@ import itertools
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from asia import ledger
 from asia.errors import InternalError
-from asia.ledger import Run, open_run
+from asia.ledger import Chain, Run, open_run
 from asia.problem.load import Seal, load_problem, lock_text
 from asia.report import write_bundle, write_page
 from asia.report._page import LIMIT, page_of
@@ -232,3 +234,23 @@ def test_a_bundle_names_the_runs_that_it_leaves_out(
     assert [p.name for p in written.pages] == ["made.html"]
     assert len(written.left_out) == 1
     assert written.left_out[0].startswith("broken: ")
+
+
+def test_the_bands_of_the_test_stand_beside_what_they_are_meant_to_hold(
+    make_run: Callable[..., Run],
+) -> None:
+    run = make_run(unsealed=1)
+    assert 'id="bands"' not in page_of(run)
+    opened = run.view.unsealed
+    assert opened is not None
+    bands = ledger.TestBands("ensemble", 0.9, (0.873,), 0.02, opened.measured, opened.measured)
+    other = run.directory.with_name("banded")
+    shutil.copytree(run.directory, other)
+    (other / "ledger.jsonl").unlink()
+    with Chain(other / "ledger.jsonl") as chain:
+        for line in run.lines[:-1]:
+            chain.append(line.event)
+        chain.append(replace(opened, bands=bands))
+    page = page_of(open_run(other))
+    assert "87.3 %" in page
+    assert "90.0 %" in page

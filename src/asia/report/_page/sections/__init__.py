@@ -10,6 +10,7 @@ from typing import Final
 from asia.report._page.section import Section
 from asia.report._page.sections import (
     accuracy,
+    bands,
     experiments,
     handover,
     integrity,
@@ -26,6 +27,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     model.SECTION,
     accuracy.SECTION,
     tested.SECTION,
+    bands.SECTION,
     handover.SECTION,
     progress.SECTION,
     lineage.SECTION,
