@@ -32,7 +32,7 @@ def unseal(
     from asia.drive import end_idle
     from asia.ledger import open_run
     from asia.problem.load import load_lock
-    from asia.report import read_board, write_report
+    from asia.report import read_board, write_page, write_report
     from asia.search import needs_consent
     from asia.search import unseal as open_seal
 
@@ -58,6 +58,7 @@ def unseal(
         answer = {**_as_object(result.record), "use": _use(result.record, view), **_settings(view)}
         answer |= board_object(board)
         say(jsonlib.dumps(answer, allow_nan=False))
+        write_page(directory)
         return
     _print_text(result.record, view, by_record=not board.unit_is_outputs)
     for line in _setting_lines(view):
@@ -67,6 +68,8 @@ def unseal(
             say(f"picture  {picture}")
     for line in board_lines(board):
         say(line)
+    # A page from before says that the test is sealed.
+    write_page(directory)
 
 
 def _ask(opened: Run) -> None:
