@@ -23,7 +23,7 @@ from asia.models.methods import LevenbergMarquardt
 
 
 def build_model(context):
-    config = linear.Config(order=None, delay=None)
+    config = linear.Config(order=None, delay=None, periodic=True)
     return linear.build(config, context)
 
 

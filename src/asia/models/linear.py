@@ -40,6 +40,8 @@ from asia.models._linear.fit import (
     refined_under_noise,
 )
 from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
+from asia.models._linear.levels import groups_by_level, level_of, running_levels, shares
+from asia.models._linear.periodic.fit import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowPredictor
 from asia.models._noise.choice import NoiseChoice
@@ -55,6 +57,8 @@ _MOST_OUTPUTS = 3
 _JACOBIAN_NUMBERS = 60_000_000
 _MOST_GAINS = 20
 _MOST_TIME_CONSTANTS = 6
+# A candidate may name no more.
+_MOST_PARAMETERS = 64
 
 
 @dataclass(frozen=True)
@@ -75,9 +79,18 @@ class Config:
     """Greatest delay tried where `delay` is None, in samples."""
     integrators: int = 0
     """Free integrators: poles held at 1, which count among the states."""
+    periodic: bool = False
+    """Whether records with periodic inputs in steady state are fitted line by line, where whole
+    records are simulated, without free integrators and noise model: all realisations at once,
+    systems of many states in seconds. A delay of None is then left to the states."""
+    periodic_order: int = 60
+    """Greatest order tried there where `order` is None."""
+    levels: bool = False
+    """Whether records whose inputs differ in size have systems of their own, between whose outputs
+    a simulation interpolates by the root mean square of its inputs so far."""
 
     def __post_init__(self) -> None:
-        check_at_least(1, self, "order", "max_order")
+        check_at_least(1, self, "order", "max_order", "periodic_order")
         check_at_least(0, self, "delay", "max_delay", "integrators")
         enough = self.integrators <= (self.order or self.max_order)
         demand(self, "integrators", enough, "at most the order")
@@ -98,37 +111,53 @@ class FittedLinear:
 
 
 @dataclass(frozen=True)
+class FittedLevels:
+    """Systems for levels of excitation."""
+
+    systems: tuple[FittedLinear, ...]
+    """One a level, all of one scaling."""
+    levels: Array
+    """Root mean squares of the scaled inputs (L,), rising."""
+    memory: int
+    """Samples of the inputs that tell the level."""
+
+
+@dataclass(frozen=True)
 class LinearStateSpace:
-    """Linear model; `fitted` is None before training."""
+    """Linear model; before training `fitted` and `by_level` are None, after it one of them."""
 
     config: Config
     fitted: FittedLinear | None = None
+    by_level: FittedLevels | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
         (B, H, ny). The input before a past window that is shorter than the delay is taken to be
         the window's first. Raises UserError before training."""
+        if self.by_level is not None:
+            return _interpolated(self.by_level, past_u, past_y, u)
         if self.fitted is None:
             raise UserError("linear model: not trained yet; call linear.train before simulate")
-        f = self.fitted
-        past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
-        x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
-        _, y = f.system.simulate(x0, delayed(past, future, f.delay))
-        return f.scaling.physical(y)
+        return _simulated(self.fitted, past_u, past_y, u)
 
     def parameters(self) -> dict[str, float]:
         """Static gains in physical units, delay and slowest time constants in samples: what folds
         can be compared by, whatever the coordinates of the states. Raises UserError before
         training."""
+        if self.by_level is not None:
+            each = enumerate(map(_parameters, self.by_level.systems), 1)
+            named = [(f"{name}, level {k}", v) for k, p in each for name, v in p.items()]
+            return dict(named[:_MOST_PARAMETERS])
         if self.fitted is None:
             raise UserError("linear model: not trained yet; call linear.train before parameters")
-        found = self._invariants(self.fitted.system, self.fitted.scaling)
-        return found | {"delay [samples]": float(self.fitted.delay)}
+        return _parameters(self.fitted)
 
     def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> ParameterEstimates:
         """Gains and time constants with their standard errors, given the records of the fit.
         Raises UserError before training, ValueError for free integrators, many states, and a fit
         that is no minimum of the simulation error: one under a noise model, or over windows."""
+        if self.by_level is not None:
+            raise ValueError("linear model: gains and time constants differ from level to level")
         if self.fitted is None:
             raise UserError("linear model: not trained yet; call linear.train before estimates")
         if self.config.integrators:
@@ -142,19 +171,24 @@ class LinearStateSpace:
         records = [_delayed_record(t, f) for t in trajectories]
 
         def report(system: LinearSystem) -> list[ParameterEstimate]:
-            found = self._invariants(system, f.scaling).items()
+            found = _invariants(system, f.scaling).items()
             rest = float("nan"), float("nan"), float("nan")
             return [ParameterEstimate(n, v, *rest, units.get(n, "")) for n, v in found]
 
         return system_estimates(f.system, records, report)
 
-    def _invariants(self, system: LinearSystem, scaling: Scaling) -> dict[str, float]:
-        """What does not depend on the coordinates of the states."""
-        gain = system.gain * scaling.y_std[:, None] / scaling.u_std
-        found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
-        found = found if len(found) <= _MOST_GAINS else {}
-        slowest = system.time_constants[:_MOST_TIME_CONSTANTS]
-        return found | {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
+
+def _parameters(f: FittedLinear) -> dict[str, float]:
+    return _invariants(f.system, f.scaling) | {"delay [samples]": float(f.delay)}
+
+
+def _invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
+    """What does not depend on the coordinates of the states."""
+    gain = system.gain * scaling.y_std[:, None] / scaling.u_std
+    found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
+    found = found if len(found) <= _MOST_GAINS else {}
+    slowest = system.time_constants[:_MOST_TIME_CONSTANTS]
+    return found | {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
 
 
 def _delayed_record(trajectory: Trajectory, fitted: FittedLinear) -> ScaledRecord:
@@ -163,6 +197,21 @@ def _delayed_record(trajectory: Trajectory, fitted: FittedLinear) -> ScaledRecor
     y = fitted.scaling.outputs(trajectory.y)
     late = fitted.delay
     return ScaledRecord(u[: len(u) - late], y[late:])
+
+
+def _simulated(f: FittedLinear, past_u: Array, past_y: Array, u: Array) -> Array:
+    past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
+    x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
+    _, y = f.system.simulate(x0, delayed(past, future, f.delay))
+    return f.scaling.physical(y)
+
+
+def _interpolated(found: FittedLevels, past_u: Array, past_y: Array, u: Array) -> Array:
+    scaling = found.systems[0].scaling
+    level = running_levels(scaling.inputs(past_u), scaling.inputs(u), found.memory)
+    weights = shares(found.levels, level)
+    each = [_simulated(f, past_u, past_y, u) for f in found.systems]
+    return np.einsum("bhl,lbho->bho", weights, np.stack(each))
 
 
 def build(config: Config, context: Context) -> LinearStateSpace:
@@ -183,12 +232,33 @@ def train(
     check(trajectories, context)
     scaling = scaling_of(trajectories, context, model.config)
     records = scaled(trajectories, scaling)
-    predictor = windowed(records, context, model.config, refinement_of(method))
+    refinement = refinement_of(method)
+    groups = groups_by_level([r.u for r in records]) if model.config.levels else []
+    if len(groups) < 2:
+        fitted = _fitted(records, context, model.config, refinement, scaling)
+        return replace(model, fitted=fitted)
+    parts = [[records[i] for i in group] for group in groups]
+    systems = tuple(_fitted(part, context, model.config, refinement, scaling) for part in parts)
+    levels = np.array([level_of(np.concatenate([r.u for r in part])) for part in parts])
+    by_level = FittedLevels(systems, levels, max(len(r) for r in records))
+    return replace(model, by_level=by_level)
+
+
+def _fitted(
+    records: ScaledData, context: Context, config: Config, how: Refinement, scaling: Scaling
+) -> FittedLinear:
+    plain = context.horizon is None and config.integrators == 0 and how.noise is None
+    if config.periodic and plain:
+        late = [shifted(r, config.delay or 0) for r in records]
+        choice = PeriodicChoice(config.order, config.periodic_order, config.tolerance)
+        found = fit_periodic(late, context, choice, how.iterations, context.log)
+        if found is not None:
+            return FittedLinear(*found, config.delay or 0, scaling)
+    predictor = windowed(records, context, config, how)
     if predictor is not None:
-        return replace(model, fitted=FittedLinear(*predictor.system(), 0, scaling))
-    found, delay, used = fit_records(records, context, model.config, refinement_of(method))
-    encoder = encoder_of(used, found, context)
-    return replace(model, fitted=FittedLinear(found.system, encoder, delay, scaling))
+        return FittedLinear(*predictor.system(), 0, scaling)
+    fit_found, delay, used = fit_records(records, context, config, how)
+    return FittedLinear(fit_found.system, encoder_of(used, fit_found, context), delay, scaling)
 
 
 def scaling_of(trajectories: Sequence[Trajectory], context: Context, config: Config) -> Scaling:

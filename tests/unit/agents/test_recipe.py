@@ -59,7 +59,7 @@ def test_the_linear_rung_and_the_linear_row_are_the_same_candidate() -> None:
     row = next(row for row in all_families() if row.name == "linear")
     recipe = read_recipe(LINEAR)
     assert recipe is not None
-    assert recipe.config == (("order", None), ("delay", None))
+    assert recipe.config == (("order", None), ("delay", None), ("periodic", True))
     assert source_digest(LINEAR) == source_digest(recipe.source(row.use))
 
 

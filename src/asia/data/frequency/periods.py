@@ -15,7 +15,12 @@ _ALIKE, _UNLIKE, _SHORTEST = 0.98, 0.5, 16
 def find_period(records: Sequence[Trajectory]) -> int | None:
     """Samples of the period that all inputs of all records have, each at least twice in every
     record; None where there is none."""
-    found = {_period(r.u) for r in records}
+    return common_period([r.u for r in records])
+
+
+def common_period(inputs: Sequence[Array]) -> int | None:
+    """The same of inputs (T, nu), one array a record."""
+    found = {_period(u) for u in inputs}
     return found.pop() if len(found) == 1 else None
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
-from asia.models._data.cuts import side_by_side, spread
+from asia.models._data.cuts import Indices, side_by_side, spread
 from asia.models._data.scaling import Scaling
 
 
@@ -85,8 +85,11 @@ def window(past_u: Array, past_y: Array) -> Array:
 
 def windows(record: ScaledTrajectory, context: Context) -> Array:
     """Past window before each sample from `past_length` on: (T - past_length, d)."""
-    start = past_length(context)
-    rows = np.arange(start, len(record))
+    return windows_before(record, np.arange(past_length(context), len(record)), context)
+
+
+def windows_before(record: ScaledTrajectory, rows: Indices, context: Context) -> Array:
+    """Past windows (N, d) before samples (N,), none before `past_length`."""
     back_u = rows[:, None] + np.arange(-context.n_past_u, 0)
     back_y = rows[:, None] + np.arange(-context.n_past_y, 0)
     return window(record.measured_u[back_u], record.y[back_y])

@@ -27,11 +27,16 @@ class Observability:
 
     def start(self, order: int) -> tuple[Array, Array] | None:
         """(A, C) of the order, A made stable; None where the factor has too few columns."""
+        pair = self.shifted(order)
+        return None if pair is None else (stabilised(pair[0]), pair[1])
+
+    def shifted(self, order: int) -> tuple[Array, Array] | None:
+        """(A, C) as they come, A perhaps unstable."""
         if order > self.factor.shape[1] or order > self.factor.shape[0] - self.ny:
             return None
         gamma = self.factor[:, :order]
         a = np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0]
-        return stabilised(np.asarray(a, np.float64)), gamma[: self.ny]
+        return np.asarray(a, np.float64), gamma[: self.ny]
 
 
 def starts(records: ScaledData, max_order: int) -> list[Observability]:

@@ -15,13 +15,38 @@ from asia.agents.library.methods import (
     noise_space,
     slow_noise,
 )
+from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.records.levels import periodic, several_levels
 from asia.agents.library.space import OneOf, Space
+
+# Share of the error for which another state is taken.
+_FINER = 0.005
 
 
 def _linear(facts: Facts) -> Recipe:
-    config = (("order", None), ("delay", None), *integrator_setting(facts))
+    config = (("order", None), ("delay", None), ("periodic", True), *integrator_setting(facts))
     return Recipe("linear", config, LM, (("iterations", 30),))
+
+
+def _level_weight(at: Situation) -> float:
+    """Near certain where a fit takes seconds; the gain differs from level to level of most."""
+    if at.facts.horizon is not None or at.recipe.get("levels") or not several_levels(at.facts):
+        return 0.0
+    return 0.92 if _by_lines(at) else 0.5
+
+
+def _finer_weight(at: Situation) -> float:
+    return 0.6 * _by_lines(at) * (at.recipe.number("tolerance", 1.0) > _FINER)
+
+
+def _by_lines(at: Situation) -> bool:
+    return bool(at.recipe.get("periodic")) and periodic(at.facts)
+
+
+def _switches(facts: Facts) -> tuple[str, ...]:
+    known = (("periodic", periodic(facts)), ("levels", several_levels(facts)))
+    return tuple(name for name, holds in known if holds and facts.horizon is None)
 
 
 def _linear_space(facts: Facts) -> Space:
@@ -30,6 +55,7 @@ def _linear_space(facts: Facts) -> Space:
             OneOf("order", (None, 1, 2, 3, 4, 5, 6)),
             OneOf("delay", (0, None)),
             OneOf("integrators", (0, 1)),
+            *(OneOf(name, (False, True)) for name in _switches(facts)),
         ),
         options=(OneOf("iterations", (15, 30, 60)), *noise_space(facts)),
     )
@@ -77,4 +103,23 @@ CARD = Card((
 ), (
     replace(slow_noise(), families=("linear",)),
     *(replace(move, families=("linear",)) for move in integrator_moves()),
+    Move(
+        name="systems by level of excitation",
+        families=("linear",),
+        weight=_level_weight,
+        change=lambda c: c.recipe.configured(levels=True),
+        hypothesis="The records are of several levels of excitation. Gain, damping and frequencies "
+        "of a nonlinear system differ from level to level: a linear system for each.",
+        expected="A far lower V if the system is nonlinear; the same V if it is not.",
+        behind_counts=False,
+    ),
+    Move(
+        name="more states",
+        families=("linear",),
+        weight=_finer_weight,
+        change=lambda c: c.recipe.configured(tolerance=_FINER, periodic_order=90),
+        hypothesis="The lines of periodic records tell many modes apart: each small gain in error "
+        "is worth a state.",
+        expected="A slightly lower V.",
+    ),
 ))  # fmt: skip

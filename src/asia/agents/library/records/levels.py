@@ -1,0 +1,33 @@
+"""Whether the records are of several levels of excitation, and whether they are periodic."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from asia.agents._view import Facts
+from asia.agents.library.records.same import SameRecords
+from asia.data.frequency.periods import find_period
+
+# Levels are this ratio apart, and each has at least so many records.
+_APART, _FEWEST = 1.2, 2
+
+
+def periodic(facts: Facts) -> bool:
+    """Whether all inputs of all records have one period, and whole records are simulated."""
+    return facts.horizon is None and _period(SameRecords(facts.records)) is not None
+
+
+def several_levels(facts: Facts) -> bool:
+    """Whether the inputs come in levels that are clearly apart, several records a level."""
+    scale = np.concatenate([r.u for r in facts.records]).std(axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    sizes = np.sort([np.sqrt(((r.u / scale) ** 2).mean()) for r in facts.records])
+    cuts = np.flatnonzero(sizes[1:] > _APART * sizes[:-1]) + 1
+    return len(cuts) > 0 and min(map(len, np.split(sizes, cuts))) >= _FEWEST
+
+
+@lru_cache(maxsize=8)
+def _period(same: SameRecords) -> int | None:
+    return find_period(same.records)

@@ -1,0 +1,47 @@
+"""Levels of excitation: groups of records, and where a simulation lies between their levels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from asia.data import Array
+
+# Records whose inputs are further apart than this ratio are of different levels.
+_APART = 1.2
+
+
+def groups_by_level(inputs: Sequence[Array]) -> list[list[int]]:
+    """Numbers of the records whose inputs (T, nu) are alike in size, the smallest level first."""
+    sizes = np.array([level_of(u) for u in inputs])
+    order = np.argsort(sizes, kind="stable")
+    found = [[int(order[0])]]
+    for before, number in pairwise(order):
+        if sizes[number] > _APART * sizes[before]:
+            found.append([])
+        found[-1].append(int(number))
+    return [sorted(group) for group in found]
+
+
+def level_of(u: Array) -> float:
+    """Root mean square of inputs (..., nu) over all of them."""
+    return float(np.sqrt((u**2).mean()))
+
+
+def running_levels(past_u: Array, u: Array, memory: int) -> Array:
+    """The level (B, H) at each sample, of up to `memory` inputs (B, .., nu) up to it."""
+    power = np.concatenate([past_u, u], axis=1)
+    power = (power**2).mean(axis=2)
+    sums = np.cumsum(np.pad(power, ((0, 0), (1, 0))), axis=1)
+    last = np.arange(past_u.shape[1] + 1, sums.shape[1])
+    first = np.maximum(last - memory, 0)
+    return np.sqrt(np.maximum(sums[:, last] - sums[:, first], 0.0) / (last - first))
+
+
+def shares(levels: Array, at: Array) -> Array:
+    """Weights (B, H, L) of systems at `levels` (L,), rising, by linear interpolation between the
+    two that lie around each level `at` (B, H); the outermost beyond."""
+    eye = np.eye(len(levels))
+    return np.stack([np.interp(at, levels, row) for row in eye], axis=-1)

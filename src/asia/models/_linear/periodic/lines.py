@@ -1,0 +1,89 @@
+"""Excited lines of periodic records, of all realisations in as few columns as say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data import Array
+from asia.data.frequency.periods import common_period
+from asia.models._data.records import ScaledData
+
+Spectrum = NDArray[np.complex128]
+# Of the largest amplitude: an input line below it is not excited.
+_EXCITED = 1e-3
+# Of the variance of an output: what the periods may differ by in steady state.
+_UNSTEADY = 0.1
+# Fewer lines say too little of what lies between them.
+FEWEST_LINES = 30
+
+
+@dataclass(frozen=True)
+class ExcitedLines:
+    """Least squares over all realisations has the same solution on these columns: of the outputs
+    nothing is left out but what no linear system explains."""
+
+    z: Spectrum
+    """exp(j omega) of each line (F,)."""
+    u: Spectrum
+    """Inputs (F, nu, m), at most nu columns."""
+    y: Spectrum
+    """Outputs (F, ny, m)."""
+
+    def part(self, which: NDArray[np.bool_]) -> ExcitedLines:
+        """Some of the lines."""
+        return ExcitedLines(self.z[which], self.u[which], self.y[which])
+
+
+@dataclass(frozen=True)
+class SteadyRecord:
+    """Mean period of a record."""
+
+    u: Array
+    """(N, nu)."""
+    y: Array
+    """(N, ny)."""
+    first: int
+    """Sample of the record at which a period starts."""
+
+
+def steady_records(records: ScaledData) -> list[SteadyRecord] | None:
+    """The mean period of each record; None where there is no period that all have at least twice,
+    or where an output differs from period to period: no steady state, or too much noise."""
+    period = common_period([r.u for r in records])
+    if period is None or any((r.weight != 1).any() for r in records):
+        return None
+    found: list[SteadyRecord] = []
+    for r in records:
+        count = len(r) // period
+        first = len(r) - count * period
+        u, y = (v[first:].reshape(count, period, -1) for v in (r.u, r.y))
+        apart = y.var(axis=0, ddof=1).mean(axis=0)
+        if (apart > _UNSTEADY * np.maximum(y.var(axis=(0, 1)), 1e-12)).any():
+            return None
+        found.append(SteadyRecord(u.mean(axis=0), y.mean(axis=0), first))
+    return found
+
+
+def lines_of(records: Sequence[SteadyRecord]) -> ExcitedLines:
+    """Of all records, without the constant."""
+    period = len(records[0].u)
+    scale, rows = np.sqrt(2.0) / period, slice(1, (period + 1) // 2)
+    u, y = (
+        np.stack([scale * np.fft.rfft(v, axis=0)[rows] for v in values], axis=-1)
+        for values in ([r.u for r in records], [r.y for r in records])
+    )
+    size = abs(u).max(axis=(1, 2))
+    excited = size > _EXCITED * size.max()
+    z = np.exp(2j * np.pi * np.arange(rows.start, rows.stop) / period)[excited]
+    nu, columns = u.shape[1:]
+    both = np.concatenate([u, y], axis=1)[excited]
+    if columns > nu:
+        # A unitary change of columns leaves all inputs in the first nu.
+        triangular: Any = np.linalg.qr(both.conj().swapaxes(1, 2), mode="r")
+        both = triangular.conj().swapaxes(1, 2)[:, :, :nu]
+    return ExcitedLines(z, both[:, :nu], both[:, nu:])
