@@ -9,10 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
 from asia.data import Array
+
+Decomposed: TypeAlias = tuple[Array, Array]
 
 
 @dataclass(frozen=True)
@@ -42,26 +46,31 @@ def affine(weights: Array, bias: Array) -> Encoder:
 
 
 def fit_encoder(
-    features: Sequence[Array], states: Sequence[Array], hidden: int = 0, seed: int = 0
+    features: Sequence[Array],
+    states: Sequence[Array],
+    hidden: int = 0,
+    seed: int = 0,
+    regression: BlockedRidge | None = None,
 ) -> Encoder:
     """features (N_r, d) and states (N_r, n) of each record -> ridge regression on the features
     and on `hidden` random tanh functions of them.
 
     The ridge and whether the tanh functions are used at all are chosen by prediction of
     contiguous blocks left out: neighbouring windows overlap, so leaving out single samples would
-    choose too small a ridge.
+    choose too small a ridge. regression: that on the features, where it is known.
     """
     x, y = np.concatenate(features), np.concatenate(states)
     if x.shape[1] == 0:
         return affine(np.zeros((0, y.shape[1])), y.mean(axis=0))
-    plain, plain_error = _regression(x, y)
+    plain, plain_error = (regression or BlockedRidge(x)).solved(y)
     without = affine(*plain)
     if hidden == 0:
         return without
     rng = np.random.default_rng(seed)
     inner = rng.standard_normal((x.shape[1], hidden)) / np.sqrt(x.shape[1])
     shift = rng.uniform(-1.0, 1.0, hidden)
-    (weights, bias), error = _regression(np.concatenate([x, np.tanh(x @ inner + shift)], 1), y)
+    both = BlockedRidge(np.concatenate([x, np.tanh(x @ inner + shift)], 1))
+    (weights, bias), error = both.solved(y)
     if error >= plain_error:
         return without
     return Encoder(weights[: x.shape[1]], bias, inner, shift, weights[x.shape[1] :])
@@ -71,23 +80,52 @@ def _no_bend(inputs: int, outputs: int) -> tuple[Array, Array, Array]:
     return np.zeros((inputs, 0)), np.zeros(0), np.zeros((0, outputs))
 
 
-def _regression(x: Array, y: Array) -> tuple[tuple[Array, Array], float]:
-    """Weights and bias, and the squared error of the blocks left out."""
-    center, mean = x.mean(axis=0), y.mean(axis=0)
-    x, y = x - center, y - mean
-    ridges = np.logspace(-6, 3, 10) * max(len(x) / 1000, 1e-3)
-    errors = np.zeros(len(ridges))
-    gram, cross = x.T @ x, x.T @ y
-    for block in np.array_split(np.arange(len(x)), min(8, len(x))):
-        xb, yb = x[block], y[block]
-        paths = _ridge_path(gram - xb.T @ xb, cross - xb.T @ yb, ridges)
-        errors += [float(((xb @ weights - yb) ** 2).sum()) for weights in paths]
-    best = int(np.argmin(errors))
-    (weights,) = _ridge_path(gram, cross, ridges[best : best + 1])
-    return (weights, mean - center @ weights), float(errors[best])
+class BlockedRidge:
+    """Ridge regressions on the same features x (N, d), the ridge chosen by contiguous blocks left
+    out; what does not depend on the target is decomposed once."""
+
+    def __init__(self, x: Array) -> None:
+        self._center = x.mean(axis=0)
+        self._x = x - self._center
+        self._ridges = np.logspace(-6, 3, 10) * max(len(x) / 1000, 1e-3)
+
+    def solved(self, y: Array) -> tuple[tuple[Array, Array], float]:
+        """Weights (d, n) and bias (n,), and the squared error of the blocks left out."""
+        mean = y.mean(axis=0)
+        y = y - mean
+        errors, cross = np.zeros(len(self._ridges)), self._x.T @ y
+        for (xb, decomposed), yb in zip(self._blocks, np.array_split(y, self._parts), strict=True):
+            paths = _ridge_path(decomposed, cross - xb.T @ yb, self._ridges)
+            errors += [float(((xb @ weights - yb) ** 2).sum()) for weights in paths]
+        best = int(np.argmin(errors))
+        (weights,) = _ridge_path(self._whole, cross, self._ridges[best : best + 1])
+        return (weights, mean - self._center @ weights), float(errors[best])
+
+    @property
+    def _parts(self) -> int:
+        return min(8, len(self._x))
+
+    @cached_property
+    def _gram(self) -> Array:
+        return self._x.T @ self._x
+
+    @cached_property
+    def _whole(self) -> Decomposed:
+        return _decomposed(self._gram)
+
+    @cached_property
+    def _blocks(self) -> list[tuple[Array, Decomposed]]:
+        """Each block, and what is left without it."""
+        parts = np.array_split(self._x, self._parts)
+        return [(xb, _decomposed(self._gram - xb.T @ xb)) for xb in parts]
 
 
-def _ridge_path(gram: Array, cross: Array, ridges: Array) -> list[Array]:
+def _decomposed(gram: Array) -> Decomposed:
     values, vectors = np.linalg.eigh(gram)
+    return np.maximum(values, 0.0), vectors
+
+
+def _ridge_path(decomposed: Decomposed, cross: Array, ridges: Array) -> list[Array]:
+    values, vectors = decomposed
     projected = vectors.T @ cross
-    return [vectors @ (projected / (np.maximum(values, 0.0) + r)[:, None]) for r in ridges]
+    return [vectors @ (projected / (values + r)[:, None]) for r in ridges]

@@ -10,7 +10,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.cuts import side_by_side
-from asia.models._data.encoder import Encoder, fit_encoder
+from asia.models._data.encoder import BlockedRidge, Encoder, fit_encoder
 from asia.models._data.records import ScaledData, contiguous_splits, past_length, windows
 from asia.models._linear.integrators import free_entries, integrating_starts
 from asia.models._linear.response import DrivenRecords, Response
@@ -86,27 +86,41 @@ def choose_order(
 ) -> int:
     """Smallest order whose simulation error on held-out stretches, started from their own past
     windows as the model will be used, is within `tolerance` (relative, of the root) of the best."""
-    splits = contiguous_splits(records, 3, 2 * past_length(context) + 4 * max_order)
+    pairs = contiguous_splits(records, 3, 2 * past_length(context) + 4 * max_order)
+    splits = [(kept, left, _regression_of(kept, context)) for kept, left in pairs]
     errors: list[float] = []
     least = min(max(1, refinement.integrators), max_order)
     for order in range(least, max_order + 1):
         logs: list[float] = []
-        for kept, left in splits:
+        for kept, left, regression in splits:
             candidate = fit(kept, order, refinement)
-            encoder = encoder_of(kept, candidate, context)
+            encoder = encoder_of(kept, candidate, context, regression)
             logs.append(np.log(unseen_error(left, candidate, encoder, context) + 1e-300))
         errors.append(float(np.exp(np.mean(logs))))
     limit = min(errors) * (1 + tolerance) ** 2
     return next((i for i, error in enumerate(errors, start=least) if error <= limit), least)
 
 
-def encoder_of(records: ScaledData, fitted: LinearFit, context: Context) -> Encoder:
-    """Past window -> state, from the model's own states on the records it was fitted to."""
+def encoder_of(
+    records: ScaledData,
+    fitted: LinearFit,
+    context: Context,
+    regression: BlockedRidge | None = None,
+) -> Encoder:
+    """Past window -> state, from the model's own states on the records it was fitted to.
+    regression: that on the past windows of these records, where it is known."""
     states = DrivenRecords(records).response(fitted.system, fitted.x0).states
     pairs = [(r, x) for r, x in zip(records, states, strict=True) if len(r) > past_length(context)]
     return fit_encoder(
-        [windows(r, context) for r, _ in pairs], [x[past_length(context) :] for _, x in pairs]
+        [windows(r, context) for r, _ in pairs],
+        [x[past_length(context) :] for _, x in pairs],
+        regression=regression,
     )
+
+
+def _regression_of(records: ScaledData, context: Context) -> BlockedRidge:
+    long = [r for r in records if len(r) > past_length(context)]
+    return BlockedRidge(np.concatenate([windows(r, context) for r in long]))
 
 
 def unseen_error(

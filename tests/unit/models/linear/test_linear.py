@@ -12,6 +12,7 @@ import pytest
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import linear
+from asia.models._data.encoder import BlockedRidge, fit_encoder
 from asia.models._data.records import ScaledTrajectory, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._linear.fit import (
@@ -172,3 +173,14 @@ def test_untrained_model_says_so() -> None:
 def test_package_loads_no_numerical_library() -> None:
     program = "import sys, asia.models; sys.exit('jax' in sys.modules or 'scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_a_regression_serves_several_targets() -> None:
+    rng = np.random.default_rng(0)
+    features, states = rng.standard_normal((300, 5)), rng.standard_normal((300, 2))
+    known = BlockedRidge(features)
+    for target in (states, features[:, :3] + 0.1 * rng.standard_normal((300, 3))):
+        alone = fit_encoder([features], [target])
+        again = fit_encoder([features], [target], regression=known)
+        assert np.array_equal(alone.weights, again.weights)
+        assert np.array_equal(alone.bias, again.bias)
