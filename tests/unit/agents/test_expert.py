@@ -7,6 +7,7 @@ import pytest
 
 from asia.agents import ExpertAgent, Facts, Proposal, Trial
 from asia.agents.expert import agent
+from asia.agents.expert.titles import plain_title
 from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import overfit, plateau_share
 from asia.agents.library.recipe import Recipe
@@ -186,6 +187,31 @@ def test_sixty_proposals_are_sixty_configurations(known: Facts) -> None:
     assert len(trials) == 60
     assert len({recipe_of(t).key for t in trials}) == 60
     assert any(t.value is None for t in trials)
+
+
+@pytest.mark.parametrize("known", [simulation(physics=True), simulation(physics=False), windows()])
+def test_no_two_proposals_have_the_same_title(known: Facts) -> None:
+    def better_each_time(proposal: Proposal, number: int) -> Trial:
+        return trial(proposal, number, 0.9 / number)
+
+    titles = [t.title for t in search(AGENT, known, 40, better_each_time)]
+    assert len(set(titles)) == len(titles)
+    assert all(len(title) <= 80 for title in titles)
+    repeated = [t for t in titles if plain_title(t) != t]
+    assert repeated
+    assert all(plain_title(t) in titles for t in repeated)
+
+
+def test_a_repeated_title_says_which_settings_change() -> None:
+    known = simulation(physics=False)
+    trials = climb(known, {"linear": 0.3})
+    titles: list[str] = []
+    for number in range(len(trials) + 1, len(trials) + 8):
+        proposal = following(known, trials)
+        titles.append(proposal.title)
+        trials = (*trials, trial(proposal, number, 0.3 - 0.001 * number))
+    first = "linear state-space: one state more"
+    assert titles[titles.index(first) + 1] == f"{first} (order 3 to 4)"
 
 
 @pytest.mark.parametrize("leader", ["neural_ss", "recurrent"])

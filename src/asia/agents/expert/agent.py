@@ -13,6 +13,7 @@ from functools import partial
 
 from asia.agents._view import AgentView, Proposal, Trial
 from asia.agents.expert.moves import all_moves
+from asia.agents.expert.titles import plain_title, title_of
 from asia.agents.lessons import FIRST_FIT, LessonWeights
 from asia.agents.library.evidence import overfit
 from asia.agents.library.family import Family
@@ -137,7 +138,7 @@ def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Opt
 
 def _failures(at: Situation, move: Move) -> int:
     title = move.title(at)
-    return sum(t.title == title and t.status != "keep" for t in at.view.trials)
+    return sum(plain_title(t.title) == title and t.status != "keep" for t in at.view.trials)
 
 
 def _moved(at: Situation, move: Move) -> Proposal | None:
@@ -147,7 +148,7 @@ def _moved(at: Situation, move: Move) -> Proposal | None:
     return Proposal(
         source=under_protocol(recipe, at.row, at.facts).source(_summary(at, recipe)),
         family=recipe.family,
-        title=move.title(at),
+        title=title_of(at, move, recipe),
         hypothesis=move.hypothesis,
         expected=move.expected,
         parent=at.trial.number,

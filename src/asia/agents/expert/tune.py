@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING
 
+from asia.agents.expert.titles import plain_title
 from asia.agents.library.protocol import is_new
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.space import Span
@@ -34,7 +35,7 @@ _EFFORT = frozenset({"steps", "iterations", "starts", "members", "truncation"})
 def may_tune(at: Situation) -> bool:
     """Whether the leading recipe has numbers to tune and the tuned experiments, at most a fifth of
     the budget, are not used up."""
-    used = sum(trial.title.endswith(f": {TUNED}") for trial in at.view.trials)
+    used = sum(plain_title(trial.title).endswith(f": {TUNED}") for trial in at.view.trials)
     return used < _SHARE * at.view.experiments and bool(_spans(at))
 
 

@@ -10,6 +10,7 @@ from functools import cache
 from asia.agents._lesson import FIRST_FIT, LARGEST_GAIN, Lesson
 from asia.agents._view import AgentView, Facts, Trial
 from asia.agents.expert.moves import all_moves
+from asia.agents.expert.titles import plain_title
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.table import family
 from asia.agents.library.traits import traits
@@ -55,7 +56,7 @@ def _moves(view: AgentView) -> Iterator[tuple[Trial, str, str, float]]:
         if row is None or trial.family == "baseline":
             continue
         parent = by_number.get(trial.parent or 0)
-        move = move_named(trial.title.removeprefix(f"{row.label}: "))
+        move = move_named(plain_title(trial.title).removeprefix(f"{row.label}: "))
         if row.name not in tried and parent is None:
             reference = _reference(view)
             if reference:

@@ -1,0 +1,61 @@
+"""Titles of moves: one that was used before carries what is different now."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+
+from asia.agents.library.move import Move, Situation
+from asia.agents.library.recipe import Recipe
+
+_LONGEST = 80
+_SUFFIX = re.compile(r" \([^()]*\)$")
+
+
+def title_of(at: Situation, move: Move, recipe: Recipe) -> str:
+    """The move's own title; where a trial has it already, with the settings that change, from what
+    to what: `neural state-space: one state more (order 3 to 4)`."""
+    plain = move.title(at)
+    used = {trial.title for trial in at.view.trials}
+    if plain not in used:
+        return plain
+    return _unused(plain, _changes(at.recipe, recipe), at.trial.number, used)
+
+
+def plain_title(title: str) -> str:
+    """A title without what tells it apart from the same one before."""
+    return _SUFFIX.sub("", title)
+
+
+def _unused(plain: str, changes: list[str], parent: int, used: Collection[str]) -> str:
+    """As many of the changes as there is room for, and the parent where they are those of an
+    earlier trial."""
+    for beginning in ([], [f"from #{parent:02d}"]):
+        words = list(beginning)
+        for change in changes:
+            if len(f"{plain} ({', '.join([*words, change])})") <= _LONGEST:
+                words.append(change)
+        title = f"{plain} ({', '.join(words)})"
+        if words and title not in used:
+            return title
+    return f"{plain} (from #{parent:02d})"[:_LONGEST]
+
+
+def _changes(before: Recipe, after: Recipe) -> list[str]:
+    """`ridge 1e-05 to 0.0003`, one for each setting that differs."""
+    names = dict((*before.config, *before.options, *after.config, *after.options))
+    pairs = [(name, before.get(name), after.get(name)) for name in names]
+    changes = [f"{name} {_value(a)} to {_value(b)}" for name, a, b in pairs if a != b]
+    if before.method != after.method:
+        changes.insert(0, f"{before.method} to {after.method}")
+    return changes
+
+
+def _value(value: object) -> str:
+    """A setting's value, without brackets; `none` where it is not set."""
+    if isinstance(value, float):
+        return f"{value:.2g}"
+    if isinstance(value, tuple):
+        return "-".join(str(v) for v in value) or "none"  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    text = str(value).replace("(", "").replace(")", "")
+    return "none" if value is None else text
