@@ -37,9 +37,14 @@ _ORDERS = (2, 3, 4, 5, 6, 7, 8)
 _LINEAR, _LINEAR_SAMPLES = Refinement(iterations=15), 4000
 # Samples of the short fits, the share of them left out, and samples that judge a split.
 _SEARCHED_SAMPLES, _LEFT_OUT, _JUDGED_SAMPLES, _SETTLE = 12_000, 0.3, 3000, 50
+# Samples at the start of a record that no fit counts, so that none bends its filters to make up for
+# initial states, which it finds slowly; at most this share of a record.
+_TRANSIENT, _TRANSIENT_SHARE = 200, 0.1
+# A single extreme value, beyond all that was fitted, says nothing of the filters.
+_TRIMMED = 0.99
 # Splits that are judged of an order, that are fitted, and those that are fitted further.
 _MOST_SPLITS, _FITTED, _FITTED_ON = 600, 4, 6
-_FEW, _MORE = 12, 40
+_FEW, _MORE = 20, 100
 # The static function's grid reaches so many deviations of its argument.
 _REACH = 3.5
 
@@ -71,6 +76,7 @@ def searched(
     `method.starts` of them; choice: order and delay, each None where it is open."""
     part = _shortened(records, _SEARCHED_SAMPLES)
     kept, left = _divided(part)
+    settled = [replace(r, weight=r.weight * _behind_start(len(r))) for r in records]
     found = list[FilterFit]()
     few = replace(method, iterations=min(_FEW, method.iterations))
     for delay, system in _linear_models(part, context, choice):
@@ -88,7 +94,7 @@ def searched(
     fits = list[FilterFit]()
     for i, one in enumerate(further[: method.starts]):
         start = _at_rest(one.filters, len(records))
-        fits.append(_fitted(start, one.delay, records, ridge, method))
+        fits.append(_fitted(start, one.delay, settled, ridge, method))
         log(float(i), float(np.sqrt(min(fit.error for fit in fits))))
     return min(fits, key=lambda one: one.error)
 
@@ -130,7 +136,7 @@ def _divided(part: ScaledData) -> tuple[list[ScaledTrajectory], list[ScaledTraje
     """The same records twice: with the weights of what is fitted, and of what is left out."""
     masks = holdout_masks(part, _LEFT_OUT, shortest=_SETTLE)
     pairs = list(zip(part, masks, strict=True))
-    kept = [replace(r, weight=r.weight * ~m) for r, m in pairs]
+    kept = [replace(r, weight=r.weight * ~m * _behind_start(len(r))) for r, m in pairs]
     return kept, [replace(r, weight=r.weight * m) for r, m in pairs]
 
 
@@ -209,13 +215,22 @@ def _fitted(
     return FilterFit(filters, delay, float(found.cost[0]), np.sqrt(found.history[0]))
 
 
+def _behind_start(length: int) -> Array:
+    """Weights (T,): none at the start of a record."""
+    start = min(_TRANSIENT, int(_TRANSIENT_SHARE * length))
+    return (np.arange(length) >= start).astype(np.float64)
+
+
 def _error(one: FilterFit, left: ScaledData) -> float:
-    """Mean squared error where the weights of these records are; infinite where it diverges."""
-    total, count = 0.0, 0.0
+    """Mean squared error where the weights of these records are, without its largest values;
+    infinite where it diverges."""
+    squares = list[Array]()
     with np.errstate(all="ignore"):
         for i, record in enumerate(left):
             late = linear.shifted(record, one.delay)
             apart = (simulated(one.filters, late.u[:, 0], i) - late.y[:, 0]) * late.weight
-            total, count = total + float(apart @ apart), count + float((late.weight**2).sum())
-    error = total / max(count, 1.0)
-    return error if np.isfinite(error) else float("inf")
+            squares.append(apart[late.weight > 0.0] ** 2)
+    all_of_them = np.concatenate(squares)
+    if not len(all_of_them) or not np.isfinite(all_of_them).all():
+        return np.inf
+    return float(all_of_them[all_of_them <= np.quantile(all_of_them, _TRIMMED)].mean())
