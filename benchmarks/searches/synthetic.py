@@ -36,7 +36,9 @@ from asia.problem.load import Problem, load_problem
 from asia.scoring import Failure, Score
 from asia.search import prepare, search, unseal
 from systems import KINDS, System, make_system, write_problem
+from unfamiliar import UNFAMILIAR
 
+KNOWN = KINDS | UNFAMILIAR
 FLOOR = "simulated truth"
 LINEAR = "linear model"
 
@@ -68,7 +70,7 @@ def main() -> None:
         out = options.out or Path(scratch)
         rows: dict[str, dict[str, Found]] = {}
         for name in options.systems:
-            system = make_system(KINDS[name], options.seed)
+            system = make_system(KNOWN[name], options.seed)
             directory = write_problem(system, out / "problems" / name, options.experiments)
             problem = load_problem(directory)
             rows[name] = {
@@ -84,7 +86,7 @@ def main() -> None:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--systems", type=_words(KINDS), default=list(KINDS), metavar="A,B")
+    parser.add_argument("--systems", type=_words(KNOWN), default=list(KINDS), metavar="A,B")
     agents = ["expert", "random"]
     parser.add_argument("--agents", type=_words(AGENTS), default=agents, metavar="A,B")
     parser.add_argument("--experiments", type=int, default=10)

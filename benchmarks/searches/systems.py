@@ -130,7 +130,7 @@ def _waves(band: float, scale: float = 1.0) -> Excite:
     return excite
 
 
-def _levels(shortest: int, longest: int, scale: float, mean: float = 0.0, count: int = 1) -> Excite:
+def levels(shortest: int, longest: int, scale: float, mean: float = 0.0, count: int = 1) -> Excite:
     def excite(rng: np.random.Generator, samples: int) -> Array:
         return mean + scale * np.stack(
             [_steps(rng, samples, shortest, longest) for _ in range(count)], axis=1
@@ -156,7 +156,7 @@ def _filter(block: tuple[Array, Array], u: Array) -> Array:
     return np.asarray(signal.lfilter(*block, u, axis=0))
 
 
-def _integrate(
+def integrate(
     slope: Callable[[list[float], list[float]], list[float]],
     start: list[float],
     u: Array,
@@ -231,7 +231,7 @@ def _duffing(rng: np.random.Generator) -> Response:
         q, v = x
         return [v, u[0] - damping * v - stiffness * q - cubic * q**3]
 
-    return lambda u: _integrate(slope, [0.0, 0.0], u, 0.2, 8)[:, :1]
+    return lambda u: integrate(slope, [0.0, 0.0], u, 0.2, 8)[:, :1]
 
 
 def _friction(rng: np.random.Generator) -> Response:
@@ -243,7 +243,7 @@ def _friction(rng: np.random.Generator) -> Response:
         dry = (coulomb + extra * float(np.exp(-((v / 0.1) ** 2)))) * float(np.tanh(v / 0.01))
         return [(u[0] - dry - viscous * v) / mass]
 
-    return lambda u: _integrate(slope, [0.0], u, 0.05, 40)
+    return lambda u: integrate(slope, [0.0], u, 0.05, 40)
 
 
 def _bilinear(rng: np.random.Generator) -> Response:
@@ -253,7 +253,7 @@ def _bilinear(rng: np.random.Generator) -> Response:
     def slope(x: list[float], u: list[float]) -> list[float]:
         return [-a * x[0] - flow * x[0] * u[0] + gain * u[0], c * (x[0] - x[1])]
 
-    return lambda u: _integrate(slope, [0.0, 0.0], u, 0.5, 4)[:, 1:]
+    return lambda u: integrate(slope, [0.0, 0.0], u, 0.5, 4)[:, 1:]
 
 
 _TANKS = """
@@ -283,7 +283,7 @@ def _tanks(rng: np.random.Generator) -> Response:
         root1, root2 = max(x[0], 0.0) ** 0.5, max(x[1], 0.0) ** 0.5
         return [pump * u[0] - out1 * root1 - leak * x[0], into2 * root1 - out2 * root2]
 
-    return lambda u: offset + _integrate(slope, [2.0, 2.0], np.maximum(u, 0.0), 1.0, 4)[:, 1:]
+    return lambda u: offset + integrate(slope, [2.0, 2.0], np.maximum(u, 0.0), 1.0, 4)[:, 1:]
 
 
 def _delay(rng: np.random.Generator) -> Response:
@@ -312,7 +312,7 @@ def _mimo(rng: np.random.Generator) -> Response:
             (1.0 - share1) * p[0] - r[3],
         ]
 
-    return lambda u: _integrate(slope, [2.0, 2.0, 1.0, 1.0], u, 1.0, 4)[:, :2]
+    return lambda u: integrate(slope, [2.0, 2.0, 1.0, 1.0], u, 1.0, 4)[:, :2]
 
 
 KINDS: dict[str, Kind] = {
@@ -358,7 +358,7 @@ KINDS: dict[str, Kind] = {
             "is measured.",
             0.05,
             1,
-            _levels(10, 40, 1.8),
+            levels(10, 40, 1.8),
             _friction,
         ),
         Kind(
@@ -366,7 +366,7 @@ KINDS: dict[str, Kind] = {
             "A flow heats a vessel: the input multiplies the state. The sensor lags.",
             0.5,
             1,
-            _levels(3, 20, 0.9, 1.0),
+            levels(3, 20, 0.9, 1.0),
             _bilinear,
         ),
         Kind(
@@ -375,18 +375,18 @@ KINDS: dict[str, Kind] = {
             "measured. The vessels are old and the sensor was never zeroed.",
             1.0,
             1,
-            _levels(8, 40, 1.2, 1.8),
+            levels(8, 40, 1.2, 1.8),
             _tanks,
             _TANKS,
         ),
-        Kind("delay", "A linear process behind a long pipe.", 1.0, 1, _levels(2, 15, 1.0), _delay),
+        Kind("delay", "A linear process behind a long pipe.", 1.0, 1, levels(2, 15, 1.0), _delay),
         Kind(
             "mimo",
             "Four tanks and two pumps, each of which feeds two tanks across; the levels of the "
             "two lower tanks are measured.",
             1.0,
             2,
-            _levels(10, 40, 1.0, 1.6, 2),
+            levels(10, 40, 1.0, 1.6, 2),
             _mimo,
         ),
     )
