@@ -11,6 +11,7 @@ from typing import Literal
 
 from asia.agents import (
     Agent,
+    AgentStoppedError,
     AgentView,
     Attached,
     DivergedError,
@@ -211,6 +212,8 @@ class _Replaying:
             proposal = agent.propose(self._seen(before))
         except DivergedError as error:
             return replace(item, proposal="differs", detail=str(error))
+        except AgentStoppedError as end:
+            return replace(item, proposal="differs", detail=f"the agent ends now: {end.detail}")
         if proposal is None:
             return replace(item, proposal="differs", detail="the agent has nothing to propose now")
         different = self._different(event, proposal)
@@ -261,16 +264,25 @@ class _Replaying:
         agent = self._agent(before)
         match reason:
             case "exhausted" if agent is not None:
-                ended = agent.propose(self._seen(before)) is None
+                ended = self._ends(agent, before)
             case "planned":
                 ended = stop_reason(before, self.problem.budget) == "budget"
             case "saturated":
-                ended = stop_reason(before, self.problem.budget) == "saturated"
+                ended = stop_reason(before, self.problem.budget) == "saturated" or (
+                    agent is not None and self._ends(agent, before)
+                )
             case _:
                 self._add(Replayed(name, "same", "taken", detail=reason))
                 return
         item = Replayed(name, "same" if ended else "differs", "same")
         self._add(item if ended else _with_detail(item, "the agent goes on now"))
+
+    def _ends(self, agent: Agent, before: SearchView) -> bool:
+        """Whether the agent has nothing to propose, or says that the search should end."""
+        try:
+            return agent.propose(self._seen(before)) is None
+        except AgentStoppedError:
+            return True
 
     def _compare(self, item: Replayed, there: Outcome, here: Outcome) -> Replayed:
         item = replace(item, V=_value(there), again=_value(here))

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents import ExpertAgent, Facts, Proposal, Trial
+from asia.agents import AgentStoppedError, ExpertAgent, Facts, Proposal, Trial
 from asia.agents.expert import agent
-from asia.agents.expert.titles import plain_title
+from asia.agents.expert.moves import all_moves
+from asia.agents.expert.titles import plain_title, title_of
 from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import overfit, plateau_share
+from asia.agents.library.move import Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.table import families, family
 from asia.data import Trajectory
@@ -204,14 +206,38 @@ def test_no_two_proposals_have_the_same_title(known: Facts) -> None:
 
 def test_a_repeated_title_says_which_settings_change() -> None:
     known = simulation(physics=False)
-    trials = climb(known, {"linear": 0.3})
-    titles: list[str] = []
-    for number in range(len(trials) + 1, len(trials) + 8):
-        proposal = following(known, trials)
-        titles.append(proposal.title)
-        trials = (*trials, trial(proposal, number, 0.3 - 0.001 * number))
+    seen = (*climb(known, {"linear": 0.3}),)
+    best = next(t for t in seen if t.family == "linear")
+    row = family("linear")
+    assert row is not None
+    more = next(m for m in all_moves() if m.name == "one state more")
     first = "linear state-space: one state more"
-    assert titles[titles.index(first) + 1] == f"{first} (order 3 to 4)"
+    for title, expected in (("other", first), (first, f"{first} (order 3 to 4)")):
+        shown = view(known, (replace(best, title=title),), "refine")
+        recipe = recipe_of(best).configured(order=3)
+        at = Situation(shown, best, recipe, row, 0, 1)
+        assert title_of(at, more, more.change(at)) == expected
+
+
+@pytest.mark.parametrize(
+    ("whiteness", "value", "tries", "ends"),
+    [(0.1, 0.1, 3, True), (0.1, 0.1, 2, False), (0.6, 0.1, 3, False), (0.1, 0.12, 3, False)],
+    ids=["floor", "too early", "coloured", "above training"],
+)
+def test_the_search_ends_at_the_noise_floor_and_nowhere_else(
+    whiteness: float, value: float, tries: int, ends: bool
+) -> None:
+    known = simulation(physics=False)
+    left = replace(CLEAN, whiteness=whiteness)
+    families_tried = climb(known, {}, rest=0.3)[: tries + 1]
+    trials = (replace(families_tried[0], value=value, diagnostics=(left, left)),)
+    trials = (*trials, *families_tried[1:])
+    if not ends:
+        following(known, trials)
+        return
+    with pytest.raises(AgentStoppedError, match="noise floor") as end:
+        following(known, trials)
+    assert end.value.reason == "saturated"
 
 
 @pytest.mark.parametrize("leader", ["neural_ss", "recurrent"])

@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
+from asia.agents._driving import AgentStoppedError
 from asia.agents._view import AgentView, Proposal, Trial
+from asia.agents.expert.ending import reason_to_end
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.titles import plain_title, title_of
 from asia.agents.lessons import FIRST_FIT, LessonWeights
@@ -62,7 +64,11 @@ class ExpertAgent:
     name = "expert"
 
     def propose(self, view: AgentView) -> Proposal | None:
-        """The next rung of the ladder, or the move with the most weight; None when all known."""
+        """The next rung of the ladder, or the move with the most weight; None when all known.
+        Raises AgentStoppedError where nothing is left to find."""
+        end = reason_to_end(view)
+        if end is not None:
+            raise AgentStoppedError("saturated", end)
         taught = LessonWeights(view.lessons, view) if view.lessons else None
         moves, ladder = list(_refinements(view, taught)), list(_untried(view, taught))
         if view.phase == "explore":

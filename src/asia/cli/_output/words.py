@@ -145,7 +145,9 @@ def _no_better_than_mean(view: SearchView) -> list[str]:
 
 
 def stop_words(reason: str, view: SearchView) -> str:
-    """Why a search ended, in words."""
+    """Why a search ended, in words; in those of the agent where it found that nothing is left."""
+    if reason == "saturated" and view.stopped is not None and view.stopped.detail:
+        return f"saturated: {view.stopped.detail}"
     return {
         "budget": f"the budget of {view.budget} experiments is spent (extend: --experiments)",
         "saturated": "saturated: the last experiments found nothing better",

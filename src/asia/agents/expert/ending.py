@@ -1,0 +1,62 @@
+"""When the search has found all that there is: the noise floor is reached."""
+
+from __future__ import annotations
+
+from statistics import NormalDist
+
+from asia.agents._view import AgentView, Trial
+from asia.agents.library.evidence import overfit, worst
+
+# Further tries that all must fail, and the share of V by which one of them counts as a gain.
+_TRIES, _GAIN = 3, 0.01
+# V over the training error up to which nothing is left.
+_AT_TRAINING = 1.03
+_LAGS = 20
+_LEVEL = 0.01
+
+
+def reason_to_end(view: AgentView) -> str | None:
+    """Why the search should end now, in a sentence; None where it should go on."""
+    best = view.best
+    if best is None or _tries_since_gain(view) < _TRIES or not nothing_left(view, best):
+        return None
+    return (
+        f"the residuals of #{best.number:02d} are white and independent of the inputs within 99 % "
+        "bands, its V is at its training error, and "
+        f"{_TRIES} further experiments brought less than 1 %: the noise floor is reached"
+    )
+
+
+def nothing_left(view: AgentView, trial: Trial) -> bool:
+    """Whether residuals of the training side look like noise alone, and V agrees with them.
+
+    Bands hold for all lags, signals and folds together. Windows overlap, so that residuals in them
+    tell no bands.
+    """
+    facts = view.facts
+    train = trial.train_error
+    if facts.horizon is not None or trial.value is None or not train:
+        return False
+    if not 1 / _AT_TRAINING**2 < overfit(trial) <= _AT_TRAINING:
+        return False
+    outputs, inputs = len(facts.outputs), len(facts.inputs)
+    band = _band(facts.fit_samples, _LAGS * outputs * (1 + inputs) * max(1, len(trial.folds)))
+    return (
+        worst(trial, lambda d: d.whiteness) < band
+        and worst(trial, lambda d: d.input_correlation) < band
+        and worst(trial, lambda d: d.curvature) < band
+    )
+
+
+def _band(samples: int, tests: int) -> float:
+    """What the largest of so many correlations of white noise exceeds in 1 % of cases."""
+    return NormalDist().inv_cdf(1.0 - _LEVEL / (2 * tests)) / max(samples, 1) ** 0.5
+
+
+def _tries_since_gain(view: AgentView) -> int:
+    """Trials since the last one that was better than all before it by more than the least gain."""
+    best, last = float("inf"), 0
+    for place, trial in enumerate(view.trials, 1):
+        if trial.value is not None and trial.value < (1.0 - _GAIN) * best:
+            best, last = trial.value, place
+    return len(view.trials) - last
