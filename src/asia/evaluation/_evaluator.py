@@ -93,14 +93,15 @@ class Evaluator(WorkerRunner):
         self._salt = salt
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
 
-    def evaluate(self, source: str) -> Evaluation:
-        """Fit and simulate `source` on every fold. A failed fold fails the candidate."""
+    def evaluate(self, source: str, start: int = 0) -> Evaluation:
+        """Fit and simulate `source` on every fold. A failed fold fails the candidate. start: fits
+        from another start have seeds of their own, the same for all candidates; 0 in a search."""
         try:
             check_source(source)
             source = executed_source(source)
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
-        jobs = [partial(self._fold_or_failure, source, fold) for fold in self.folds]
+        jobs = [partial(self._fold_or_failure, source, fold, start) for fold in self.folds]
         try:
             ends = self._run(jobs)
         except CandidateError as error:
@@ -274,12 +275,12 @@ class Evaluator(WorkerRunner):
             deadline=time.monotonic() + self._limits.fit_seconds,
         )
 
-    def _fold_or_failure(self, source: str, fold: Fold) -> FoldEnd:
+    def _fold_or_failure(self, source: str, fold: Fold, start: int = 0) -> FoldEnd:
         opening = partial(self._worker, imported_libraries(source, fitting=False))
         oracle = Oracle(opening, source, self._context, fold, self._rule)
         printed: list[str] = []
         try:
-            fitted = self._fit_fold(source, fold, oracle, printed.append)
+            fitted = self._fit_fold(source, fold, oracle, printed.append, start)
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._ask_strangers(source, fold, fitted.model, fitted.y_hat)
             with self.stopwatch.activity(Activity.SCORE):
@@ -289,13 +290,18 @@ class Evaluator(WorkerRunner):
         return FoldEnd(result, "".join(printed), oracle.calls)
 
     def _fit_fold(
-        self, source: str, fold: Fold, oracle: Oracle, on_printed: Callable[[str], None]
+        self,
+        source: str,
+        fold: Fold,
+        oracle: Oracle,
+        on_printed: Callable[[str], None],
+        start: int,
     ) -> Fitted:
         """Fit and simulate in one worker, which names its parameters before it knows a case."""
         inside = whole(fold.train, self._rule)
         with self._worker(imported_libraries(source, fitting=True)) as worker:
             try:
-                reply = self._fit(worker, source, fold, oracle)
+                reply = self._fit(worker, source, fold, oracle, start)
             finally:
                 on_printed(worker.printed)
             parameters, model = worker.parameters(), worker.dump()
@@ -324,8 +330,8 @@ class Evaluator(WorkerRunner):
         if failure is not None:
             raise CandidateError(failure.reason, failure.detail)
 
-    def _fit(self, worker: Worker, source: str, fold: Fold, oracle: Oracle) -> FitReply:
-        context = self._fold_context(fold.index)
+    def _fit(self, worker: Worker, source: str, fold: Fold, oracle: Oracle, start: int) -> FitReply:
+        context = self._fold_context(fold.index, start)
         if self._rule.early_stopping == "inner":
             return worker.fit(source, fold.train, context)
         with oracle:

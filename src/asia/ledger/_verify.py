@@ -16,6 +16,7 @@ from asia.ledger._events import (
     Exchanged,
     Proposed,
     Refitted,
+    Repeated,
     Started,
     Streamed,
     TestedModel,
@@ -69,6 +70,7 @@ class _Check:
         self.started: Started | None = None
         self._proposed: set[int] = set()
         self._pending: set[int] = set()
+        self._repeats: set[tuple[int, int]] = set()
 
     def add(self, event: Event, where: str) -> None:
         """Raises UserError."""
@@ -80,6 +82,15 @@ class _Check:
             case Evaluated():
                 self._once(event.experiment, event.experiment in self._pending, where)
                 self._pending.discard(event.experiment)
+            case Repeated():
+                place = event.experiment, event.repeat
+                judged = event.experiment in self._proposed - self._pending
+                if not judged or place in self._repeats:
+                    raise UserError(
+                        f"{where}: repeat {event.repeat} of experiment {event.experiment} occurs "
+                        "twice, or the experiment has no result"
+                    )
+                self._repeats.add(place)
             case Started() if self.started is None:
                 self.started = event
             case _:

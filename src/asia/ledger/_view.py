@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from asia.errors import UserError
 from asia.ledger._events import (
+    Confirmed,
     Evaluated,
     Event,
     Exchanged,
@@ -15,6 +16,7 @@ from asia.ledger._events import (
     HandedOver,
     Proposed,
     Refitted,
+    Repeated,
     Resumed,
     RungScored,
     SessionEnded,
@@ -84,6 +86,10 @@ class SearchView:
     unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
     handed_over: tuple[HandedOver, ...] = ()
+    repeats: tuple[Repeated, ...] = ()
+    """Fits of candidates after the search, from other seeds."""
+    confirmed: Confirmed | None = None
+    """What these said last; None since the search went on."""
 
     @property
     def leg_after(self) -> int:
@@ -197,6 +203,7 @@ class Replay:
         self._experiments: dict[int, Experiment] = {}
         self._rungs: list[RungScored] = []
         self._notes: list[Steered] = []
+        self._repeats: dict[tuple[int, int], Repeated] = {}
         self._exchanges: list[Exchanged] = []
         self._sessions: list[SessionEnded] = []
         self._begun: list[SessionStarted] = []
@@ -210,6 +217,7 @@ class Replay:
             self._view,
             rungs=tuple(self._rungs),
             notes=tuple(self._notes),
+            repeats=tuple(self._repeats.values()),
             exchanges=tuple(self._exchanges),
             sessions=tuple(self._sessions),
             begun=tuple(self._begun),
@@ -232,6 +240,8 @@ class Replay:
                 self._judge(event)
             case Steered():
                 self._notes.append(event)
+            case Repeated():
+                self._repeat(event)
             case Exchanged():
                 self._exchanges.append(event)
             case SessionStarted():
@@ -257,6 +267,14 @@ class Replay:
             )
         self._experiments[event.experiment] = replace(known, result=event)
 
+    def _repeat(self, event: Repeated) -> None:
+        place = event.experiment, event.repeat
+        if place in self._repeats:
+            raise UserError(
+                f"the ledger has repeat {event.repeat} of experiment {event.experiment} twice"
+            )
+        self._repeats[place] = event
+
 
 def replay(events: Iterable[Event]) -> SearchView:
     """Fold events into a view. Raises UserError when there is none, or as `Replay`."""
@@ -278,6 +296,7 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
                 stopped=None,
                 refitted=None,
                 looked=False,
+                confirmed=None,
             )
         case HandedOver():
             handed_over = (*view.handed_over, event)
@@ -285,11 +304,13 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
         case Stopped():
             return replace(view, stopped=event)
         case Resumed():
-            return replace(view, stopped=None, refitted=None, looked=False)
+            return replace(view, stopped=None, refitted=None, looked=False, confirmed=None)
         case Refitted():
             return replace(view, refitted=event)
         case GuardLooked():
             return replace(view, looks=(*view.looks, event), looked=True)
+        case Confirmed():
+            return replace(view, confirmed=event)
         case Unsealing():
             return replace(view, unsealing=event)
         case Unsealed():

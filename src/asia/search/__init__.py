@@ -21,11 +21,13 @@ from asia.search._simulate import simulate
 from asia.search._sinks import OpenSink, Sink, Sinks, find_sink, open_sinks
 from asia.search._steering import Steering
 from asia.search._unseal import CONSENT, UnsealResult, needs_consent, unseal
+from asia.search.final.confirmation import OnRepeat, confirm
 
 __all__ = [
     "CONSENT",
     "LOCK",
     "OnEvent",
+    "OnRepeat",
     "OpenSink",
     "Prepared",
     "ReplayReport",
@@ -38,6 +40,7 @@ __all__ = [
     "agent_view",
     "check_baseline",
     "check_hidden_from_workers",
+    "confirm",
     "dry_run",
     "environment_changes",
     "find_sink",

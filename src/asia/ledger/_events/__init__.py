@@ -13,6 +13,12 @@ from asia.ledger._events.agent import (
     Streamed,
     Usage,
 )
+from asia.ledger._events.confirmation import (
+    Confirmed,
+    ConfirmedCandidate,
+    ConfirmedPair,
+    Repeated,
+)
 from asia.ledger._events.final import RefitCheck, RefitStart, Stack, StackMember, Use
 from asia.ledger._events.search import (
     RESUMABLE,
@@ -46,6 +52,9 @@ from asia.ledger._events.test import (
 __all__ = [
     "RESUMABLE",
     "Again",
+    "Confirmed",
+    "ConfirmedCandidate",
+    "ConfirmedPair",
     "Evaluated",
     "Event",
     "Exchanged",
@@ -61,6 +70,7 @@ __all__ = [
     "RefitCheck",
     "RefitStart",
     "Refitted",
+    "Repeated",
     "Resumed",
     "RungScored",
     "SessionEnded",
@@ -85,7 +95,7 @@ __all__ = [
 Event = (
     Started | RungScored | Proposed | Evaluated | HandedOver | Extended | Stopped | Resumed
     | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked
-    | Unsealing | Unsealed
+    | Unsealing | Unsealed | Repeated | Confirmed
 )  # fmt: skip
 
 adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

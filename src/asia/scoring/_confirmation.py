@@ -1,0 +1,222 @@
+"""What fits from several seeds say of a few candidates: differences, and the error to expect.
+
+The held-out samples of each fold are cut into blocks. A candidate is compared with another on the
+same blocks and from the same seeds, so that what is hard for both falls out. The error to expect
+of a winner is estimated by a bootstrap over the blocks that also chooses the winner anew: it is
+judged on the blocks that had no part in the choice (Tsamardinos, Greasidou and Borboudakis,
+Machine Learning 107, 2018, "Bootstrapping the out-of-sample predictions").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from asia.data import Array
+from asia.errors import InternalError
+from asia.protocol import find_metric
+from asia.scoring._fit import pooled
+
+BLOCKS: Final = 8
+_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class RepeatedFits:
+    """The errors of one candidate on the folds, from one or several seeds."""
+
+    values: Array
+    """Its part of V, (seeds, folds)."""
+    blocks: Array
+    """The share of each block of held-out samples in it, (seeds, folds, blocks): see
+    `block_values`."""
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.blocks.shape[:2] != self.values.shape:
+            raise InternalError(f"fits {self.values.shape} with blocks {self.blocks.shape}")
+
+    @property
+    def value(self) -> float:
+        """V, the mean over seeds and folds."""
+        return float(self.values.mean())
+
+    @property
+    def by_seed(self) -> Array:
+        """V from each seed, (seeds,)."""
+        return self.values.mean(axis=1)
+
+    @property
+    def spread(self) -> float | None:
+        """Standard deviation of V over the seeds; None with one seed."""
+        return float(self.by_seed.std(ddof=1)) if len(self.values) > 1 else None
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and the interval around it."""
+
+    value: float
+    """The estimate."""
+    low: float
+    """The lower end."""
+    high: float
+    """The upper end."""
+
+
+@dataclass(frozen=True)
+class ExpectedError:
+    """The error on new records to expect of a winner, in the measure of V."""
+
+    value: float
+    """The estimate."""
+    low: float
+    """The lower end of the interval for one new record as long as a fold."""
+    high: float
+    """The upper end."""
+    optimism: float
+    """How much lower V of a winner is than its error on samples that had no part in the choice."""
+
+
+def block_values(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str) -> Array:
+    """How each of up to BLOCKS equal parts of a fold's held-out samples enters its value: the
+    pseudo-values of the delete-a-block jackknife, whose mean is the value but for a bias of second
+    order. y, y_hat: one (H, ny) array a block of the protocol; scale (ny,)."""
+    a, b = pooled(y), pooled(y_hat)
+    parts = np.array_split(np.arange(len(a)), min(BLOCKS, len(a)))
+    judge, n = find_metric(metric), len(parts)
+    whole = judge.shortfall(a, b, scale)
+    if n < 2:
+        return np.array([whole])
+    left = [
+        judge.shortfall(np.delete(a, part, axis=0), np.delete(b, part, axis=0), scale)
+        for part in parts
+    ]
+    return n * whole - (n - 1) * np.array(left)
+
+
+def paired_difference(one: RepeatedFits, other: RepeatedFits, level: float) -> Interval:
+    """V of one candidate less that of another, with an interval by Student's t.
+
+    Two variances are added: that of the paired differences over the blocks, which tells how much
+    the choice of the held-out samples matters, and over the seeds. Their degrees of freedom are
+    Satterthwaite's. A candidate with one seed is one whose fits do not depend on it."""
+    gaps = one.blocks.mean(axis=0) - other.blocks.mean(axis=0)
+    seeds = _over_seeds(one, other)
+    variance, degrees = _sum_of_variances(
+        ((gaps.var(ddof=1) if gaps.size > 1 else 0.0, gaps.size), seeds)
+    )
+    return _around(one.value - other.value, variance, degrees, level)
+
+
+def value_interval(fits: RepeatedFits, level: float) -> Interval:
+    """V of one candidate, with an interval as that of `paired_difference`."""
+    parts = fits.blocks.mean(axis=0)
+    seeds = fits.by_seed.var(ddof=1) if len(fits.values) > 1 else 0.0
+    variance, degrees = _sum_of_variances(
+        ((parts.var(ddof=1) if parts.size > 1 else 0.0, parts.size), (seeds, len(fits.values)))
+    )
+    return _around(fits.value, variance, degrees, level)
+
+
+def corrected_level(level: float, comparisons: int) -> float:
+    """The level of each of several intervals that hold together with at least `level`, by
+    Bonferroni."""
+    return 1.0 - (1.0 - level) / max(1, comparisons)
+
+
+def noise_of_seeds(each: Sequence[RepeatedFits]) -> float | None:
+    """The standard deviation of V over seeds, pooled over the candidates; None where none was
+    fitted from two seeds."""
+    repeated = [fits for fits in each if len(fits.values) > 1]
+    degrees = sum(len(fits.values) - 1 for fits in repeated)
+    if not degrees:
+        return None
+    squares = sum((len(f.values) - 1) * float(f.by_seed.var(ddof=1)) for f in repeated)
+    return math.sqrt(squares / degrees)
+
+
+def selection_optimism(tried: Array, seed: int) -> float:
+    """How much lower V of the lowest of several candidates is than its error on samples that had no
+    part in the choice, never below 0. tried: the block values of all candidates, (candidates,
+    folds, blocks)."""
+    candidates, folds, blocks = tried.shape
+    if candidates < 2 or blocks < 2:
+        return 0.0
+    random = np.random.default_rng(seed)
+    gaps: list[float] = []
+    lowest = float(tried.mean(axis=(1, 2)).min())
+    for _ in range(_DRAWS):
+        drawn = random.integers(blocks, size=(folds, blocks))
+        counts = np.stack([np.bincount(one, minlength=blocks) for one in drawn])
+        left_out = counts == 0
+        if not left_out.any(axis=1).all():
+            continue
+        winner = tried[int(np.argmin((tried * counts).sum(axis=(1, 2))))]
+        error = float(np.mean([w[out].mean() for w, out in zip(winner, left_out, strict=True)]))
+        gaps.append(error - lowest)
+    return max(0.0, float(np.mean(gaps))) if gaps else 0.0
+
+
+def expected_error(winner: RepeatedFits, tried: Array, level: float, seed: int) -> ExpectedError:
+    """The error of the winner on one new record of the same kind, as long as the held-out part of
+    one fold.
+
+    The estimate is V over the fresh seeds of `winner`, and the optimism of `tried`. The interval is
+    of Student's t on the logarithmic scale, with the variance of a mean over a new fold's blocks,
+    that of the mean over the known ones, and that over the seeds. Blocks count as independent, so
+    they should be longer than the memory of the error."""
+    optimism = selection_optimism(tried, seed)
+    centre = winner.value + optimism
+    parts = winner.blocks.mean(axis=0)
+    variance = 0.0 if parts.size < 2 else float(parts.var(ddof=1))
+    seeds = 0.0 if winner.spread is None else winner.spread**2
+    total = variance / parts.shape[1] + variance / parts.size + seeds
+    if centre <= 0.0 or total == 0.0:
+        return ExpectedError(centre, centre, centre, optimism)
+    half = _quantile(level, max(1, parts.size - 1)) * math.sqrt(total) / centre
+    return ExpectedError(centre, centre * math.exp(-half), centre * math.exp(half), optimism)
+
+
+def expected_lowest(number: int) -> float:
+    """The expectation of the lowest of independent standard normal numbers: what luck alone gives
+    the best of several that are equally good, in standard deviations below their mean."""
+    x = np.linspace(-12.0, 12.0, 48_001)
+    from scipy.special import ndtr  # only where statistics are asked for
+
+    survives = (1.0 - ndtr(x)) ** number
+    density = -np.gradient(survives, x)
+    return float(np.trapezoid(x * density, x))
+
+
+def _over_seeds(one: RepeatedFits, other: RepeatedFits) -> tuple[float, int]:
+    """Variance of the paired differences over the seeds, and how many there are."""
+    count = max(len(one.values), len(other.values))
+    if min(len(one.values), len(other.values)) not in (1, count):
+        count = min(len(one.values), len(other.values))
+    gaps = one.by_seed[:count] - other.by_seed[:count]
+    return (float(gaps.var(ddof=1)), count) if count > 1 else (0.0, 1)
+
+
+def _sum_of_variances(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:
+    """The variance of a sum of means, from the variance and number of what each is the mean of, and
+    its degrees of freedom."""
+    each = [(float(variance) / n, n - 1) for variance, n in parts if n > 1 and variance > 0.0]
+    total = sum(variance for variance, _ in each)
+    if total == 0.0:
+        return 0.0, 1.0
+    return total, total**2 / sum(variance**2 / degrees for variance, degrees in each)
+
+
+def _around(value: float, variance: float, degrees: float, level: float) -> Interval:
+    half = _quantile(level, degrees) * math.sqrt(variance) if variance > 0.0 else 0.0
+    return Interval(value, value - half, value + half)
+
+
+def _quantile(level: float, degrees: float) -> float:
+    from scipy.special import stdtrit  # only where statistics are asked for
+
+    return float(stdtrit(degrees, 0.5 + level / 2.0))
