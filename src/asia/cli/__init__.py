@@ -19,6 +19,7 @@ from asia.cli import (
     _bench,
     _check,
     _compare,
+    _confirm,
     _diff,
     _doctor,
     _init,
@@ -43,7 +44,7 @@ from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
 
-RESUMED = frozenset({"run", "bench", "compare", "workspace", "mcp"})
+RESUMED = frozenset({"run", "bench", "compare", "confirm", "workspace", "mcp"})
 INTERRUPTED = 130
 TERMINATED = 128 + signal.SIGTERM
 
@@ -70,6 +71,7 @@ _FIRST: dict[str, Callable[..., None]] = {
 }
 _MORE: dict[str, Callable[..., None]] = {
     "diff": _diff.diff,
+    "confirm": _confirm.confirm,
     "verify": _verify.verify,
     "replay": _replay.replay,
     "bench": _bench.bench,

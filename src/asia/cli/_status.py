@@ -66,6 +66,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
+        "confirmed": None if view.confirmed is None else asdict(view.confirmed),
         "control": None
         if beside is None
         else {"run": beside.run, "V": beside.value, "experiments": beside.experiments},
@@ -144,3 +145,7 @@ def _print_winner(view: SearchView) -> None:
         say(line)
     if view.looks:
         say(f"guard   {guard_words(view)}")
+    if view.confirmed is not None:
+        from asia.cli._output.confirmation import noise_words, verdict
+
+        say(f"confirm {verdict(view.confirmed)}; noise floor {noise_words(view.confirmed)}")

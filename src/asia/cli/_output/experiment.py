@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from asia._text import printable_line
+from asia.cli._output.confirmation import lines_about
 from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import again_words, use_lines
 from asia.evaluation import FAR_BELOW, consistency
@@ -63,6 +64,9 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if refitted and refitted.again and refitted.experiment == experiment.number:
         same = f"fold {refitted.again.fold}, fitted a second time, comes out the same"
         console.print(f"again       {again_words(run.view) or same}")
+    if run.view.confirmed is not None:
+        for line in lines_about(run.view.confirmed, experiment.number, run.view.v_name):
+            console.print(f"confirmed   {line}")
     if refitted and refitted.experiment == experiment.number:
         for line in use_lines(run.view):
             word, _, words = line.partition(" ")
