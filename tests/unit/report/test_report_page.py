@@ -21,6 +21,7 @@ from asia.report._page.audit import audit
 from asia.report._page.html import Html, fixed, join, said, tag
 from asia.report._page.section import Section
 from asia.report._page.subject import Subject
+from asia.scoring import ExpectedError, Interval
 
 from .made_up import Outcomes, write_run
 
@@ -254,3 +255,34 @@ def test_the_bands_of_the_test_stand_beside_what_they_are_meant_to_hold(
     page = page_of(open_run(other))
     assert "87.3 %" in page
     assert "90.0 %" in page
+
+
+def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
+    directory = make_run().directory
+    assert 'id="confirmation"' not in page_of(open_run(directory))
+    interval = ledger.ConfirmedPair(4, 2, Interval(0.3, -0.1, 0.7))
+    found = ledger.Confirmed(
+        winner=4,
+        seeds=5,
+        tried=3,
+        level=0.95,
+        candidates=(
+            ledger.ConfirmedCandidate(4, 0.2, Interval(0.25, 0.2, 0.3), 0.01, 4, 1, False, 1, 2),
+            ledger.ConfirmedCandidate(2, 0.5, Interval(0.5, 0.4, 0.6), 0.0, 1, 0, True, 1, 2),
+        ),
+        pairs=(interval, replace(interval, difference=Interval(0.3, 0.1, 0.7))),
+        noise=0.01,
+        expected=ExpectedError(0.27, 0.2, 0.4, 0.02),
+        after_unsealing=True,
+    )
+    with Chain(directory / "ledger.jsonl") as chain:
+        chain.append(found)
+    page = page_of(open_run(directory))
+    assert 'id="confirmation"' in page
+    assert "cannot be told apart" in page
+    assert "is better" in page
+    assert "fits do not depend on the seed" in page
+    assert "after the sealed test had been opened" in page
+    with Chain(directory / "ledger.jsonl") as chain:
+        chain.append(replace(found, candidates=(), pairs=(), noise=None, expected=None))
+    assert "None of them has a score from another seed" in page_of(open_run(directory))

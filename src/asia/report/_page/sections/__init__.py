@@ -11,6 +11,7 @@ from asia.report._page.section import Section
 from asia.report._page.sections import (
     accuracy,
     bands,
+    confirmation,
     experiments,
     handover,
     integrity,
@@ -26,6 +27,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     verdict.SECTION,
     model.SECTION,
     accuracy.SECTION,
+    confirmation.SECTION,
     tested.SECTION,
     bands.SECTION,
     handover.SECTION,
