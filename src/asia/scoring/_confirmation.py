@@ -165,7 +165,8 @@ def expected_error(winner: RepeatedFits, tried: Array, level: float, seed: int) 
     """The error of the winner on one new record of the same kind, as long as the held-out part of
     one fold.
 
-    The estimate is V over the fresh seeds of `winner`, and the optimism of `tried`. The interval is
+    The estimate is V of `winner`, the fit that is handed over or the mean of several, and the
+    optimism of `tried`. The interval is
     of Student's t on the logarithmic scale, with the variance of a mean over a new fold's blocks,
     that of the mean over the known ones, and that over the seeds. Blocks count as independent, so
     they should be longer than the memory of the error."""

@@ -92,7 +92,7 @@ def expected_lines(found: Confirmed, v_name: str) -> Iterator[str]:
     )
     yield (
         f"    of that {expected.optimism:.2g} for being the best of {found.tried}; it assumes a "
-        "record of the same kind, as long as a fold, and one fold model"
+        "record of the same kind, as long as a fold, and is of a fold model as the search fitted it"
     )
 
 

@@ -91,8 +91,8 @@ class Confirmed:
     """The noise floor: standard deviation of V over seeds, pooled over the candidates; None where
     it is not known."""
     expected: ExpectedError | None
-    """The error to expect of the winner on a new record, in the measure of V; None where its
-    repeats failed."""
+    """The error to expect of the winner's fold models, as the search fitted them, on a new record,
+    in the measure of V; None where it is not known."""
     expected_level: float = 0.9
     """The level of that interval."""
     failed: tuple[int, ...] = ()

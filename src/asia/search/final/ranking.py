@@ -70,7 +70,7 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
         for a, b in combinations(order, 2)
     )
     by_number = {candidate.experiment: candidate for candidate in repeated}
-    winner = judged.get(view.best.number)
+    winner = next(c.first for c in tried if c.experiment == view.best.number)
     blocks = even_blocks([_rows(candidate.first.blocks[0]) for candidate in tried])
     seed = derive_seed(view.started.seed, "confirm")
     return Confirmed(
@@ -81,7 +81,8 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
         candidates=tuple(_ranked(by_number[n], judged[n], pairs, len(order)) for n in order),
         pairs=pairs,
         noise=_noise(repeated),
-        expected=None if winner is None else expected_error(winner, blocks, EXPECTED_LEVEL, seed),
+        # Of the fit that is handed over, not of others: its luck with the seed stays with it.
+        expected=expected_error(winner, blocks, EXPECTED_LEVEL, seed),
         expected_level=EXPECTED_LEVEL,
         failed=tuple(number for number, fits in known.items() if fits is None),
         after_unsealing=view.unsealing is not None,
