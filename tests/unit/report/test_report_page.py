@@ -18,7 +18,7 @@ from asia.problem.load import Seal, load_problem, lock_text
 from asia.report import write_bundle, write_page
 from asia.report._page import LIMIT, page_of
 from asia.report._page.audit import audit
-from asia.report._page.html import Html, fixed, join, said, tag
+from asia.report._page.html import Html, fixed, join, said, table, tag
 from asia.report._page.section import Section
 from asia.report._page.subject import Subject
 from asia.scoring import ExpectedError, Interval
@@ -286,3 +286,8 @@ def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
     with Chain(directory / "ledger.jsonl") as chain:
         chain.append(replace(found, candidates=(), pairs=(), noise=None, expected=None))
     assert "None of them has a score from another seed" in page_of(open_run(directory))
+
+
+def test_a_record_may_have_a_number_in_its_name(make_run: Callable[..., Run]) -> None:
+    page = write(make_run(), lambda _: table(["of"], [["one"]], "Test error of 100mV [um]"))
+    assert "Test error of 100mV [um]</span></caption>" in page

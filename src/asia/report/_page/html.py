@@ -64,7 +64,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str | None]], caption: st
         body.append(tag("tr", *cells))
     inner = tag(
         "table",
-        tag("caption", caption),
+        tag("caption", said(caption)),
         tag("thead", tag("tr", *headings)),
         tag("tbody", *body),
     )
