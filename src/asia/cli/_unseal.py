@@ -176,7 +176,6 @@ def _table_lines(mee: MeeTable) -> list[str]:
 
 def _print_text(record: Unsealed, view: SearchView, *, by_record: bool) -> None:
     from asia.cli._output.words import use_lines
-    from asia.ledger import error_value
     from asia.protocol import metric_label
     from asia.scoring import Failure
 
@@ -202,12 +201,12 @@ def _print_text(record: Unsealed, view: SearchView, *, by_record: bool) -> None:
             )
             several = len(score.per_trajectory) > 1
             # An official figure is that of one record; a number over all of them is none.
-            error = "by record" if several and by_record else error_value(score.value)
+            error = "by record" if several and by_record else f"{score.value:.4g}"
             channels = "" if several and by_record else f"  ({channels})"
             say(f"{title:<28} {metric_label(score.metric)} {error}{channels}")
             if several:
                 for name, value in zip(record.trajectories, score.per_trajectory, strict=True):
-                    say(f"    {name:<24} {error_value(value)}")
+                    say(f"    {name:<24} {value:.4g}")
         for line in _table_lines(model.mee) if model.mee is not None else ():
             say(f"    {line}")
     for line in use_lines(view)[:1]:
