@@ -147,7 +147,7 @@ def _searched(
     )
     structure, params = found.filters.state_space(template)
     fit = StateFit(found.filters.x0, params, found.error, found.history)
-    late = [linear.shifted(r, found.delay) for r in records]
+    late = [r.with_delay(found.delay) for r in records]
     if method.noise_model != "white":
         weights = dict.fromkeys(params, config.linear_ridge) | {"f": config.ridge}
         weights["x0"] = _INITIAL_RIDGE

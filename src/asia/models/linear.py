@@ -22,6 +22,7 @@ from asia.models._data.records import (
     ScaledData,
     ScaledTrajectory,
     check,
+    delayed,
     past_length,
     scaled,
     shortened,
@@ -30,7 +31,7 @@ from asia.models._data.records import (
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows, stretches
 from asia.models._linear.drift import drift_shift
-from asia.models._linear.estimates import ScaledRecord, system_estimates
+from asia.models._linear.estimates import ScaledRecord, invariants, system_estimates
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
@@ -40,11 +41,10 @@ from asia.models._linear.fit import (
     refined_under_noise,
 )
 from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
-from asia.models._linear.levels import groups_by_level, level_of, running_levels, shares
+from asia.models._linear.levels import groups_by_level, interpolated, level_of
 from asia.models._linear.periodic.fit import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowPredictor
-from asia.models._noise.choice import NoiseChoice
 
 if TYPE_CHECKING:
     from asia.models._solvers.least_squares import LevenbergMarquardt
@@ -55,8 +55,6 @@ _SELECTION_SAMPLES = 3000
 # outputs; on more it has too many parameters for simulations of whole records.
 _MOST_OUTPUTS = 3
 _JACOBIAN_NUMBERS = 60_000_000
-_MOST_GAINS = 20
-_MOST_TIME_CONSTANTS = 6
 # A candidate may name no more.
 _MOST_PARAMETERS = 64
 
@@ -135,7 +133,7 @@ class LinearStateSpace:
         (B, H, ny). The input before a past window that is shorter than the delay is taken to be
         the window's first. Raises UserError before training."""
         if self.by_level is not None:
-            return _interpolated(self.by_level, past_u, past_y, u)
+            return _by_level(self.by_level, past_u, past_y, u)
         if self.fitted is None:
             raise UserError("linear model: not trained yet; call linear.train before simulate")
         return _simulated(self.fitted, past_u, past_y, u)
@@ -171,7 +169,7 @@ class LinearStateSpace:
         records = [_delayed_record(t, f) for t in trajectories]
 
         def report(system: LinearSystem) -> list[ParameterEstimate]:
-            found = _invariants(system, f.scaling).items()
+            found = invariants(system, f.scaling).items()
             rest = float("nan"), float("nan"), float("nan")
             return [ParameterEstimate(n, v, *rest, units.get(n, "")) for n, v in found]
 
@@ -179,16 +177,7 @@ class LinearStateSpace:
 
 
 def _parameters(f: FittedLinear) -> dict[str, float]:
-    return _invariants(f.system, f.scaling) | {"delay [samples]": float(f.delay)}
-
-
-def _invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
-    """What does not depend on the coordinates of the states."""
-    gain = system.gain * scaling.y_std[:, None] / scaling.u_std
-    found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
-    found = found if len(found) <= _MOST_GAINS else {}
-    slowest = system.time_constants[:_MOST_TIME_CONSTANTS]
-    return found | {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
+    return invariants(f.system, f.scaling) | {"delay [samples]": float(f.delay)}
 
 
 def _delayed_record(trajectory: Trajectory, fitted: FittedLinear) -> ScaledRecord:
@@ -206,12 +195,11 @@ def _simulated(f: FittedLinear, past_u: Array, past_y: Array, u: Array) -> Array
     return f.scaling.physical(y)
 
 
-def _interpolated(found: FittedLevels, past_u: Array, past_y: Array, u: Array) -> Array:
+def _by_level(found: FittedLevels, past_u: Array, past_y: Array, u: Array) -> Array:
     scaling = found.systems[0].scaling
-    level = running_levels(scaling.inputs(past_u), scaling.inputs(u), found.memory)
-    weights = shares(found.levels, level)
-    each = [_simulated(f, past_u, past_y, u) for f in found.systems]
-    return np.einsum("bhl,lbho->bho", weights, np.stack(each))
+    each = np.stack([_simulated(f, past_u, past_y, u) for f in found.systems])
+    past, future = scaling.inputs(past_u), scaling.inputs(u)
+    return interpolated(found.levels, each, past, future, found.memory)
 
 
 def build(config: Config, context: Context) -> LinearStateSpace:
@@ -232,7 +220,7 @@ def train(
     check(trajectories, context)
     scaling = scaling_of(trajectories, context, model.config)
     records = scaled(trajectories, scaling)
-    refinement = refinement_of(method)
+    refinement = Refinement.of(method)
     groups = groups_by_level([r.u for r in records]) if model.config.levels else []
     if len(groups) < 2:
         fitted = _fitted(records, context, model.config, refinement, scaling)
@@ -249,7 +237,7 @@ def _fitted(
 ) -> FittedLinear:
     plain = context.horizon is None and config.integrators == 0 and how.noise is None
     if config.periodic and plain:
-        late = [shifted(r, config.delay or 0) for r in records]
+        late = [r.with_delay(config.delay or 0) for r in records]
         choice = PeriodicChoice(config.order, config.periodic_order, config.tolerance)
         found = fit_periodic(late, context, choice, how.iterations, context.log)
         if found is not None:
@@ -301,17 +289,9 @@ def _window_error(
     """Mean squared error of the state-space model on windows of records it was not fitted to."""
     found, delay, used = fit_records(kept, context, config, refinement)
     encoder = encoder_of(used, found, context)
-    cut = cut_windows([shifted(r, delay) for r in left], context, MOST_WINDOWS)
+    cut = cut_windows([r.with_delay(delay) for r in left], context, MOST_WINDOWS)
     _, y = found.system.simulate(encoder(cut.features), cut.u)
     return float(((y - cut.y) ** 2).mean())
-
-
-def refinement_of(method: LevenbergMarquardt | None) -> Refinement:
-    """The NumPy refinement with a method's settings."""
-    if method is None:
-        return Refinement()
-    tolerance, noise = max(method.tolerance, 1e-9), NoiseChoice.of(method)
-    return Refinement(method.iterations, method.damping, tolerance, noise=noise)
 
 
 def fit_records(
@@ -325,11 +305,11 @@ def fit_records(
     order = config.order
     if order is None:
         quick = replace(refinement, iterations=min(refinement.iterations, 15))
-        late_part = [shifted(r, delay) for r in part]
+        late_part = [r.with_delay(delay) for r in part]
         highest = max(_affordable(late_part, config.max_order), config.integrators)
         order = choose_order(late_part, context, highest, config.tolerance, quick)
     late = stretches(
-        [shifted(r, delay) for r in records],
+        [r.with_delay(delay) for r in records],
         _samples_held(order, context),
         2 * past_length(context) + 100 * order,
     )
@@ -356,22 +336,6 @@ def _samples_held(order: int, context: Context) -> int:
     return max(1000, _JACOBIAN_NUMBERS // numbers)
 
 
-def shifted(record: ScaledTrajectory, delay: int) -> ScaledTrajectory:
-    """The record with its inputs delayed; the first input is held backwards."""
-    if delay == 0:
-        return record
-    held = np.repeat(record.u[:1], delay, axis=0)
-    return replace(record, u=np.concatenate([held, record.u])[: len(record)])
-
-
-def delayed(past: Array, future: Array, delay: int) -> Array:
-    """Inputs (B, H, nu) that act during the simulation, from the measured past (B, n_past_u, nu)
-    and future (B, H, nu); before the first known one it is held backwards."""
-    known = np.concatenate([past, future], axis=1)
-    rows = np.arange(past.shape[1], known.shape[1]) - delay
-    return known[:, np.maximum(rows, 0)]
-
-
 def _selection(records: ScaledData, context: Context, config: Config) -> list[ScaledTrajectory]:
     """What order and delay are chosen on: every piece leaves samples to simulate after its past
     window, enough of them to tell the states apart."""
@@ -391,7 +355,7 @@ def _estimate_delay(records: ScaledData, config: Config) -> int:
     order = max(min(config.order or 2 + held, _affordable(records, config.max_order)), held)
     quick = Refinement(iterations=5, integrators=held)
     errors = [
-        fit([shifted(r, d) for r in records], order, quick).error
+        fit([r.with_delay(d) for r in records], order, quick).error
         for d in range(config.max_delay + 1)
     ]
     return next(d for d, error in enumerate(errors) if error <= 1.02 * min(errors))

@@ -27,6 +27,7 @@ from asia.models._data.encoder import Encoder, affine
 from asia.models._data.records import (
     ScaledData,
     check,
+    delayed,
     scaled,
     window,
 )
@@ -174,7 +175,7 @@ class NeuralStateSpace:
 def _simulated(f: FittedStateSpace, past_u: Array, past_y: Array, u: Array) -> Array:
     past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
     features = window(past, f.scaling.outputs(past_y))
-    inputs = linear.delayed(past, future, f.delay)
+    inputs = delayed(past, future, f.delay)
     cell = StateCell(f.structure)
     outputs = [
         outputs_of(cell, {**params, "encoder": vars(encoder)}, features, inputs)
@@ -261,7 +262,7 @@ def _train_records(
         best = fit_members(structure, found, used, data.scaling, context, method, options)
         each = best.members, delay, data.scaling, data.turns, best.starts
         return FittedStateSpace(structure, *each), best.cost
-    late = [linear.shifted(r, delay) for r in data.every]
+    late = [r.with_delay(delay) for r in data.every]
     encoder = encoder_of(used, found, context)
     start = starts_of(structure, found, used, 1, data.scaling, _random(context))[0]
     params = encoded(start, encoded_at_rest(structure, encoder), c.encoder, context)

@@ -39,6 +39,13 @@ class ScaledTrajectory:
             self.u[rows], self.y[rows], self.weight[rows], self.measured_u[rows]
         )
 
+    def with_delay(self, delay: int) -> ScaledTrajectory:
+        """The record with its inputs delayed; the first input is held backwards."""
+        if delay == 0:
+            return self
+        held = np.repeat(self.u[:1], delay, axis=0)
+        return replace(self, u=np.concatenate([held, self.u])[: len(self)])
+
 
 ScaledData: TypeAlias = Sequence[ScaledTrajectory]
 """All records of a fit."""
@@ -200,3 +207,11 @@ def batch(records: ScaledData, context: Context) -> PaddedBatch:
         start_windows=np.concatenate(every),
         starts=starts,
     )
+
+
+def delayed(past: Array, future: Array, delay: int) -> Array:
+    """Inputs (B, H, nu) that act during the simulation, from the measured past (B, n_past_u, nu)
+    and future (B, H, nu); before the first known one it is held backwards."""
+    known = np.concatenate([past, future], axis=1)
+    rows = np.arange(past.shape[1], known.shape[1]) - delay
+    return known[:, np.maximum(rows, 0)]

@@ -11,12 +11,16 @@ import numpy as np
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data import Array
 from asia.models import uncertainty
+from asia.models._data.scaling import Scaling
 from asia.models._linear.system import LinearSystem
 
 # Entries of the matrices: those of a larger model are no quantities that people know.
 _MOST_ENTRIES = 150
 # Of a standard error: a fit that is further from its minimum minimises something else.
 _NEAR = 0.5
+
+_MOST_GAINS = 20
+_MOST_TIME_CONSTANTS = 6
 
 
 @dataclass(frozen=True)
@@ -98,3 +102,12 @@ def _start(system: LinearSystem, record: ScaledRecord, response: Array) -> Array
     forced = system.simulate(np.zeros((1, system.order)), record.u[None])[1][0]
     flat = response.reshape(-1, system.order)
     return np.linalg.lstsq(flat, (record.y - forced).ravel())[0]
+
+
+def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
+    """Static gains in physical units and slowest time constants in samples, by name."""
+    gain = system.gain * scaling.y_std[:, None] / scaling.u_std
+    found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
+    found = found if len(found) <= _MOST_GAINS else {}
+    slowest = system.time_constants[:_MOST_TIME_CONSTANTS]
+    return found | {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
 from asia.models._noise.weighting import ErrorWeighting
 from asia.models._solvers.progress import Progress
+
+if TYPE_CHECKING:
+    from asia.models._solvers.least_squares import LevenbergMarquardt
 
 # A system this close to the unit circle or beyond grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
@@ -42,6 +46,14 @@ class Refinement:
     """The noise model of `refined_under_noise`; None is least squares."""
     integrators: int = 0
     """Last states whose pole is held at 1."""
+
+    @classmethod
+    def of(cls, method: LevenbergMarquardt | None) -> Refinement:
+        """With the settings of a method."""
+        if method is None:
+            return cls()
+        tolerance, noise = max(method.tolerance, 1e-9), NoiseChoice.of(method)
+        return cls(method.iterations, method.damping, tolerance, noise=noise)
 
 
 @dataclass(frozen=True)

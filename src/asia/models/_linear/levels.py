@@ -45,3 +45,9 @@ def shares(levels: Array, at: Array) -> Array:
     two that lie around each level `at` (B, H); the outermost beyond."""
     eye = np.eye(len(levels))
     return np.stack([np.interp(at, levels, row) for row in eye], axis=-1)
+
+
+def interpolated(levels: Array, each: Array, past: Array, future: Array, memory: int) -> Array:
+    """Outputs (B, H, ny) between those of the levels, each (L, B, H, ny), by the level that the
+    scaled inputs past (B, n_past_u, nu) and future (B, H, nu) run at."""
+    return np.einsum("bhl,lbho->bho", shares(levels, running_levels(past, future, memory)), each)

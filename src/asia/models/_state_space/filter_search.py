@@ -80,7 +80,7 @@ def searched(
     found = list[FilterFit]()
     few = replace(method, iterations=min(_FEW, method.iterations))
     for delay, system in _linear_models(part, context, choice):
-        late = [linear.shifted(r, delay) for r in kept]
+        late = [r.with_delay(delay) for r in kept]
         for start in _split(late, system, hidden):
             one = _fitted(start, delay, kept, ridge, few)
             found.append(replace(one, error=_error(one, left)))
@@ -205,7 +205,7 @@ def _fitted(
     ridge: FilterRidge,
     method: LevenbergMarquardt,
 ) -> FilterFit:
-    late = [linear.shifted(r, delay) for r in records]
+    late = [r.with_delay(delay) for r in records]
     if len(start.x0) != len(late):
         start = _at_rest(start, len(late))
     origin = start.packed()
@@ -227,7 +227,7 @@ def _error(one: FilterFit, left: ScaledData) -> float:
     squares = list[Array]()
     with np.errstate(all="ignore"):
         for i, record in enumerate(left):
-            late = linear.shifted(record, one.delay)
+            late = record.with_delay(one.delay)
             apart = (simulated(one.filters, late.u[:, 0], i) - late.y[:, 0]) * late.weight
             squares.append(apart[late.weight > 0.0] ** 2)
     all_of_them = np.concatenate(squares)

@@ -51,7 +51,8 @@ def test_show_tells_all_but_the_source(bare: Run) -> None:
 def test_the_report_has_the_picture_that_needs_none(bare: Run) -> None:
     done = command_line("report", bare.name, "--runs", str(bare.directory.parent))
     assert done.code == 0
-    assert [Path(line).name for line in done.out.splitlines()] == ["progress.png", "progress.pdf"]
+    names = [Path(line).name for line in done.out.splitlines()]
+    assert names == ["report.html", "progress.png", "progress.pdf"]
     assert "the other pictures need the simulations" in done.err
 
 
