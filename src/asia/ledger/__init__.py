@@ -1,6 +1,6 @@
 """Append-only, hash-chained record of a search; all else is a view of it."""
 
-from asia.ledger._chain import Chain, in_use, read_lines
+from asia.ledger._chain import Chain, Follower, in_use, ledger_of, read_lines
 from asia.ledger._control import Control, control, control_words
 from asia.ledger._disk import write_whole
 from asia.ledger._events import (
@@ -105,6 +105,7 @@ __all__ = [
     "Extended",
     "FoldEvidence",
     "FoldShown",
+    "Follower",
     "GuardLooked",
     "GuardScore",
     "HandOverReason",
@@ -163,6 +164,7 @@ __all__ = [
     "identified_object",
     "in_use",
     "journal",
+    "ledger_of",
     "metric_of",
     "model_to_use",
     "noise_of_repeats",

@@ -43,6 +43,63 @@ def read_lines(path: Path) -> Iterator[Line]:
             yield decode(raw, place.seq - 1, str(path))
 
 
+class Follower:
+    """A ledger as it grows: each call of `read` takes up the whole lines that are new."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._seen: tuple[int, int, int] | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self.lines: list[Line] = []
+        self._heads = [BEGIN.head]
+        self._place = BEGIN
+        self._replay = Replay()
+
+    @property
+    def view(self) -> SearchView:
+        """As of the last line that was read. Raises UserError before the first."""
+        return self._replay.view
+
+    @property
+    def head(self) -> str:
+        """Digest of the last line that was read."""
+        return self._place.head
+
+    def has(self, count: int, head: str) -> bool:
+        """Whether the ledger's first `count` lines end with the one of that digest."""
+        return 0 <= count < len(self._heads) and self._heads[count] == head
+
+    def read(self) -> bool:
+        """Whether there was anything new. A ledger that did not just grow is read anew. Raises
+        UserError where a line does not verify, OSError where the file is gone."""
+        state = self._path.stat()
+        seen = state.st_ino, state.st_size, state.st_mtime_ns
+        if seen == self._seen:
+            return False
+        before = self._place
+        if self._seen is not None and (seen[0] != self._seen[0] or seen[1] < before.offset):
+            self._begin()
+        try:
+            self._take_up()
+        except UserError:
+            # A line that was never confirmed may have been cut, and another written in its place.
+            self._begin()
+            self._take_up()
+        self._seen = seen
+        return self._place != before
+
+    def _take_up(self) -> None:
+        with self._path.open("rb") as stream:
+            for place, raw in scan(stream, str(self._path), self._place):
+                line = decode(raw, place.seq - 1, str(self._path))
+                self._replay.add(line.event)
+                self.lines.append(line)
+                self._heads.append(place.head)
+                self._place = place
+
+
 class Chain:
     """The one writer of a ledger. Holds an exclusive lock for as long as it is open.
 

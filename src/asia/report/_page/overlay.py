@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from asia.data import Array
 from asia.problem.load import Problem
@@ -34,15 +34,33 @@ class Overlay:
     skip: int = 0
     """Samples at the start that do not count."""
 
+    def cut(self, first: int, last: int) -> Overlay:
+        """From one sample to another, both counted from its start and kept within it; at least
+        two samples."""
+        begin = min(max(first, 0), len(self.measured) - 2)
+        end = max(min(last + 1, len(self.measured)), begin + 2)
+        return replace(
+            self,
+            first=self.first + begin,
+            measured=self.measured[begin:end],
+            simulated=self.simulated[begin:end],
+            skip=max(0, min(self.skip, end) - begin),
+        )
+
 
 def draw_overlays(problem: Problem, overlays: Sequence[Overlay]) -> Html:
     """The first `MOST_PANELS`, with a legend."""
-    words = [("measured", "measured"), ("model", "simulated"), ("error", "difference")]
-    shown = [_draw(problem, one) for one in overlays[:MOST_PANELS]]
-    return join((legend(words), tag("div", *shown, class_="grid")))
+    shown = [draw_overlay(problem, one) for one in overlays[:MOST_PANELS]]
+    return join((overlay_legend(), tag("div", *shown, class_="grid")))
 
 
-def _draw(problem: Problem, overlay: Overlay) -> Html:
+def overlay_legend() -> Html:
+    """Which curve is which."""
+    return legend([("measured", "measured"), ("model", "simulated"), ("error", "difference")])
+
+
+def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
+    """One of them."""
     signal = problem.outputs[overlay.channel]
     end = overlay.first + len(overlay.measured)
     unit = time_unit(problem.sampling_time * end)

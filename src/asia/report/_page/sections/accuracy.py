@@ -66,21 +66,26 @@ def _fold_name(subject: Subject, fold: int) -> Html:
 
 
 def _pictures(subject: Subject, best: Experiment) -> Html | None:
-    problem, score = subject.problem, best.score
+    problem, parts = subject.problem, held_out_overlays(subject, best)
+    return draw_overlays(problem, parts) if problem is not None and parts else None
+
+
+def held_out_overlays(subject: Subject, experiment: Experiment) -> list[Overlay]:
+    """What an experiment's fold models simulate of what they were not fitted to, the outputs with
+    the lowest fit first; none without a score or the data."""
+    problem, score = subject.problem, experiment.score
     if problem is None or score is None:
-        return None
+        return []
     folds = subject.folds
     channels = lowest(worst_fits(score), max(1, MOST_PANELS // len(folds)))
-    outputs = fold_outputs(subject.run.store, best, folds)
-    parts = [
+    outputs = fold_outputs(subject.run.store, experiment, folds)
+    windows = problem.protocol.kind == "windows"
+    return [
         part
         for channel in channels
         for fold, y_hat in zip(folds, outputs, strict=True)
-        for part in _parts(
-            subject, fold, y_hat, channel, windows=problem.protocol.kind == "windows"
-        )
+        for part in _parts(subject, fold, y_hat, channel, windows=windows)
     ]
-    return draw_overlays(problem, parts)
 
 
 def _parts(

@@ -39,14 +39,15 @@ def _experiment(subject: Subject, e: Experiment) -> Html:
     return tag(
         "details",
         heading,
-        _story(subject, e),
+        experiment_story(subject, e),
         id=f"e{e.number}",
         class_="won" if won else None,
         open=won,
     )
 
 
-def _story(subject: Subject, e: Experiment) -> Html:
+def experiment_story(subject: Subject, e: Experiment) -> Html:
+    """What was expected of an experiment, what came of it, what was changed."""
     p = e.proposed
     made_from = None
     if p.parent is not None:

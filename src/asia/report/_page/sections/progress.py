@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from asia.ledger import Experiment, error_value
 from asia.report._page.html import Html, join, said, table, tag
 from asia.report._page.section import Section
@@ -15,7 +17,30 @@ def _write(subject: Subject) -> Html | None:
     view = subject.view
     if not view.finished:
         return None
-    points = [_point(subject, e) for e in view.finished if e in subject.told]
+    told = {e.number for e in subject.told}
+    shown = [e for e in view.finished if e.number in told]
+    words = "V is the error of simulation on held-out data over the variation of the output."
+    rows = [_improvement(subject, e, before) for e, before in _improvements(subject)]
+    head = ["experiment", "candidate", view.v_name, "change"]
+    return join(
+        (
+            tag("p", words),
+            progress_figure(subject, shown),
+            _rungs(subject),
+            tag(
+                "details",
+                tag("summary", "The improvements as a table"),
+                table(head, rows, "Experiments that were kept"),
+            ),
+        )
+    )
+
+
+def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
+    """The drawing for wide and for narrow screens, with its legend. shown: experiments with a
+    result."""
+    view = subject.view
+    points = [_point(subject, e) for e in shown]
     levels = [
         RungLevel(r.name, r.outcome.value) for r in view.rungs if isinstance(r.outcome, Score)
     ]
@@ -30,21 +55,7 @@ def _write(subject: Subject) -> Html | None:
         ("failed", "no score"),
         ("best", "best so far"),
     ]
-    words = "V is the error of simulation on held-out data over the variation of the output."
-    rows = [_improvement(subject, e, before) for e, before in _improvements(subject)]
-    head = ["experiment", "candidate", view.v_name, "change"]
-    return join(
-        (
-            tag("p", words),
-            tag("figure", *drawings, legend(kinds)),
-            _rungs(subject),
-            tag(
-                "details",
-                tag("summary", "The improvements as a table"),
-                table(head, rows, "Experiments that were kept"),
-            ),
-        )
-    )
+    return tag("figure", *drawings, legend(kinds))
 
 
 def _point(subject: Subject, experiment: Experiment) -> Point:

@@ -13,6 +13,8 @@ _LOG_FROM = 6.0
 _CHARACTER = 6.3
 _LINE = 15.0
 _MOST_TAGS = 14
+# From so many experiments on, those that were not kept are drawn as one path.
+_MANY = 400
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,12 @@ def draw_progress(
     values = [p.value for p in points if p.value is not None] + [x.value for x in levels]
     across, up = _scales(points, values, levels, size)
     drawn = [_grid(across, up, size, axis), _levels(levels, across, up, size)]
-    drawn += [_steps(points, across, up), *(_marker(p, across, up) for p in points)]
-    drawn.append(_tags(points, across, up, size))
+    shown = points
+    if len(points) > _MANY:
+        shown = [p for p in points if p.status == "keep"]
+        drawn += _crowd([p for p in points if p.status != "keep"], across, up)
+    drawn += [_steps(points, across, up), *(_marker(p, across, up) for p in shown)]
+    drawn.append(_tags(shown, across, up, size))
     box = f"0 0 {size.width:g} {size.height:g}"
     return tag("svg", *drawn, viewBox=box, role="img", aria_label=alt, class_="progress")
 
@@ -147,6 +153,23 @@ def _steps(points: Sequence[Point], across: Scale, up: Scale) -> Html | None:
     for number, better in kept[1:]:
         path += f"H{rounded(across.at(number))}V{rounded(up.at(better))}"
     return tag("path", d=f"{path}H{rounded(across.end)}", class_="best")
+
+
+def _crowd(points: Sequence[Point], across: Scale, up: Scale) -> list[Html]:
+    """Many that were not kept: a dot for each score, a tick at the top for each failure."""
+    dots = [(p.number, up.at(p.value)) for p in points if p.value is not None]
+    ticks = [p.number for p in points if p.value is None]
+    high = rounded(up.end - 10)
+    return [
+        tag(
+            "path",
+            d="".join(f"M{rounded(across.at(n))} {rounded(y)}h0" for n, y in dots),
+            class_="crowd",
+        ),
+        tag(
+            "path", d="".join(f"M{rounded(across.at(n))} {high}v7" for n in ticks), class_="failed"
+        ),
+    ]
 
 
 def _marker(point: Point, across: Scale, up: Scale) -> Html:
