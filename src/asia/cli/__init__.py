@@ -37,6 +37,7 @@ from asia.cli import (
     _try,
     _unseal,
     _verify,
+    _view,
     _workspace,
 )
 from asia.cli._options.groups import with_groups
@@ -72,6 +73,7 @@ _FIRST: dict[str, Callable[..., None]] = {
 _MORE: dict[str, Callable[..., None]] = {
     "diff": _diff.diff,
     "confirm": _confirm.confirm,
+    "view": _view.view,
     "verify": _verify.verify,
     "replay": _replay.replay,
     "bench": _bench.bench,

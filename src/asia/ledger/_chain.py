@@ -67,9 +67,9 @@ class Follower:
         """Digest of the last line that was read."""
         return self._place.head
 
-    def has(self, count: int, head: str) -> bool:
-        """Whether the ledger's first `count` lines end with the one of that digest."""
-        return 0 <= count < len(self._heads) and self._heads[count] == head
+    def head_at(self, count: int) -> str:
+        """Digest of the last of the first `count` lines; "" where there are fewer."""
+        return self._heads[count] if count < len(self._heads) else ""
 
     def read(self) -> bool:
         """Whether there was anything new. A ledger that did not just grow is read anew. Raises

@@ -112,24 +112,7 @@ def write_run(
         for name, value in rungs:
             chain.append(RungScored(name, _score(folds, problem, value)[0]))
         for i, (title, value) in enumerate(outcomes, start=1):
-            source = store.put(f"# {title}\n".encode())
-            chain.append(
-                Proposed(i, None, "explore", "family", title, "because", "lower", source, str(i))
-            )
-            if value is None:
-                failure = Failure(Reason.NOT_FINITE, "", 1)
-                chain.append(Evaluated(i, "invalid", failure, (), None, 1.0))
-                continue
-            outcome, arrays = _score(folds, problem, value)
-            blank = Diagnostics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            records = tuple(
-                FoldEvidence(store.put(b"model"), store.put_arrays(a), store.put(b""), blank, 1.0)
-                for a in arrays
-            )
-            chain.append(
-                Evaluated(i, "keep" if value < best else "discard", outcome, records, None, 1.0)
-            )
-            best = min(best, value)
+            best = append_experiment(chain, store, problem, i, title, value, best)
         chain.append(Stopped("budget"))
         if guard:
             scores = [GuardScore(n, _score(folds, problem, value)[0]) for n, value in guard]
@@ -137,6 +120,40 @@ def write_run(
         if unsealed:
             chain.append(_opened(store, problem, unsealed))
     return directory
+
+
+def append_experiment(
+    chain: Chain,
+    store: Store,
+    problem: Problem,
+    number: int,
+    title: str,
+    value: float | None,
+    best: float,
+) -> float:
+    """An experiment with its result; V of the best one with it."""
+    source = store.put(f"# {title}\n".encode())
+    words = ("because", "lower")
+    chain.append(Proposed(number, None, "explore", "family", title, *words, source, str(number)))
+    if value is None:
+        failure = Failure(Reason.NOT_FINITE, "", 1)
+        chain.append(Evaluated(number, "invalid", failure, (), None, 1.0))
+        return best
+    outcome, arrays = _score(make_folds(problem.train, problem.protocol), problem, value)
+    blank = Diagnostics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    records = tuple(
+        FoldEvidence(store.put(b"model"), store.put_arrays(a), store.put(b""), blank, 1.0)
+        for a in arrays
+    )
+    status = "keep" if value < best else "discard"
+    chain.append(Evaluated(number, status, outcome, records, None, 1.0))
+    return min(best, value)
+
+
+def append_test(directory: Path, problem: Problem, trajectories: int) -> None:
+    """The opening of the test of a run that is there."""
+    with Chain(directory / "ledger.jsonl") as chain:
+        chain.append(_opened(Store(directory / "artifacts"), problem, trajectories))
 
 
 def _started(directory: Path, problem: Problem, experiments: int) -> Started:

@@ -1,0 +1,57 @@
+"""asia view: the pages of the runs in a browser, as the searches go on."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asia._text import say
+from asia.cli._options.shared import DEFAULT_RUNS, Runs
+
+
+def view(
+    run: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[RUN]",
+            help="Path or name of a run, or a folder of runs; left out: all below --runs.",
+        ),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 for any free one.")
+    ] = 8731,
+    open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Show runs in a browser while they go on: curves, experiments, steering. Ctrl-C ends it.
+
+    The address that is printed bears a token; without it nothing is shown.
+    """
+    from asia.view import require_server, serve_view
+
+    require_server()
+    folder, name = _place(runs, run)
+
+    def started(address: str) -> None:
+        say(f"view     {address}")
+        say("Ctrl-C ends", flush=True)
+        if open_:
+            webbrowser.open(address)
+
+    serve_view(folder, name, port, started)
+
+
+def _place(runs: Path, run: str | None) -> tuple[Path, str | None]:
+    """The folder of runs, and the run that is named. Raises UserError."""
+    from asia.cli._options.run_directory import run_directory
+
+    if run is not None and Path(run).is_dir() and not (Path(run) / "ledger.jsonl").exists():
+        return Path(run).resolve(), None
+    if run is None and runs.is_dir():
+        return runs.resolve(), None
+    # A workspace has its runs elsewhere, and may hide them.
+    directory = run_directory(runs, run).resolve()
+    return directory.parent, None if run is None else directory.name

@@ -1,0 +1,140 @@
+"""Addresses and what stands there."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from importlib import resources
+from typing import Final
+
+from anyio.to_thread import run_sync
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from asia.errors import UserError
+from asia.report.pieces import page_style, said, tag
+from asia.view._followed import RunFolder, Snapshot
+from asia.view._steer import tell
+from asia.view._streams import Streams
+from asia.view.pages.frame import whole_page
+from asia.view.pages.news import digest_of
+from asia.view.pages.rows import experiment_rows
+from asia.view.pages.run import progress_part, run_page, section_part
+from asia.view.pages.runs import runs_page, runs_table
+
+_KINDS: Final = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+_STATIC: Final = ("view.css", "view.js", "zoom.js", "icon.svg")
+_LONGEST_BODY: Final = 20_000
+
+
+def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
+    """The pages of a folder of runs. `TokenOnly` stands before it."""
+    pages = _Pages(folder, streams, token)
+    routes = [
+        Route("/", pages.listed),
+        Route("/events", pages.list_events),
+        Route("/static/{name}", pages.static),
+        Route("/runs/{run}", pages.run),
+        Route("/runs/{run}/events", pages.run_events),
+        Route("/runs/{run}/curve", pages.curve),
+        Route("/runs/{run}/rows", pages.rows),
+        Route("/runs/{run}/sections/{key}", pages.section),
+        Route("/runs/{run}/{what}", pages.steer, methods=["POST"]),
+    ]
+    return Starlette(routes=routes, exception_handlers={UserError: pages.refuse})
+
+
+@dataclass(frozen=True)
+class _Pages:
+    """A method an address. Those that are not coroutines run in threads."""
+
+    folder: RunFolder
+    """The runs."""
+    streams: Streams
+    """All that are open."""
+    token: str
+    """What a page sends with a person's word."""
+
+    def _snapshot(self, request: Request) -> Snapshot:
+        return self.folder.get(request.path_params["run"]).snapshot()
+
+    def listed(self, request: Request) -> Response:
+        """The list of runs."""
+        listed = self.folder.listed()
+        digest = digest_of(runs_table(listed))
+        return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token))
+
+    def run(self, request: Request) -> Response:
+        """The page of a run."""
+        return HTMLResponse(run_page(self._snapshot(request), self.token))
+
+    def curve(self, request: Request) -> Response:
+        """V of every experiment, drawn."""
+        return HTMLResponse(progress_part(self._snapshot(request).subject))
+
+    def rows(self, request: Request) -> Response:
+        """Earlier experiments for the list."""
+        before = request.query_params.get("before", "")
+        number = int(before) if before.isdecimal() else None
+        return HTMLResponse(experiment_rows(self._snapshot(request).subject, number))
+
+    def section(self, request: Request) -> Response:
+        """A section of the report."""
+        found = section_part(self._snapshot(request), request.path_params["key"])
+        return Response(status_code=204) if found is None else HTMLResponse(found)
+
+    async def run_events(self, request: Request) -> Response:
+        """What is new in a run, as it comes."""
+        followed = await run_sync(self.folder.get, request.path_params["run"])
+        return _stream(self.streams.of_run(followed, _mark(request)))
+
+    async def list_events(self, request: Request) -> Response:
+        """The list of runs, whenever it changes."""
+        return _stream(self.streams.of_list(self.folder, _mark(request)))
+
+    async def steer(self, request: Request) -> Response:
+        """A person's word to the search."""
+        text = await _body(request)
+        snapshot = await run_sync(self._snapshot, request)
+        words = await run_sync(tell, snapshot.run, request.path_params["what"], text)
+        return JSONResponse({"words": words})
+
+    def static(self, request: Request) -> Response:
+        """Styles and scripts."""
+        name = request.path_params["name"]
+        if name == "page.css":
+            return Response(page_style(), media_type=_KINDS[".css"])
+        if name not in _STATIC:
+            return Response(status_code=404)
+        file = resources.files("asia").joinpath("view", "static", name)
+        return Response(file.read_bytes(), media_type=_KINDS[name[name.rindex(".") :]])
+
+    def refuse(self, request: Request, error: Exception) -> Response:
+        """What is wrong, in words."""
+        words = str(error)
+        if request.method == "POST":
+            return JSONResponse({"words": words}, 409)
+        main = (tag("h1", "This cannot be shown"), tag("p", said(words, 1000)))
+        page = whole_page("Not shown", (("Searches", "/"),), main, self.token)
+        return HTMLResponse(page, 404)
+
+
+def _mark(request: Request) -> str:
+    """What the page shows: the last message that it got, else what it was loaded with."""
+    return request.headers.get("last-event-id") or request.query_params.get("mark", "")
+
+
+def _stream(messages: AsyncIterator[str]) -> Response:
+    return StreamingResponse(messages, media_type="text/event-stream")
+
+
+async def _body(request: Request) -> str:
+    """Raises UserError where it is too long."""
+    found = b""
+    async for part in request.stream():
+        found += part
+        if len(found) > _LONGEST_BODY:
+            raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
+    return found.decode("utf-8", "replace")

@@ -1,0 +1,70 @@
+"""From a folder of runs to a server on this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Final
+from urllib.parse import quote
+
+import uvicorn
+
+from asia.errors import UserError
+from asia.view._access import TokenOnly, kept_token
+from asia.view._app import make_app
+from asia.view._followed import RunFolder
+from asia.view._streams import Streams
+
+_HOST: Final = "127.0.0.1"
+_END_SECONDS = 1
+
+
+def serve(runs: Path, run: str | None, port: int, on_start: Callable[[str], object]) -> None:
+    """See `asia.view.serve_view`."""
+    with _listening(port) as listener:
+        bound = listener.getsockname()[1]
+        token, streams = kept_token(runs), Streams()
+        app = TokenOnly(make_app(RunFolder(runs), streams, token), token, bound)
+        config = uvicorn.Config(
+            app,
+            log_level="error",
+            ws="none",
+            lifespan="off",
+            server_header=False,
+            timeout_graceful_shutdown=_END_SECONDS,
+        )
+        page = "" if run is None else f"runs/{quote(run, safe='')}"
+        on_start(f"http://{_HOST}:{bound}/{page}?token={token}")
+        with contextlib.suppress(KeyboardInterrupt):
+            _LocalServer(config, streams).run(sockets=[listener])
+
+
+class _LocalServer(uvicorn.Server):
+    """Ends the open streams when it is interrupted: it would wait for them."""
+
+    def __init__(self, config: uvicorn.Config, streams: Streams) -> None:
+        super().__init__(config)
+        self._streams = streams
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """A signal."""
+        self._streams.end()
+        super().handle_exit(sig, frame)
+
+
+def _listening(port: int) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((_HOST, port))
+        listener.listen()  # before the address is printed
+    except OSError as error:
+        listener.close()
+        raise UserError(
+            f"--port {port}: {error.strerror}; another asia view may be there: name another port, "
+            "or 0 for a free one"
+        ) from None
+    return listener

@@ -1,0 +1,39 @@
+"""A person's word to a search, as asia steer, pause and stop give it."""
+
+from __future__ import annotations
+
+from asia.agents import AGENTS
+from asia.errors import UserError
+from asia.ledger import Run
+from asia.search._steering import Steering
+
+
+def tell(run: Run, what: str, text: str) -> str:
+    """Do `what`: steer, pause, continue or stop. Returns what will come of it. Raises UserError
+    where it cannot be done."""
+    steering, running = Steering(run.directory), run.state == "running"
+    if what == "steer":
+        steering.steer(text)
+        return _noted(run, running=running)
+    if what == "continue":
+        words = "the search continues" if steering.paused else "the search was not paused"
+        steering.go_on()
+        return words
+    if what not in ("pause", "stop"):
+        raise UserError(f"no '{what}'; there is: steer, pause, continue, stop")
+    if not running:
+        raise UserError(f"run '{run.name}' is {run.state}: there is nothing to {what}")
+    if what == "pause":
+        steering.pause()
+        return "the search pauses after its current experiment"
+    steering.stop()
+    return "the search stops after its present experiment; the command that began it continues it"
+
+
+def _noted(run: Run, *, running: bool) -> str:
+    when = "at its next step" if running else "when the search continues"
+    words = f"noted: recorded {when}"
+    agent = run.view.started.agent
+    if agent in AGENTS:
+        return f"{words}; the agent '{agent}' reads no notes, the ledger keeps it for people"
+    return words

@@ -1,0 +1,82 @@
+"""Server-sent events: what is new on a page, from the line of the ledger on that it shows."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from functools import partial
+
+from anyio.to_thread import run_sync
+
+from asia.errors import UserError
+from asia.view._followed import FollowedRun, RunFolder
+from asia.view.pages.news import Changed, list_news, run_news
+
+_LOOK_SECONDS = 0.1
+_LIST_SECONDS = 0.5
+_BEAT_SECONDS = 10.0
+_RETRY = "retry: 500\n\n"
+
+
+class Streams:
+    """All that are open."""
+
+    def __init__(self) -> None:
+        self._over = False
+
+    def end(self) -> None:
+        """Each of them within a moment."""
+        self._over = True
+
+    def of_run(self, followed: FollowedRun, mark: str) -> AsyncIterator[str]:
+        """What is new in a run since a mark of its ledger."""
+        return self._messages(_RunNews(followed, mark).look, _LOOK_SECONDS)
+
+    def of_list(self, folder: RunFolder, shown: str) -> AsyncIterator[str]:
+        """The list of runs whenever it changes. shown: the digest of the one that is shown."""
+        return self._messages(partial(list_news, folder), _LIST_SECONDS, shown)
+
+    async def _messages(
+        self, look: Callable[[str], Changed | None], pause: float, mark: str = ""
+    ) -> AsyncIterator[str]:
+        yield _RETRY
+        beaten = time.monotonic()
+        while not self._over:
+            found = await run_sync(look, mark)
+            if found is not None:
+                mark, beaten = found.mark, time.monotonic()
+                yield f"event: {found.kind}\nid: {mark}\ndata: {json.dumps(found.data)}\n\n"
+            elif time.monotonic() - beaten > _BEAT_SECONDS:
+                beaten = time.monotonic()
+                yield ": still here\n\n"
+            await asyncio.sleep(pause)
+
+
+@dataclass
+class _RunNews:
+    """What one stream has told."""
+
+    followed: FollowedRun
+    """The run."""
+    mark: str
+    """The line up to which the page shows it."""
+    busy: bool | None = None
+    """Whether it was running; None before the first look."""
+
+    def look(self, _: str) -> Changed | None:
+        """None where there is nothing new."""
+        try:
+            snapshot = self.followed.snapshot()
+        except UserError as error:
+            return Changed("trouble", self.mark, {"words": str(error)})
+        count = self.followed.count_of(self.mark)
+        if count is None:
+            return Changed("anew", snapshot.mark, {})
+        first = self.busy is None
+        if snapshot.mark == self.mark and snapshot.run.busy == self.busy:
+            return None
+        self.mark, self.busy = snapshot.mark, snapshot.run.busy
+        return run_news(snapshot, count, first=first)

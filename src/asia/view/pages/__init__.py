@@ -1,0 +1,1 @@
+"""Pages of the live view: HTML from snapshots of runs."""

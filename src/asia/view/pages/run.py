@@ -1,0 +1,166 @@
+"""The page of one run: what is known now, the curve, the list, and the report's sections."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from asia.report.pieces import SECTIONS, Html, Section, Subject, join, progress_figure, said, tag
+from asia.view._followed import Snapshot
+from asia.view.pages.frame import run_address, to_pages, whole_page
+from asia.view.pages.rows import experiment_rows
+from asia.view.pages.runs import state_mark
+
+# These are written here, so that they can change line by line.
+_OWN: Final = ("progress", "experiments")
+_FIRST: Final = "verdict"
+
+
+def run_page(snapshot: Snapshot, token: str) -> str:
+    """The page of a run."""
+    subject = snapshot.subject
+    start, name = subject.view.started, snapshot.run.name
+    words = (
+        "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
+        subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
+    )  # fmt: skip
+    header = tag("header", tag("h1", said(name)), tag("p", *words))
+    links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in _titles()]
+    trouble = None
+    if snapshot.trouble:
+        trouble = tag("p", "Without the records: ", said(snapshot.trouble), class_="trouble")
+    main = (
+        header,
+        tag("div", now_panel(snapshot), id="now"),
+        trouble,
+        steering_panel(name, running=snapshot.run.state == "running"),
+        tag("nav", tag("ul", *links), aria_label="Sections"),
+        _later(name, next(one for one in SECTIONS if one.key == _FIRST)),
+        _progress(snapshot),
+        _experiments(snapshot),
+        *(_later(name, one) for one in SECTIONS if one.key not in (*_OWN, _FIRST)),
+    )
+    holder = tag(
+        "div",
+        *main,
+        data_stream=f"{run_address(name)}/events",
+        data_mark=snapshot.mark,
+        data_run=run_address(name),
+    )
+    return whole_page(name, (("Searches", "/"),), (holder,), token)
+
+
+def _titles() -> list[tuple[str, str]]:
+    titles = {one.key: one.title for one in SECTIONS}
+    first = (_FIRST, *_OWN)
+    keys = (*first, *(one.key for one in SECTIONS if one.key not in first))
+    return [(key, titles[key]) for key in keys]
+
+
+def now_panel(snapshot: Snapshot) -> Html:
+    """Where the search stands, in a few figures."""
+    subject, view = snapshot.subject, snapshot.run.view
+    best = view.best
+    done = subject.over("evaluated", "experiment", "count", "count")
+    budget = tag("span", f" of {view.budget}", class_="fixed")
+    pending = view.pending
+    doing = None
+    if pending is not None and snapshot.run.state == "running":
+        doing = join((subject.name(pending), " ", said(pending.proposed.title, 60)))
+    tiles: list[tuple[str, Html | None]] = [
+        ("state", state_mark(snapshot.run.state)),
+        ("experiments", join((done, budget))),
+        (f"{view.v_name}, the best", subject.v(best) if best is not None else None),
+        ("spent on them", subject.over("evaluated", "seconds", "sum", "duration")),
+        ("being evaluated", doing),
+    ]
+    shown = [
+        tag("div", tag("dt", label), tag("dd", value), class_="doing" if value is doing else None)
+        for label, value in tiles
+        if value is not None
+    ]
+    return tag("dl", *shown, class_="tiles")
+
+
+def steering_panel(name: str, *, running: bool) -> Html:
+    """What a person can say to the search."""
+    note = tag(
+        "form",
+        tag("label", "Note for the agent", for_="note"),
+        tag("textarea", id="note", name="text", rows="2", maxlength="4000", required=True),
+        tag("button", "Send the note", type="submit"),
+        data_post="steer",
+    )
+    buttons = [
+        tag("button", words, type="button", data_post=what, data_running=True, disabled=not running)
+        for what, words in (
+            ("pause", "Pause after this experiment"),
+            ("continue", "Continue"),
+            ("stop", "Stop after this experiment"),
+        )
+    ]
+    answer = tag("p", id="steered", role="status")
+    summary = tag("summary", "Steer this search")
+    inner = tag("div", note, tag("p", *buttons, class_="buttons"), answer)
+    return tag("details", summary, inner, class_="steering", data_at=run_address(name))
+
+
+def _section(key: str, title: str, *inner: Html | None) -> Html:
+    heading = f"h-{key}"
+    return tag("section", tag("h2", title, id=heading), *inner, id=key, aria_labelledby=heading)
+
+
+def _later(name: str, section: Section) -> Html:
+    """A section of the report, which the page asks for when it is near."""
+    heading = f"h-{section.key}"
+    return tag(
+        "section",
+        tag("h2", section.title, id=heading),
+        tag("div", class_="later", data_part=f"{run_address(name)}/sections/{section.key}"),
+        id=section.key,
+        aria_labelledby=heading,
+    )
+
+
+def section_part(snapshot: Snapshot, key: str) -> Html | None:
+    """What stands below the heading of a section; None where the run has nothing for it, or there
+    is no such section."""
+    found = next((one for one in SECTIONS if one.key == key and key not in _OWN), None)
+    inner = None if found is None else found.write(snapshot.subject)
+    return None if inner is None else to_pages(inner, snapshot.run.name)
+
+
+def _progress(snapshot: Snapshot) -> Html:
+    figure = tag(
+        "div",
+        progress_part(snapshot.subject),
+        id="curve",
+        data_curve=f"{run_address(snapshot.run.name)}/curve",
+    )
+    return _section("progress", "Progress of the search", figure)
+
+
+def progress_part(subject: Subject) -> Html:
+    """V of every experiment."""
+    finished = subject.view.finished
+    return progress_figure(subject, finished) if finished else tag("p", "There is no result yet.")
+
+
+def _experiments(snapshot: Snapshot) -> Html:
+    kinds = (("", "all"), ("kept", "kept"), ("other", "not kept"), ("failed", "without a score"))
+    options = [tag("option", words, value=kind) for kind, words in kinds]
+    choose = tag(
+        "p",
+        tag("label", "Show ", tag("select", *options, id="kind")),
+        tag("label", " with the words ", tag("input", id="words", type="search")),
+        class_="choose",
+    )
+    listed = tag(
+        "div",
+        experiment_rows(snapshot.subject),
+        id="rows",
+        class_="rows",
+        tabindex="0",
+        role="region",
+        aria_label="Experiments, the last one first",
+    )
+    return _section("experiments", "Experiments", choose, listed)

@@ -1,0 +1,89 @@
+"""The list of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from asia.ledger import SearchView, error_value
+from asia.report.pieces import Html, join, said, tag
+from asia.view._followed import ListedRun
+from asia.view.pages.frame import run_address, whole_page
+
+_HEAD = ("", "run", "state", "problem", "agent", "experiments", "V", "best candidate", "changed")
+
+
+def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str) -> str:
+    """The page with the list of the runs of a folder."""
+    header = tag("header", tag("p", "ASIA view", class_="kind"), tag("h1", "Searches"))
+    words = tag(
+        "p",
+        "Runs below ",
+        tag("code", folder.name or str(folder)),
+        ". V compares runs of one problem and one protocol only.",
+    )
+    form = tag(
+        "form",
+        tag("div", runs_table(listed), id="list"),
+        tag(
+            "p",
+            tag("button", "Show two side by side", type="submit", disabled=True, id="two"),
+            " ",
+            tag("span", "Choose two runs.", id="two-words"),
+        ),
+        action="/compare",
+        method="get",
+        data_stream="/events",
+        data_mark=digest,
+    )
+    return whole_page("Searches", (), (header, words, form), token)
+
+
+def runs_table(listed: Sequence[ListedRun]) -> Html:
+    """A row a run."""
+    if not listed:
+        return tag("p", "There is no run yet. Start one with: ", tag("code", "asia run PROBLEM"))
+    head = [tag("th", tag("span", "choose", class_="unseen"), scope="col")]
+    head += [tag("th", words, scope="col") for words in _HEAD[1:]]
+    body = [tag("tr", *_cells(one)) for one in listed]
+    inner = tag("table", tag("thead", tag("tr", *head)), tag("tbody", *body), class_="runs")
+    return tag("div", inner, class_="scroll", tabindex="0", role="region", aria_label="Runs")
+
+
+def _cells(one: ListedRun) -> list[Html]:
+    choose = tag(
+        "td",
+        tag("input", type="checkbox", name="run", value=one.name, aria_label=f"choose {one.name}"),
+    )
+    link = tag("th", tag("a", said(one.name), href=run_address(one.name)), scope="row")
+    if one.brief is None:
+        return [
+            choose,
+            link,
+            tag("td", said(f"cannot be read: {one.trouble}"), colspan=7, class_="words"),
+        ]
+    view, best = one.brief.view, one.brief.view.best
+    value = error_value(best.score.value) if best is not None and best.score is not None else ""
+    title = best.proposed.title if best is not None else ""
+    changed = datetime.fromtimestamp(one.changed).strftime("%d %b %H:%M")
+    return [
+        choose,
+        link,
+        tag("td", state_mark(one.brief.state), class_="words"),
+        tag("td", said(view.started.problem), class_="words"),
+        tag("td", said(view.started.agent), class_="words"),
+        tag("td", _progress(one.brief.finished, view)),
+        tag("td", value),
+        tag("td", said(title, 60), class_="words"),
+        tag("td", changed),
+    ]
+
+
+def _progress(finished: int, view: SearchView) -> Html:
+    return join((f"{finished} of {view.budget}",))
+
+
+def state_mark(state: str) -> Html:
+    """Where a search stands, as a label."""
+    return tag("span", state, class_=f"state {state}")

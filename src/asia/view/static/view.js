@@ -1,0 +1,221 @@
+// Keeps a page up to date: asks for what is new, puts it in its place, says it aloud.
+"use strict";
+
+const one = (query, place = document) => place.querySelector(query);
+const all = (query, place = document) => [...place.querySelectorAll(query)];
+const PART = 50;
+
+// HTML of the server, which escaped all words that are not its own.
+function elements(html) {
+  const template = document.createElement("template");
+  template.innerHTML = html;
+  return template.content;
+}
+
+async function ask(address) {
+  const answer = await fetch(address);
+  if (answer.status === 204) return "";
+  if (!answer.ok) throw new Error(`${address}: ${answer.status}`);
+  return answer.text();
+}
+
+// Calls no more often than every `pause` ms; the last call is never lost.
+function atMost(pause, call) {
+  let timer = null, last = -Infinity;
+  return () => {
+    if (timer !== null) return;
+    const wait = Math.max(0, last + pause - performance.now());
+    timer = setTimeout(() => { timer = null; last = performance.now(); call(); }, wait);
+  };
+}
+
+// ---- the list of experiments
+
+const rows = one("#rows");
+
+function fits(row) {
+  const words = one("#words").value.trim().toLowerCase();
+  return !words || row.textContent.toLowerCase().includes(words);
+}
+
+function choose() {
+  rows.dataset.kind = one("#kind").value;
+  rows.toggleAttribute("data-few", Boolean(one("#kind").value || one("#words").value.trim()));
+  for (const row of all("li", rows)) row.classList.toggle("out", !fits(row));
+}
+
+function put(row) {
+  const fresh = elements(row.html).firstElementChild;
+  const old = document.getElementById(fresh.id);
+  fresh.classList.add("new");
+  fresh.classList.toggle("out", !fits(fresh));
+  if (old) {
+    const focused = old.contains(document.activeElement);
+    old.replaceWith(fresh);
+    if (focused) one("a", fresh).focus();
+    return;
+  }
+  let part = one(".part", rows);
+  if (!part || part.children.length >= PART) {
+    part = document.createElement("ol");
+    part.className = "part";
+    rows.prepend(part);
+  }
+  const below = rows.scrollTop;
+  part.prepend(fresh);
+  part.style.setProperty("--rows", part.children.length);
+  // Who reads further down stays where they are.
+  if (below > 0) rows.scrollTop = below + fresh.offsetHeight;
+}
+
+async function earlier(button) {
+  button.disabled = true;
+  const html = await ask(`${one("[data-run]").dataset.run}/rows?before=${button.dataset.before}`);
+  const found = elements(html), first = one("a", found);
+  button.replaceWith(found);
+  choose();
+  if (first) first.focus();
+}
+
+// ---- sections of the report, and the curve
+
+const shown = new Map();
+
+async function fill(part) {
+  const html = await ask(part.dataset.part);
+  const section = part.closest("section");
+  const link = one(`nav a[href="#${section.id}"]`)?.parentElement;
+  section.hidden = !html;
+  if (link) link.hidden = !html;
+  const used = part.contains(document.activeElement) && document.activeElement !== document.body;
+  if (html === shown.get(part) || (used && shown.has(part))) return;
+  const open = all("details", part).map((d) => d.open);
+  part.replaceChildren(elements(html));
+  if (shown.has(part)) all("details", part).forEach((d, k) => { if (k < open.length) d.open = open[k]; });
+  shown.set(part, html);
+}
+
+const fillAll = atMost(2000, async () => {
+  for (const part of all("[data-part]")) await fill(part).catch(() => {});
+});
+
+const drawCurve = atMost(400, async () => {
+  const place = one("[data-curve]");
+  if (place) place.replaceChildren(elements(await ask(place.dataset.curve)));
+});
+
+// ---- the stream
+
+function connected(words, lost) {
+  const place = one("#connection");
+  if (place.textContent !== words) place.textContent = words;
+  place.classList.toggle("lost", lost);
+}
+
+function news(data) {
+  for (const row of [...data.rows].reverse()) put(row);
+  for (const [name, html] of Object.entries(data.parts)) swap(document.getElementById(name), html);
+  if ("running" in data) {
+    for (const button of all("[data-running]")) button.disabled = !data.running;
+  }
+  if (data.said) one("#live").textContent = data.said;
+  if (data.rows.length) drawCurve();
+  fillAll();
+  document.dispatchEvent(new CustomEvent("asia-news", { detail: data }));
+}
+
+// Checked boxes and the focus survive.
+function swap(place, html) {
+  const checked = new Set(all("input:checked", place).map((box) => box.value));
+  const focused = document.activeElement?.value;
+  const inside = place.contains(document.activeElement);
+  place.replaceChildren(elements(html));
+  for (const box of all("input", place)) {
+    box.checked = checked.has(box.value);
+    if (inside && box.value === focused) box.focus();
+  }
+}
+
+function follow(place) {
+  let mark = place.dataset.mark, source = null, again = null;
+  function begin() {
+    if (source || document.hidden) return;
+    source = new EventSource(`${place.dataset.stream}?mark=${encodeURIComponent(mark)}`);
+    source.onopen = () => connected("live", false);
+    source.addEventListener("news", (event) => {
+      mark = event.lastEventId;
+      connected("live", false);
+      news(JSON.parse(event.data));
+    });
+    source.addEventListener("anew", () => location.reload());
+    source.addEventListener("trouble", (event) => connected(JSON.parse(event.data).words, true));
+    source.onerror = () => {
+      connected("no connection: is asia view still running?", true);
+      end();
+      again ??= setTimeout(() => { again = null; begin(); }, 500);
+    };
+  }
+  function end() {
+    source?.close();
+    source = null;
+  }
+  // A browser keeps few connections to a host: pages that nobody sees give theirs back.
+  document.addEventListener("visibilitychange", () => (document.hidden ? end() : begin()));
+  window.addEventListener("pagehide", end);
+  begin();
+}
+
+// ---- a person's word
+
+async function tell(what, text) {
+  const place = one("#steered");
+  try {
+    const answer = await fetch(`${one(".steering").dataset.at}/${what}`, {
+      method: "POST",
+      headers: { "X-ASIA-Token": one("meta[name=asia-token]").content },
+      body: text,
+    });
+    const kind = answer.headers.get("content-type") ?? "";
+    place.textContent = kind.includes("json") ? (await answer.json()).words : await answer.text();
+    return answer.ok;
+  } catch {
+    place.textContent = "not sent: there is no connection";
+    return false;
+  }
+}
+
+document.addEventListener("submit", async (event) => {
+  const form = event.target;
+  if (!form.dataset.post) return;
+  event.preventDefault();
+  if (await tell(form.dataset.post, form.elements.text.value)) form.reset();
+});
+
+document.addEventListener("click", (event) => {
+  const button = event.target.closest("button");
+  if (!button) return;
+  if (button.classList.contains("earlier")) earlier(button);
+  const what = button.dataset.post;
+  if (!what) return;
+  if (what === "stop" && !confirm("Stop the search after this experiment?")) return;
+  tell(what, "");
+});
+
+// ---- two runs side by side
+
+const two = one("#two");
+if (two) {
+  document.addEventListener("change", () => {
+    const count = all("input[name=run]:checked").length;
+    two.disabled = count !== 2;
+    one("#two-words").textContent = count === 2 ? "" : `Choose two runs: ${count} chosen.`;
+  });
+}
+
+if (rows) {
+  one("#kind").addEventListener("change", choose);
+  one("#words").addEventListener("input", choose);
+}
+const place = one("[data-stream]");
+if (place) follow(place);
+fillAll();

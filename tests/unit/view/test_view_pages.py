@@ -1,0 +1,150 @@
+"""What stands on the live pages."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from asia.errors import UserError
+from asia.ledger import Chain, open_run
+from asia.problem.load import Problem
+from asia.report._page.audit import audit
+from asia.view._followed import RunFolder
+from asia.view.pages import rows as rows_module
+from tests.unit.report.made_up import append_test
+
+from .conftest import ATTACK, TOKEN, make_run
+
+POST = {"x-asia-token": TOKEN}
+SECTIONS = ("verdict", "model", "accuracy", "test", "use", "integrity", "reproduce")
+
+
+def test_the_list_has_every_run(client: TestClient, runs: Path, problem: Problem) -> None:
+    make_run(runs / "other", problem, (("only", None),))
+    (runs / "torn").mkdir()
+    (runs / "torn" / "ledger.jsonl").write_text("{}\n")
+    page = client.get("/").text
+    assert re.findall(r'<a href="/runs/(\w+)">', page) == ["torn", "other", "made"]
+    assert "two_tanks_sim" in page
+    assert "4 of 4" in page
+    assert "cannot be read" in page
+    assert re.findall(r'<span class="state (\w+)">', page) == ["finished", "interrupted"]
+
+
+def test_a_run_that_another_process_writes_is_running(client: TestClient, runs: Path) -> None:
+    with Chain(runs / "made" / "ledger.jsonl"):
+        assert '<span class="state running">' in client.get("/").text
+        assert '<span class="state running">' in client.get("/runs/made").text
+
+
+def test_the_page_of_a_run_has_its_experiments_the_last_one_first(client: TestClient) -> None:
+    page = client.get("/runs/made").text
+    assert re.findall(r'<li id="e(\d)" class="(\w+)">', page) == [
+        ("4", "other"),
+        ("3", "failed"),
+        ("2", "kept"),
+        ("1", "kept"),
+    ]
+    assert 'href="/runs/made/experiments/4"' in page
+
+
+@pytest.mark.parametrize("address", ["", "/curve", "/rows", "/sections/verdict"])
+def test_what_a_candidate_says_is_text(client: TestClient, address: str) -> None:
+    page = client.get(f"/runs/made{address}").text
+    assert ATTACK[:8] not in page.replace('<script src="/static/', "")
+    assert "<img" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_every_number_of_the_live_pages_is_the_ledgers(client: TestClient, runs: Path) -> None:
+    """As those of the report, which the same check refuses otherwise."""
+    lines = len(open_run(runs / "made").lines)
+    pages = ["/runs/made/curve", "/runs/made/rows", *(f"/runs/made/sections/{k}" for k in SECTIONS)]
+    checked = [audit(client.get(address).text, runs / "made", lines) for address in pages]
+    assert sum(checked) > 30
+
+
+def test_sections_without_matter_are_empty(client: TestClient) -> None:
+    for key in ("confirmation", "progress", "experiments", "nothing"):
+        assert client.get(f"/runs/made/sections/{key}").status_code == 204
+
+
+def test_test_figures_are_shown_once_the_test_is_open_and_not_before(
+    client: TestClient, runs: Path, problem: Problem
+) -> None:
+    addresses = ["/", "/runs/made", *(f"/runs/made/sections/{key}" for key in SECTIONS)]
+    assert client.get("/runs/made/sections/test").status_code == 204
+    before = "".join(client.get(address).text for address in addresses)
+    append_test(runs / "made", problem, 1)
+    opened = open_run(runs / "made").view.unsealed
+    assert opened is not None
+    figure = f"{opened.ensemble.scores[0].value:.4g}"
+    assert figure not in before
+    assert figure in client.get("/runs/made/sections/test").text
+    assert "sealed, never opened" in before
+
+
+def test_no_address_gives_artifacts_or_files(client: TestClient, runs: Path) -> None:
+    run = open_run(runs / "made")
+    artifact = run.view.experiments[0].proposed.source
+    for address in (
+        f"/runs/made/artifacts/{artifact}",
+        "/runs/made/ledger.jsonl",
+        "/runs/..%2fruns%2fmade",
+        "/runs/made%00",
+        "/static/..%2f_app.py",
+        "/static/_app.py",
+    ):
+        assert client.get(address).status_code in (404, 405), address
+
+
+@pytest.mark.parametrize("name", ["..", ".", "", "../runs/made", "made/../made", "made\0", "none"])
+def test_only_a_folder_of_the_folder_itself_is_a_run(runs: Path, name: str) -> None:
+    folder = RunFolder(runs / "made")
+    (runs / "made" / "inner").mkdir()
+    with pytest.raises(UserError, match="no run"):
+        folder.get(name)
+
+
+def test_a_run_that_is_not_there_is_named(client: TestClient) -> None:
+    answer = client.get("/runs/none")
+    assert answer.status_code == 404
+    assert "no run &#x27;none&#x27;" in answer.text or "no run 'none'" in answer.text
+
+
+def test_a_long_list_comes_in_pieces(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rows_module, "MOST", 3)
+    first = client.get("/runs/made/rows").text
+    assert re.findall(r'<li id="e(\d)"', first) == ["4", "3", "2"]
+    assert 'data-before="2"' in first
+    rest = client.get("/runs/made/rows?before=2").text
+    assert re.findall(r'<li id="e(\d)"', rest) == ["1"]
+    assert "<button" not in rest
+
+
+def test_a_note_reaches_the_search(client: TestClient, runs: Path) -> None:
+    answer = client.post("/runs/made/steer", content="the pump saturates", headers=POST)
+    assert answer.json()["words"].startswith("noted: recorded when the search continues")
+    (note,) = (runs / "made" / "control").glob("steer-*.txt")
+    assert note.read_text() == "the pump saturates"
+    assert client.post("/runs/made/steer", content=" ", headers=POST).status_code == 409
+    assert client.post("/runs/made/steer", content="x" * 30_000, headers=POST).status_code == 409
+
+
+def test_a_running_search_is_paused_and_stopped(client: TestClient, runs: Path) -> None:
+    folder = runs / "made" / "control"
+    for what in ("pause", "stop"):
+        answer = client.post(f"/runs/made/{what}", headers=POST)
+        assert answer.status_code == 409
+        assert f"there is nothing to {what}" in answer.json()["words"]
+    with Chain(runs / "made" / "ledger.jsonl"):
+        assert client.post("/runs/made/pause", headers=POST).status_code == 200
+        assert (folder / "pause").exists()
+        assert client.post("/runs/made/continue", headers=POST).status_code == 200
+        assert not (folder / "pause").exists()
+        assert client.post("/runs/made/stop", headers=POST).status_code == 200
+        assert (folder / "stop").exists()
+    assert client.post("/runs/made/anything", headers=POST).status_code == 409
