@@ -12,15 +12,21 @@ from asia.report._page.sections.experiments import experiment_story
 from asia.report._page.sections.progress import progress_figure
 from asia.report._page.sections.verdict import stamp
 from asia.report._page.subject import Detail, Subject, result_of
+from asia.report._page.svg.best import BestSoFar, draw_best
+from asia.report._page.svg.progress import NARROW, WIDE
 
 __all__ = [
+    "NARROW",
     "SECTIONS",
+    "WIDE",
+    "BestSoFar",
     "Detail",
     "Html",
     "Overlay",
     "Section",
     "Subject",
     "change",
+    "draw_best",
     "draw_overlay",
     "experiment_story",
     "facts",

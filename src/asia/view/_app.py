@@ -18,6 +18,8 @@ from asia.report.pieces import page_style, said, tag
 from asia.view._followed import RunFolder, Snapshot
 from asia.view._steer import tell
 from asia.view._streams import Streams
+from asia.view.pages.comparison import comparison_page, comparison_part
+from asia.view.pages.experiment import experiment_page, experiment_part, overlay_part
 from asia.view.pages.frame import whole_page
 from asia.view.pages.news import digest_of
 from asia.view.pages.rows import experiment_rows
@@ -36,11 +38,16 @@ def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
         Route("/", pages.listed),
         Route("/events", pages.list_events),
         Route("/static/{name}", pages.static),
+        Route("/compare", pages.compare),
+        Route("/compare/part", pages.compare_part),
         Route("/runs/{run}", pages.run),
         Route("/runs/{run}/events", pages.run_events),
         Route("/runs/{run}/curve", pages.curve),
         Route("/runs/{run}/rows", pages.rows),
         Route("/runs/{run}/sections/{key}", pages.section),
+        Route("/runs/{run}/experiments/{number:int}", pages.experiment),
+        Route("/runs/{run}/experiments/{number:int}/part", pages.experiment_part),
+        Route("/runs/{run}/experiments/{number:int}/overlays/{index:int}", pages.overlay),
         Route("/runs/{run}/{what}", pages.steer, methods=["POST"]),
     ]
     return Starlette(routes=routes, exception_handlers={UserError: pages.refuse})
@@ -84,6 +91,37 @@ class _Pages:
         """A section of the report."""
         found = section_part(self._snapshot(request), request.path_params["key"])
         return Response(status_code=204) if found is None else HTMLResponse(found)
+
+    def experiment(self, request: Request) -> Response:
+        """The page of an experiment."""
+        number = request.path_params["number"]
+        return HTMLResponse(experiment_page(self._snapshot(request), number, self.token))
+
+    def experiment_part(self, request: Request) -> Response:
+        """What that page says."""
+        number = request.path_params["number"]
+        return HTMLResponse(experiment_part(self._snapshot(request), number))
+
+    def overlay(self, request: Request) -> Response:
+        """Some samples of a held-out simulation, drawn."""
+        number, index = (request.path_params[key] for key in ("number", "index"))
+        ends = [request.query_params.get(key, "") for key in ("first", "last")]
+        first, last = (int(end) if end.isdecimal() else None for end in ends)
+        return HTMLResponse(overlay_part(self._snapshot(request), number, index, first or 0, last))
+
+    def compare(self, request: Request) -> Response:
+        """Two runs side by side."""
+        return HTMLResponse(comparison_page(self._pair(request), self.token))
+
+    def compare_part(self, request: Request) -> Response:
+        """What that page says."""
+        return HTMLResponse(comparison_part(self._pair(request)))
+
+    def _pair(self, request: Request) -> list[Snapshot]:
+        names = request.query_params.getlist("run")
+        if len(names) != 2:
+            raise UserError(f"choose two runs to see them side by side: {len(names)} are named")
+        return [self.folder.get(name).snapshot() for name in names]
 
     async def run_events(self, request: Request) -> Response:
         """What is new in a run, as it comes."""

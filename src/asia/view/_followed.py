@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from asia.errors import UserError
@@ -65,6 +64,7 @@ class FollowedRun:
         self._follower = Follower(ledger_of(directory))
         self._lock = threading.Lock()
         self._snapshot: Snapshot | None = None
+        self._problem: Problem | None = None
 
     def snapshot(self) -> Snapshot:
         """As of now. Raises UserError where the ledger does not verify or is gone."""
@@ -87,18 +87,16 @@ class FollowedRun:
         return int(count) if known and len(head) >= 20 else None
 
     def _make(self, busy: bool) -> Snapshot:
-        follower = self._follower
+        follower, trouble = self._follower, ""
         run = Run(self.directory, follower.view, tuple(follower.lines), busy)
-        problem, trouble = self._problem
+        # A search that has only begun has no artifacts yet.
+        if self._problem is None and run.store.kept:
+            try:
+                self._problem = load_lock(self.directory / "problem.lock.toml")
+            except UserError as error:
+                trouble = str(error)
+        problem = self._problem if run.store.kept else None
         return Snapshot(Subject(run, problem, _DETAIL), follower.head, trouble)
-
-    @cached_property
-    def _problem(self) -> tuple[Problem | None, str]:
-        """The problem with its records, or why they are not there."""
-        try:
-            return load_lock(self.directory / "problem.lock.toml"), ""
-        except UserError as error:
-            return None, str(error)
 
 
 @dataclass(frozen=True)

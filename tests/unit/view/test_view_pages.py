@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from tests.unit.report.made_up import append_test
 from .conftest import ATTACK, TOKEN, make_run
 
 POST = {"x-asia-token": TOKEN}
+PAIR = "/compare?run=made&run=made"
 SECTIONS = ("verdict", "model", "accuracy", "test", "use", "integrity", "reproduce")
 
 
@@ -51,7 +53,9 @@ def test_the_page_of_a_run_has_its_experiments_the_last_one_first(client: TestCl
     assert 'href="/runs/made/experiments/4"' in page
 
 
-@pytest.mark.parametrize("address", ["", "/curve", "/rows", "/sections/verdict"])
+@pytest.mark.parametrize(
+    "address", ["", "/curve", "/rows", "/sections/verdict", "/experiments/2", "/experiments/2/part"]
+)
 def test_what_a_candidate_says_is_text(client: TestClient, address: str) -> None:
     page = client.get(f"/runs/made{address}").text
     assert ATTACK[:8] not in page.replace('<script src="/static/', "")
@@ -63,8 +67,9 @@ def test_every_number_of_the_live_pages_is_the_ledgers(client: TestClient, runs:
     """As those of the report, which the same check refuses otherwise."""
     lines = len(open_run(runs / "made").lines)
     pages = ["/runs/made/curve", "/runs/made/rows", *(f"/runs/made/sections/{k}" for k in SECTIONS)]
+    pages += [f"/runs/made/experiments/{number}/part" for number in (1, 2, 3, 4)]
     checked = [audit(client.get(address).text, runs / "made", lines) for address in pages]
-    assert sum(checked) > 30
+    assert sum(checked) > 50
 
 
 def test_sections_without_matter_are_empty(client: TestClient) -> None:
@@ -75,7 +80,13 @@ def test_sections_without_matter_are_empty(client: TestClient) -> None:
 def test_test_figures_are_shown_once_the_test_is_open_and_not_before(
     client: TestClient, runs: Path, problem: Problem
 ) -> None:
-    addresses = ["/", "/runs/made", *(f"/runs/made/sections/{key}" for key in SECTIONS)]
+    addresses = [
+        "/",
+        "/runs/made",
+        "/runs/made/experiments/2",
+        PAIR,
+        *(f"/runs/made/sections/{key}" for key in SECTIONS),
+    ]
     assert client.get("/runs/made/sections/test").status_code == 204
     before = "".join(client.get(address).text for address in addresses)
     append_test(runs / "made", problem, 1)
@@ -84,6 +95,8 @@ def test_test_figures_are_shown_once_the_test_is_open_and_not_before(
     figure = f"{opened.ensemble.scores[0].value:.4g}"
     assert figure not in before
     assert figure in client.get("/runs/made/sections/test").text
+    assert figure in client.get(PAIR).text
+    assert "not opened" in before
     assert "sealed, never opened" in before
 
 
@@ -113,6 +126,63 @@ def test_a_run_that_is_not_there_is_named(client: TestClient) -> None:
     answer = client.get("/runs/none")
     assert answer.status_code == 404
     assert "no run &#x27;none&#x27;" in answer.text or "no run 'none'" in answer.text
+
+
+def test_an_experiment_has_its_story_simulations_and_source(client: TestClient) -> None:
+    page = client.get("/runs/made/experiments/4").text
+    for words in ("because", "discard", "Held-out simulations", "candidate.py", "# last"):
+        assert words in page
+    assert 'href="/runs/made/experiments/3"' in page
+    assert 'href="/runs/made/experiments/5"' not in page
+    assert page.count('class="zoomable"') == 2
+    failed = client.get("/runs/made/experiments/3").text
+    assert 'class="zoomable"' not in failed
+    assert client.get("/runs/made/experiments/5").status_code == 404
+
+
+def test_a_part_of_a_simulation_is_drawn_again(client: TestClient) -> None:
+    """With the times of its own samples, 4 s apart."""
+    address = "/runs/made/experiments/4/overlays/1"
+    whole, part = client.get(address).text, client.get(f"{address}?first=100&last=110").text
+    lines = [re.findall(r'd="M([^"]*)" class="line measured"', text)[0] for text in (whole, part)]
+    assert [line.count("L") > 100 for line in lines] == [True, False]
+    assert lines[1].count("L") == 10
+    assert lines[1].startswith("0 ")
+    times = [float(t) for t in re.findall(r'<span style="left:[^"]*">([\d.]+)<', part)]
+    assert 38 < min(times) <= max(times) < 44
+    beyond = client.get(f"{address}?first=100000&last=200000")
+    assert beyond.status_code == 200
+    assert client.get("/runs/made/experiments/4/overlays/2").status_code == 404
+    assert client.get("/runs/made/experiments/3/overlays/0").status_code == 404
+
+
+def test_two_runs_stand_side_by_side(client: TestClient, runs: Path, problem: Problem) -> None:
+    make_run(runs / "other", problem, (("only", 0.25),))
+    page = client.get("/compare?run=made&run=other").text
+    assert page.count('data-stream="/runs/') == 2
+    assert page.count('class="zoomable"') == 4
+    assert "0.2500" in page
+    assert "0.5000" in page
+    assert "does not compare" not in page
+    assert client.get("/compare?run=made").status_code == 404
+    assert client.get("/compare?run=made&run=none").status_code == 404
+
+
+def test_runs_of_other_problems_are_not_compared_without_a_word(
+    client: TestClient, runs: Path, problem: Problem
+) -> None:
+    make_run(runs / "other", replace(problem, name="another"), (("only", 0.25),))
+    assert "does not compare" in client.get("/compare?run=made&run=other").text
+
+
+def test_a_run_without_its_artifacts_has_what_the_ledger_says(
+    client: TestClient, runs: Path
+) -> None:
+    (runs / "made" / "artifacts").rename(runs / "made" / "elsewhere")
+    for address in ("/runs/made", "/runs/made/experiments/2", PAIR):
+        page = client.get(address)
+        assert page.status_code == 200
+        assert 'class="zoomable"' not in page.text
 
 
 def test_a_long_list_comes_in_pieces(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,6 +46,14 @@ def whole_page(
     return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
 
 
+def section(key: str, title: str, *inner: Html | None) -> Html | None:
+    """A part of a page with its heading; None without anything in it."""
+    if all(part is None for part in inner):
+        return None
+    heading = f"h-{key}"
+    return tag("section", tag("h2", title, id=heading), *inner, id=key, aria_labelledby=heading)
+
+
 def to_pages(html: Html, name: str) -> Html:
     """Links to experiments lead to their pages."""
     return Html(_ANCHOR.sub(rf'href="{run_address(name)}/experiments/\1"', html))

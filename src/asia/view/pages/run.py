@@ -6,7 +6,7 @@ from typing import Final
 
 from asia.report.pieces import SECTIONS, Html, Section, Subject, join, progress_figure, said, tag
 from asia.view._followed import Snapshot
-from asia.view.pages.frame import run_address, to_pages, whole_page
+from asia.view.pages.frame import run_address, section, to_pages, whole_page
 from asia.view.pages.rows import experiment_rows
 from asia.view.pages.runs import state_mark
 
@@ -104,21 +104,10 @@ def steering_panel(name: str, *, running: bool) -> Html:
     return tag("details", summary, inner, class_="steering", data_at=run_address(name))
 
 
-def _section(key: str, title: str, *inner: Html | None) -> Html:
-    heading = f"h-{key}"
-    return tag("section", tag("h2", title, id=heading), *inner, id=key, aria_labelledby=heading)
-
-
-def _later(name: str, section: Section) -> Html:
-    """A section of the report, which the page asks for when it is near."""
-    heading = f"h-{section.key}"
-    return tag(
-        "section",
-        tag("h2", section.title, id=heading),
-        tag("div", class_="later", data_part=f"{run_address(name)}/sections/{section.key}"),
-        id=section.key,
-        aria_labelledby=heading,
-    )
+def _later(name: str, one: Section) -> Html | None:
+    """A section of the report, which the page asks for when it is there."""
+    address = f"{run_address(name)}/sections/{one.key}"
+    return section(one.key, one.title, tag("div", class_="later", data_part=address))
 
 
 def section_part(snapshot: Snapshot, key: str) -> Html | None:
@@ -129,14 +118,14 @@ def section_part(snapshot: Snapshot, key: str) -> Html | None:
     return None if inner is None else to_pages(inner, snapshot.run.name)
 
 
-def _progress(snapshot: Snapshot) -> Html:
+def _progress(snapshot: Snapshot) -> Html | None:
     figure = tag(
         "div",
         progress_part(snapshot.subject),
         id="curve",
         data_curve=f"{run_address(snapshot.run.name)}/curve",
     )
-    return _section("progress", "Progress of the search", figure)
+    return section("progress", "Progress of the search", figure)
 
 
 def progress_part(subject: Subject) -> Html:
@@ -145,7 +134,7 @@ def progress_part(subject: Subject) -> Html:
     return progress_figure(subject, finished) if finished else tag("p", "There is no result yet.")
 
 
-def _experiments(snapshot: Snapshot) -> Html:
+def _experiments(snapshot: Snapshot) -> Html | None:
     kinds = (("", "all"), ("kept", "kept"), ("other", "not kept"), ("failed", "without a score"))
     options = [tag("option", words, value=kind) for kind, words in kinds]
     choose = tag(
@@ -163,4 +152,4 @@ def _experiments(snapshot: Snapshot) -> Html:
         role="region",
         aria_label="Experiments, the last one first",
     )
-    return _section("experiments", "Experiments", choose, listed)
+    return section("experiments", "Experiments", choose, listed)

@@ -6,12 +6,22 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from asia.ledger import SearchView, error_value
-from asia.report.pieces import Html, join, said, tag
+from asia.ledger import error_value
+from asia.report.pieces import Html, said, tag
 from asia.view._followed import ListedRun
 from asia.view.pages.frame import run_address, whole_page
 
-_HEAD = ("", "run", "state", "problem", "agent", "experiments", "V", "best candidate", "changed")
+# Headings of the columns after the first, and their class.
+_HEAD = (
+    ("run", "words"),
+    ("state", "words"),
+    ("V", None),
+    ("experiments", None),
+    ("problem", "words"),
+    ("agent", "words"),
+    ("best candidate", "words"),
+    ("changed", None),
+)
 
 
 def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str) -> str:
@@ -45,7 +55,7 @@ def runs_table(listed: Sequence[ListedRun]) -> Html:
     if not listed:
         return tag("p", "There is no run yet. Start one with: ", tag("code", "asia run PROBLEM"))
     head = [tag("th", tag("span", "choose", class_="unseen"), scope="col")]
-    head += [tag("th", words, scope="col") for words in _HEAD[1:]]
+    head += [tag("th", words, scope="col", class_=kind) for words, kind in _HEAD]
     body = [tag("tr", *_cells(one)) for one in listed]
     inner = tag("table", tag("thead", tag("tr", *head)), tag("tbody", *body), class_="runs")
     return tag("div", inner, class_="scroll", tabindex="0", role="region", aria_label="Runs")
@@ -56,7 +66,9 @@ def _cells(one: ListedRun) -> list[Html]:
         "td",
         tag("input", type="checkbox", name="run", value=one.name, aria_label=f"choose {one.name}"),
     )
-    link = tag("th", tag("a", said(one.name), href=run_address(one.name)), scope="row")
+    link = tag(
+        "th", tag("a", said(one.name), href=run_address(one.name)), scope="row", class_="words"
+    )
     if one.brief is None:
         return [
             choose,
@@ -66,22 +78,18 @@ def _cells(one: ListedRun) -> list[Html]:
     view, best = one.brief.view, one.brief.view.best
     value = error_value(best.score.value) if best is not None and best.score is not None else ""
     title = best.proposed.title if best is not None else ""
-    changed = datetime.fromtimestamp(one.changed).strftime("%d %b %H:%M")
+    changed = datetime.fromtimestamp(one.changed).strftime("%d\u00a0%b\u00a0%H:%M")
     return [
         choose,
         link,
         tag("td", state_mark(one.brief.state), class_="words"),
+        tag("td", value),
+        tag("td", f"{one.brief.finished} of {view.budget}"),
         tag("td", said(view.started.problem), class_="words"),
         tag("td", said(view.started.agent), class_="words"),
-        tag("td", _progress(one.brief.finished, view)),
-        tag("td", value),
-        tag("td", said(title, 60), class_="words"),
+        tag("td", said(title, 60), class_="words title"),
         tag("td", changed),
     ]
-
-
-def _progress(finished: int, view: SearchView) -> Html:
-    return join((f"{finished} of {view.budget}",))
 
 
 def state_mark(state: str) -> Html:

@@ -113,16 +113,26 @@ function connected(words, lost) {
 }
 
 function news(data) {
-  for (const row of [...data.rows].reverse()) put(row);
-  for (const [name, html] of Object.entries(data.parts)) swap(document.getElementById(name), html);
+  if (rows) for (const row of [...data.rows].reverse()) put(row);
+  for (const [name, html] of Object.entries(data.parts)) {
+    const place = document.getElementById(name);
+    if (place) swap(place, html);
+  }
   if ("running" in data) {
     for (const button of all("[data-running]")) button.disabled = !data.running;
   }
   if (data.said) one("#live").textContent = data.said;
   if (data.rows.length) drawCurve();
   fillAll();
-  document.dispatchEvent(new CustomEvent("asia-news", { detail: data }));
+  const fresh = one("[data-refresh]");
+  const only = Number(fresh?.dataset.only ?? NaN);
+  if (fresh && data.rows.some((row) => Number.isNaN(only) || row.number === only)) refresh();
 }
+
+const refresh = atMost(1000, async () => {
+  const place = one("[data-refresh]");
+  place.replaceChildren(elements(await ask(place.dataset.refresh)));
+});
 
 // Checked boxes and the focus survive.
 function swap(place, html) {
@@ -216,6 +226,5 @@ if (rows) {
   one("#kind").addEventListener("change", choose);
   one("#words").addEventListener("input", choose);
 }
-const place = one("[data-stream]");
-if (place) follow(place);
+for (const place of all("[data-stream]")) follow(place);
 fillAll();

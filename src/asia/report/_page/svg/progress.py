@@ -82,7 +82,7 @@ def draw_progress(
     """The drawing. axis: name of V; alt: the picture in words."""
     values = [p.value for p in points if p.value is not None] + [x.value for x in levels]
     across, up = _scales(points, values, levels, size)
-    drawn = [_grid(across, up, size, axis), _levels(levels, across, up, size)]
+    drawn = [draw_grid(across, up, size, axis), _levels(levels, across, up, size)]
     shown = points
     if len(points) > _MANY:
         shown = [p for p in points if p.status == "keep"]
@@ -112,7 +112,8 @@ def _label(x: float, y: float, words: str, anchor: str = "middle", name: str = "
     return tag("text", words, x=rounded(x), y=rounded(y), text_anchor=anchor, class_=name)
 
 
-def _grid(across: Scale, up: Scale, size: Size, axis: str) -> Html:
+def draw_grid(across: Scale, up: Scale, size: Size, axis: str) -> Html:
+    """Both axes with their numbers. axis: name of V."""
     parts: list[Html] = []
     for value in up.ticks():
         y = up.at(value)
