@@ -42,7 +42,9 @@ def first_samples(
     return replace(found, trajectories=tuple(t[:few] for t in found.trajectories), truth=truth)
 
 
-def check_and_search(name: str, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def check_and_search(
+    name: str, files: Path, monkeypatch: pytest.MonkeyPatch, experiments: int = 4
+) -> None:
     """The whole files are checked; the search has the start of each record, to be quick."""
     if name in WRITERS:
         WRITERS[name](files)
@@ -52,10 +54,10 @@ def check_and_search(name: str, files: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert "test, sealed" in done.out
     monkeypatch.setattr(Source, "records", partialmethod(first_samples, Source.records))
     problem = load_problem(name)
-    problem = replace(problem, budget=replace(problem.budget, experiments=4))
+    problem = replace(problem, budget=replace(problem.budget, experiments=experiments))
     ready = prepare(problem, "expert", seed=0, runs=files / "runs")
     view = search(ready, Brisk(), lambda *_: None, lambda _: None)
-    assert len(view.finished) == 4
+    assert len(view.finished) == experiments
     assert view.best is not None
     assert view.best.score is not None
     assert view.best.score.value < 0.9
