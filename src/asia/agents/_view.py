@@ -120,7 +120,8 @@ class Trial:
 class AgentView:
     """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
     normalised source was tried; `notes` are what a person said meanwhile, oldest first; `linear` is
-    V of the best linear model, None where it is not known; `lessons` are of earlier searches.
+    V of the best linear model and `mean` V of the mean of the training outputs, None where they are
+    not known; `lessons` are of earlier searches.
     `remaining` are the experiments left to the agent that is asked; `leg` is its place in a relay,
     1-based, 0 where it is alone."""
 
@@ -134,6 +135,7 @@ class AgentView:
     linear: float | None = None
     lessons: tuple[Lesson, ...] = ()
     leg: int = 0
+    mean: float | None = None
 
     @property
     def experiments(self) -> int:
@@ -156,7 +158,8 @@ class AgentView:
 @dataclass(frozen=True)
 class Proposal:
     """A candidate with its reasons. `expected` says, before the fact, what should happen;
-    `parent` is the experiment it was made from; `ticket` names a submission."""
+    `parent` is the experiment it was made from; `ticket` names a submission; `remark` is what a
+    person should know of the search by now, "" for nothing."""
 
     source: str
     family: str
@@ -165,6 +168,7 @@ class Proposal:
     expected: str
     parent: int | None = None
     ticket: str = ""
+    remark: str = ""
 
 
 class Agent(Protocol):

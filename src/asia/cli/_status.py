@@ -64,6 +64,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "residuals": view.started.residuals,
         "validation_scores": found.validation_scores,
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
+        "remark": _remark(view) or None,
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
         "confirmed": None if view.confirmed is None else asdict(view.confirmed),
@@ -113,6 +114,8 @@ def _print(directory: Path, found: Brief) -> None:
     if view.stopped is not None:
         words = stop_words(view.stopped.reason, view)
         say(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))
+    if remark := _remark(view):
+        say(f"remark  {remark}")
     if view.usage is not None:
         say(f"agent   {usage_words(view.usage)}")
     if view.started.early_stopping == "validation":
@@ -133,6 +136,11 @@ def _print(directory: Path, found: Brief) -> None:
         say(f"the last {len(shown)} of {found.finished} experiments; all are in results.tsv")
     for experiment in shown:
         say(experiment_line(experiment, view))
+
+
+def _remark(view: SearchView) -> str:
+    """What the agent made of the search when it was last asked."""
+    return view.experiments[-1].proposed.remark if view.experiments else ""
 
 
 def _print_winner(view: SearchView) -> None:

@@ -19,12 +19,13 @@ from asia.evaluation._results import (
     derive_seed,
     mean_simulation,
 )
-from asia.evaluation._rungs import LINEAR, LINEAR_RUNG, TRUTH, Rung, score_rungs
+from asia.evaluation._rungs import LINEAR, LINEAR_RUNG, MEAN_RUNG, TRUTH, Rung, score_rungs
 
 __all__ = [
     "FAR_BELOW",
     "LINEAR",
     "LINEAR_RUNG",
+    "MEAN_RUNG",
     "TRUTH",
     "DryFold",
     "DryRun",

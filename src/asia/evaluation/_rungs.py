@@ -16,6 +16,7 @@ from asia.scoring import Outcome
 
 TRUTH = "simulated truth"
 LINEAR_RUNG = "linear model"
+MEAN_RUNG = "training mean"
 LINEAR = '''"""Best linear model: state-space, order and delay chosen inside the training data."""
 
 from asia.models import linear
@@ -61,7 +62,7 @@ def score_rungs(
         return score_outputs(folds, outputs, metric)
 
     rungs: dict[str, Callable[[], Outcome]] = {
-        "training mean": lambda: score(_training_mean),
+        MEAN_RUNG: lambda: score(_training_mean),
         "last output held": lambda: score(_last_output),
     }
     at_constant_velocity = _constant_velocity_simulation(evaluator)

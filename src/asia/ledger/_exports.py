@@ -108,6 +108,7 @@ def _entry(view: SearchView, e: Experiment, position: int) -> str:
     by = f", by {markdown_line(p.agent)}" if p.agent else ""
     later = view.finished[position + 1 : position + 2]
     following = markdown_line(later[0].proposed.title) if later else "none yet"
+    remark = f"- **Remark:** {markdown_line(p.remark)}\n" if p.remark else ""
     return (
         f"## Experiment {e.number}: {markdown_line(p.title)}\n\n"
         f"- **Changed:** {markdown_line(p.family)}, {phase_words(p.phase)}{origin}{by}\n"
@@ -115,7 +116,7 @@ def _entry(view: SearchView, e: Experiment, position: int) -> str:
         f"- **Expected:** {markdown_line(p.expected)}\n"
         f"- **Result:** {markdown_line(describe_result(e, view))}\n"
         f"- **Decision:** {r.status}\n"
-        f"- **Next:** {following}\n"
+        f"- **Next:** {following}\n{remark}"
     )
 
 

@@ -11,7 +11,7 @@ from asia.agents import AgentView, Effort, Facts, Trial
 from asia.agents.lessons import decode_lessons
 from asia.candidate import source_digest
 from asia.errors import CandidateError
-from asia.evaluation import LINEAR_RUNG
+from asia.evaluation import LINEAR_RUNG, MEAN_RUNG
 from asia.ledger import (
     Experiment,
     RunSettings,
@@ -73,17 +73,18 @@ def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
         remaining=view.leg_end - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
-        linear=_linear(view),
+        linear=_rung(view, LINEAR_RUNG),
         lessons=() if lessons is None else decode_lessons(store.get(lessons), "the ledger"),
         leg=view.leg,
+        mean=_rung(view, MEAN_RUNG),
     )
 
 
-def _linear(view: SearchView) -> float | None:
-    """V of the best linear model. Not with the Ladder, which reports V of some candidates only."""
+def _rung(view: SearchView, name: str) -> float | None:
+    """V of a rung. Not with the Ladder, which reports V of some candidates only."""
     if view.started.ladder is not None:
         return None
-    outcomes = (rung.outcome for rung in view.rungs if rung.name == LINEAR_RUNG)
+    outcomes = (rung.outcome for rung in view.rungs if rung.name == name)
     return next((found.value for found in outcomes if isinstance(found, Score)), None)
 
 

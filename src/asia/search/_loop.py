@@ -222,6 +222,7 @@ class Loop:
             ticket=proposal.ticket,
             leg=self.view.leg,
             agent=self.view.agent if self.view.leg else "",
+            remark=proposal.remark,
         )
 
     def _evaluate(self, experiment: Experiment) -> Evaluated:

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents import AgentStoppedError, ExpertAgent, Facts, Proposal, Trial
+from asia.agents import AgentStoppedError, AgentView, ExpertAgent, Facts, Proposal, Trial
 from asia.agents.expert import agent
+from asia.agents.expert.course import COURSE_MOVES
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.titles import plain_title, title_of
 from asia.agents.library.cost import Timing
@@ -15,6 +16,7 @@ from asia.agents.library.move import Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.table import families, family
 from asia.data import Trajectory
+from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
 from tests.unit.agents.searches import (
     CLEAN,
     body,
@@ -271,3 +273,84 @@ def test_what_stays_coloured_is_fitted_from_pieces_and_as_polynomials_before_any
     assert smooth.title == "neural state-space: polynomials"
     assert recipe_of(smooth).get("degree") == 3
     assert recipe_of(smooth).get("pieces")
+
+
+def no_better_than_the_mean(proposal: Proposal, number: int) -> Trial:
+    return trial(proposal, number, 1.02 + 0.001 * number)
+
+
+def remarks(known: Facts, experiments: int = 15) -> tuple[list[str], tuple[Trial, ...]]:
+    """What the expert says with each proposal of a search in which nothing beats the mean."""
+    said: list[str] = []
+
+    class Listening(ExpertAgent):
+        def propose(self, view: AgentView) -> Proposal | None:
+            proposal = super().propose(view)
+            said.append(proposal.remark if proposal is not None else "")
+            return proposal
+
+    return said, search(Listening, known, experiments, no_better_than_the_mean)
+
+
+def test_while_nothing_beats_the_mean_the_expert_tries_other_kinds_and_varies_none() -> None:
+    rng = np.random.default_rng(0)
+    known = facts(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
+    said, trials = remarks(known)
+    assert said[:3] == ["", "", ""]
+    assert all("nothing beats the mean" in words for words in said[3:])
+    assert "no input" in said[-1]
+    names = {move.name for move in COURSE_MOVES}
+    refined = [t.title.partition(": ")[2] for t in trials if t.parent is not None]
+    assert {plain_title(f": {name}")[2:] for name in refined} <= names
+    assert len({t.family for t in trials}) >= 8
+    assert not any("other" in words for words in remarks(simulation(physics=False), 3)[0])
+
+
+def test_the_expert_says_why_nothing_beats_the_mean_and_what_to_do() -> None:
+    said, _ = remarks(closed_loop(1.05, 0.5), 5)
+    assert "runs away by itself" in said[-1]
+    assert "inputs follow the past outputs" in said[-1]
+    assert 'kind = "windows"' in said[-1]
+    said, _ = remarks(closed_loop(0.9, 0.5), 5)
+    assert "closed loop" in said[-1]
+    said, _ = remarks(replace(closed_loop(0.9, 0.5), horizon=40), 5)
+    assert "Shorter windows than 40 samples" in said[-1]
+
+
+def test_a_delay_beyond_what_families_look_for_is_set_at_once() -> None:
+    u = np.repeat(np.random.default_rng(4).uniform(-1, 1, 200), 5)
+    known = facts(u, lagged(u, 30))
+    first = following(known, (), "explore")
+    second = following(known, (trial(first, 1, 0.8),), "explore")
+    assert second.title == f"{first.title}: inputs that act after 30 samples"
+    assert recipe_of(second).get("delay") == 29
+
+
+def test_nothing_left_to_try_beside_the_mean_ends_the_search_with_the_reason() -> None:
+    rng = np.random.default_rng(0)
+    known = facts(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
+    with pytest.raises(AgentStoppedError, match="nothing beats the mean") as end:
+        search(AGENT, known, 200, no_better_than_the_mean)
+    assert end.value.reason == "exhausted"
+
+
+def test_families_that_cannot_add_up_are_not_refined_where_the_output_drifts() -> None:
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.uniform(-1, 1, 200), 5)
+    known = facts(u, np.cumsum(u) + 0.01 * rng.standard_normal(1000))
+    doubtful = {row.name for row in families(known) if row.doubtful(known)}
+    assert {"block_oriented", "esn", "ltc"} <= doubtful
+    assert not {"linear", "neural_ss", "subnet", "narx"} & doubtful
+    assert not any(row.doubtful(simulation(physics=False)) for row in families(known))
+
+    def near(proposal: Proposal, number: int) -> Trial:
+        return trial(proposal, number, 0.29 if proposal.family in doubtful else 0.3)
+
+    def behind(proposal: Proposal, number: int) -> Trial:
+        return trial(proposal, number, 0.3 if proposal.family in doubtful else 0.29)
+
+    refined = {t.family for t in search(AGENT, known, 40, behind) if t.parent is not None}
+    assert refined
+    assert not refined & doubtful
+    # Evidence that is wrong is given up: a family that leads is refined.
+    assert {t.family for t in search(AGENT, known, 40, near) if t.parent is not None} & doubtful

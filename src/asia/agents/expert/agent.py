@@ -13,6 +13,7 @@ from functools import partial
 
 from asia.agents._driving import AgentStoppedError
 from asia.agents._view import AgentView, Proposal, Trial
+from asia.agents.expert.course import beats_nothing, keeps_course, why_nothing_helps
 from asia.agents.expert.ending import reason_to_end
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.titles import plain_title, title_of
@@ -27,6 +28,8 @@ from asia.agents.library.table import families, family
 SURE = 0.9
 BEHIND = 0.5
 UNTRIED = 0.3
+# The same while nothing beats the mean.
+UNTRIED_LOST = 0.6
 NEAR = 0.25
 NEAR_EQUATIONS = 0.6
 PROMISING = 0.75
@@ -69,6 +72,14 @@ class ExpertAgent:
         end = reason_to_end(view)
         if end is not None:
             raise AgentStoppedError("saturated", end)
+        if not beats_nothing(view):
+            return self._best_of(view)
+        remark, proposal = why_nothing_helps(view), self._best_of(view)
+        if proposal is None:
+            raise AgentStoppedError("exhausted", remark)
+        return replace(proposal, remark=remark)
+
+    def _best_of(self, view: AgentView) -> Proposal | None:
         taught = LessonWeights(view.lessons, view) if view.lessons else None
         moves, ladder = list(_refinements(view, taught)), list(_untried(view, taught))
         if view.phase == "explore":
@@ -96,10 +107,10 @@ def _usual_seconds(view: AgentView) -> float:
 
 def _untried(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]:
     """First configurations of families that no trial has used, the most apt first."""
-    used = {t.family for t in view.trials}
+    used, lost = {t.family for t in view.trials}, beats_nothing(view)
     untried = (row for row in families(view.facts) if row.name not in used)
     for place, row in enumerate(untried):
-        weight = UNTRIED
+        weight = UNTRIED_LOST if lost else UNTRIED
         if taught is not None:
             own = OWN_ORDER**place if view.phase == "explore" else 1.0
             weight *= own * taught.multiplier(row.name, FIRST_FIT)
@@ -124,11 +135,16 @@ def _first(view: AgentView, row: Family) -> Proposal | None:
 
 def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]:
     """Every applicable move on the best trial of each family, on the last one of a family that
-    only failed. A move that was made before and did not help counts less."""
+    only failed. A move that was made before and did not help counts less. A family that the
+    records speak against is refined only while it leads; while nothing beats the mean, moves that
+    vary a model are not made."""
+    lost = beats_nothing(view)
     for at in _situations(view):
+        if at.place > 0 and at.row.doubtful(view.facts):
+            continue
         share = _share(at)
         for move in all_moves():
-            if not move.applies(at):
+            if not move.applies(at) or (lost and not keeps_course(move)):
                 continue
             weight = move.weight(at) * (share if move.behind_counts else 1.0)
             if weight > 0:

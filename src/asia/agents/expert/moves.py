@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from functools import cache
 
+from asia.agents.expert.course import COURSE_MOVES
 from asia.agents.expert.network_moves import NETWORK_MOVES
 from asia.agents.expert.tune import TUNED, may_tune, tuned
 from asia.agents.library.evidence import coloured
@@ -135,4 +136,4 @@ SETTING_MOVES: tuple[Move, ...] = (
 def all_moves() -> tuple[Move, ...]:
     """The moves on any family, those of the cards, and those that a family's settings allow. Of
     two with the same weight the first is made."""
-    return (*GENERAL_MOVES, *card_moves(), *SETTING_MOVES, *NETWORK_MOVES)
+    return (*GENERAL_MOVES, *card_moves(), *SETTING_MOVES, *NETWORK_MOVES, *COURSE_MOVES)

@@ -13,6 +13,8 @@ from asia.agents.library.space import Space
 from asia.agents.library.traits import Trait, traits
 
 Kind = Literal["equations", "classical", "network"]
+# What a trait that speaks against a family takes from its aptness.
+_AGAINST = 3.0
 _KINDS: tuple[Kind, ...] = ("equations", "classical", "network")
 
 
@@ -44,6 +46,8 @@ class Family:
     """Traits without which it cannot be used."""
     unfit: frozenset[Trait] = frozenset()
     """Traits with which it is of no use."""
+    against: frozenset[Trait] = frozenset()
+    """Traits that speak against it: it is tried late, and refined only while it leads."""
     methods: tuple[Callable[[Facts, Recipe], Recipe], ...] = ()
     """Other ways to train it, as changes of a recipe."""
     seeds: bool = False
@@ -90,7 +94,12 @@ class Family:
     def aptness(self, facts: Facts) -> float:
         """The base and the points of the problem's traits."""
         found = traits(facts)
-        return self.base + sum(points for trait, points in self.points if trait in found)
+        points = sum(points for trait, points in self.points if trait in found)
+        return self.base + points - _AGAINST * bool(self.against & found)
+
+    def doubtful(self, facts: Facts) -> bool:
+        """Whether a trait of the problem speaks against the family."""
+        return bool(self.against & traits(facts))
 
     def seconds(self, facts: Facts, recipe: Recipe) -> float:
         """Expected seconds of one fold's fit."""

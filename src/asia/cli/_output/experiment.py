@@ -55,6 +55,8 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         console.print(printable_line(f"agent       {who}, in leg {p.leg} of {legs}"))
     console.print(printable_line(f"hypothesis  {p.hypothesis}"))
     console.print(printable_line(f"expected    {p.expected}"))
+    if p.remark:
+        console.print(printable_line(f"remark      {p.remark}"))
     console.print(printable_line(f"result      {describe_result(experiment, run.view)}"))
     console.print(f"isolation   {run.view.started.isolation_words}")
     if r is None:
@@ -109,6 +111,7 @@ def experiment_object(run: Run, experiment: Experiment) -> dict[str, Any]:
         "parent": proposed.parent,
         "hypothesis": proposed.hypothesis,
         "expected": proposed.expected,
+        "remark": proposed.remark,
         "status": result.status if result else None,
         "V": score.value if score else None,
         "folds": [fold.value for fold in score.folds] if score else [],

@@ -135,6 +135,8 @@ class Proposed:
     """The leg of a relay that it belongs to, 1-based; 0 where one agent proposes."""
     agent: str = ""
     """The agent of that leg; "" where one agent proposes, and for the baseline."""
+    remark: str = ""
+    """What the agent makes of the search by now, for people; "" for nothing."""
     event: Literal["proposed"] = "proposed"
 
 

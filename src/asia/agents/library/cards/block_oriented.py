@@ -83,6 +83,8 @@ CARD = Card(
             use="linear systems in series with static functions: actuators and sensors that bend",
             base=5,
             points=(("long", 1), ("windows", -3), ("several", -2)),
+            # Its filters come back, and a static function around an integrator cannot be told.
+            against=frozenset({"integrating"}),
             start=_block_oriented,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),

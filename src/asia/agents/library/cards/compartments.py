@@ -55,7 +55,8 @@ CARD = Card(
             label="compartments",
             use="storages in a row that fill, run off and run over: levels, temperatures, contents",
             base=4.5,
-            points=(("short", 0.5), ("several", -1), ("integrating", -3)),
+            points=(("short", 0.5), ("several", -1)),
+            against=frozenset({"integrating"}),
             # Contents cannot be negative, so that no change of sign is a symmetry.
             unfit=frozenset({"windows", "long", "symmetric"}),
             start=_start,

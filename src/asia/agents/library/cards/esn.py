@@ -36,6 +36,7 @@ CARD = Card(
             use="a random reservoir with a linear readout, fitted in seconds",
             base=2.5,
             points=(("long", 1),),
+            against=frozenset({"integrating"}),
             start=_esn,
             space=_space,
             small=(("units", 4),),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.network import WHOLE_RECORD, NetworkStart, network_family
 from asia.agents.library.space import OneOf
 
-CARD = Card((
+# Its states are stable: they cannot add up.
+_LRU = replace(
     network_family(
         "lru",
         "linear recurrent units",
@@ -28,6 +31,11 @@ CARD = Card((
         WHOLE_RECORD,
         small=(("layers", 1), ("states", 2), ("width", 4)),
     ),
+    against=frozenset({"integrating"}),
+)
+
+CARD = Card((
+    _LRU,
     network_family(
         "koopman",
         "Koopman model",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.network import STEP_BY_STEP, NetworkStart, network_family
 from asia.agents.library.space import OneOf
 
-CARD = Card((
+_FAMILIES = (
     network_family(
         "ltc",
         "LTC network",
@@ -40,4 +42,7 @@ CARD = Card((
         small=(("slow", 2), ("fast", 2), ("width", 4)),
         timing=Timing(start=4.8, unit=9e-07),
     ),
-))  # fmt: skip
+)  # fmt: skip
+
+# States that decay cannot add up.
+CARD = Card(tuple(replace(row, against=frozenset({"integrating"})) for row in _FAMILIES))

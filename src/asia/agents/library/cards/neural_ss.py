@@ -90,7 +90,10 @@ def _pieces_weight(at: Situation) -> float:
 
 
 def _unless_at(at: Situation, place: str, weight: float) -> float:
-    return 0.0 if at.recipe.get("nonlinearity") == place else weight
+    """None around a free integrator: what drifts visits each level once."""
+    if at.recipe.get("nonlinearity") == place:
+        return 0.0
+    return 0.0 if place != "input" and at.recipe.number("integrators", 0) else weight
 
 
 def _moved_to(at: Situation, place: str) -> Recipe:

@@ -1,0 +1,66 @@
+"""Effect, delay, feedback and stability against systems where they are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asia.agents import Facts
+from asia.agents.library.records.relation import relation
+from asia.data import Array, Trajectory
+from tests.unit.agents.searches import simulation
+
+SAMPLES = 1000
+
+
+def facts(u: Array, y: Array) -> Facts:
+    return replace(simulation(physics=False), records=(Trajectory(u, y, 1.0),))
+
+
+def lagged(u: Array, delay: int, pole: float = 0.8) -> Array:
+    y = np.zeros(len(u))
+    for k in range(1, len(u)):
+        y[k] = pole * y[k - 1] + (u[k - delay] if k >= delay else 0.0)
+    return y
+
+
+def closed_loop(pole: float, gain: float, seed: int = 0) -> Facts:
+    """x[k+1] = pole x + u + a disturbance that is not seen; u = -gain y + a small excitation."""
+    rng = np.random.default_rng(seed)
+    x, us, ys = 0.0, np.zeros(SAMPLES), np.zeros(SAMPLES)
+    for k in range(SAMPLES):
+        ys[k] = x + 0.02 * rng.standard_normal()
+        us[k] = -gain * ys[k] + 0.2 * rng.standard_normal()
+        x = pole * x + us[k] + 0.5 * rng.standard_normal()
+    return facts(us, ys)
+
+
+@pytest.mark.parametrize("delay", [1, 4, 25])
+def test_the_delay_after_which_the_input_acts_is_found(delay: int) -> None:
+    rng = np.random.default_rng(delay)
+    u = np.repeat(rng.uniform(-1, 1, SAMPLES // 5), 5)
+    found = relation(facts(u, lagged(u, delay) + 0.05 * rng.standard_normal(SAMPLES)))
+    assert found.acts
+    assert found.delay == delay
+    assert found.feedback == 0.0
+    assert not found.unstable
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_beside_an_input_is_no_effect_and_no_feedback(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found = relation(facts(rng.standard_normal(SAMPLES), lagged(rng.standard_normal(SAMPLES), 1)))
+    assert not found.acts
+    assert found.feedback == 0.0
+
+
+def test_an_even_effect_is_an_effect() -> None:
+    u = np.random.default_rng(3).standard_normal(SAMPLES)
+    assert relation(facts(u, lagged(u**2, 1))).acts
+
+
+@pytest.mark.parametrize(("pole", "unstable"), [(1.05, True), (0.9, False)])
+def test_a_loop_is_seen_and_whether_it_holds_an_unstable_plant(pole: float, unstable: bool) -> None:
+    found = relation(closed_loop(pole, 0.5))
+    assert found.feedback > 0.2
+    assert found.unstable == unstable
