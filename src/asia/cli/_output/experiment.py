@@ -14,6 +14,7 @@ from asia.cli._output.words import again_words, use_lines
 from asia.evaluation import FAR_BELOW, consistency
 from asia.ledger import (
     Experiment,
+    Proposed,
     Run,
     describe_result,
     error_value,
@@ -45,18 +46,8 @@ def wide_console() -> Terminal:
 
 def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     """Print reasons, result, fold table and training-side evidence."""
-    p, r = experiment.proposed, experiment.result
-    parent = f", made from #{p.parent:02d}" if p.parent else ""
-    title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
-    console.print(title, printable_line(f"({p.family}, {phase_words(p.phase)}{parent})"))
-    if p.leg:
-        who = p.agent or "nobody: the baseline"
-        legs = len(run.view.started.legs)
-        console.print(printable_line(f"agent       {who}, in leg {p.leg} of {legs}"))
-    console.print(printable_line(f"hypothesis  {p.hypothesis}"))
-    console.print(printable_line(f"expected    {p.expected}"))
-    if p.remark:
-        console.print(printable_line(f"remark      {p.remark}"))
+    _print_reasons(console, run, experiment.proposed)
+    r = experiment.result
     console.print(printable_line(f"result      {describe_result(experiment, run.view)}"))
     console.print(f"isolation   {run.view.started.isolation_words}")
     if r is None:
@@ -95,6 +86,21 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         console.print("\nprinted while fitting (untrusted)", style="bold")
         for line in tail:
             console.print(line)
+
+
+def _print_reasons(console: Terminal, run: Run, p: Proposed) -> None:
+    """What was proposed, by whom and why."""
+    parent = f", made from #{p.parent:02d}" if p.parent else ""
+    title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
+    console.print(title, printable_line(f"({p.family}, {phase_words(p.phase)}{parent})"))
+    if p.leg:
+        who = p.agent or "nobody: the baseline"
+        legs = len(run.view.started.legs)
+        console.print(printable_line(f"agent       {who}, in leg {p.leg} of {legs}"))
+    console.print(printable_line(f"hypothesis  {p.hypothesis}"))
+    console.print(printable_line(f"expected    {p.expected}"))
+    if p.remark:
+        console.print(printable_line(f"remark      {p.remark}"))
 
 
 def experiment_object(run: Run, experiment: Experiment) -> dict[str, Any]:
