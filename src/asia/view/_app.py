@@ -22,7 +22,7 @@ from asia.view.pages.comparison import comparison_page, comparison_part
 from asia.view.pages.experiment import experiment_page, experiment_part, overlay_part
 from asia.view.pages.frame import whole_page
 from asia.view.pages.news import digest_of
-from asia.view.pages.rows import experiment_rows
+from asia.view.pages.rows import FIRST, experiment_rows
 from asia.view.pages.run import progress_part, run_page, section_part
 from asia.view.pages.runs import runs_page, runs_table
 
@@ -83,9 +83,9 @@ class _Pages:
 
     def rows(self, request: Request) -> Response:
         """Earlier experiments for the list."""
-        before = request.query_params.get("before", "")
-        number = int(before) if before.isdecimal() else None
-        return HTMLResponse(experiment_rows(self._snapshot(request).subject, number))
+        before, most = (_number(request, key) for key in ("before", "most"))
+        subject = self._snapshot(request).subject
+        return HTMLResponse(experiment_rows(subject, before, most or FIRST))
 
     def section(self, request: Request) -> Response:
         """A section of the report."""
@@ -105,8 +105,7 @@ class _Pages:
     def overlay(self, request: Request) -> Response:
         """Some samples of a held-out simulation, drawn."""
         number, index = (request.path_params[key] for key in ("number", "index"))
-        ends = [request.query_params.get(key, "") for key in ("first", "last")]
-        first, last = (int(end) if end.isdecimal() else None for end in ends)
+        first, last = (_number(request, key) for key in ("first", "last"))
         return HTMLResponse(overlay_part(self._snapshot(request), number, index, first or 0, last))
 
     def compare(self, request: Request) -> Response:
@@ -157,6 +156,12 @@ class _Pages:
         main = (tag("h1", "This cannot be shown"), tag("p", said(words, 1000)))
         page = whole_page("Not shown", (("Searches", "/"),), main, self.token)
         return HTMLResponse(page, 404)
+
+
+def _number(request: Request, key: str) -> int | None:
+    """A count that the address names; None where it names none."""
+    words = request.query_params.get(key, "")
+    return int(words) if words.isdecimal() and len(words) < 16 else None
 
 
 def _mark(request: Request) -> str:

@@ -14,7 +14,6 @@ from asia.ledger import Chain, open_run
 from asia.problem.load import Problem
 from asia.report._page.audit import audit
 from asia.view._followed import RunFolder
-from asia.view.pages import rows as rows_module
 from tests.unit.report.made_up import append_test
 
 from .conftest import ATTACK, TOKEN, make_run
@@ -185,12 +184,11 @@ def test_a_run_without_its_artifacts_has_what_the_ledger_says(
         assert 'class="zoomable"' not in page.text
 
 
-def test_a_long_list_comes_in_pieces(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rows_module, "MOST", 3)
-    first = client.get("/runs/made/rows").text
+def test_a_long_list_comes_in_pieces(client: TestClient) -> None:
+    first = client.get("/runs/made/rows?most=3").text
     assert re.findall(r'<li id="e(\d)"', first) == ["4", "3", "2"]
     assert 'data-before="2"' in first
-    rest = client.get("/runs/made/rows?before=2").text
+    rest = client.get("/runs/made/rows?before=2&most=99999999").text
     assert re.findall(r'<li id="e(\d)"', rest) == ["1"]
     assert "<button" not in rest
 

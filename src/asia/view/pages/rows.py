@@ -8,8 +8,10 @@ from asia.view.pages.frame import run_address
 
 CHUNK = 50
 """Rows of a part of the list; the browser lays out those parts alone that are seen."""
+FIRST = 300
+"""Rows that a page begins with; the rest is asked for where the list is scrolled to."""
 MOST = 3000
-"""Rows that a page begins with."""
+"""Rows of one answer."""
 
 
 def experiment_row(subject: Subject, e: Experiment) -> Html:
@@ -27,11 +29,11 @@ def experiment_row(subject: Subject, e: Experiment) -> Html:
     return tag("li", link, id=f"e{e.number}", class_=kind)
 
 
-def experiment_rows(subject: Subject, before: int | None = None) -> Html:
-    """The last `MOST` experiments, or those before a number, in parts; with a button for the
+def experiment_rows(subject: Subject, before: int | None = None, most: int = FIRST) -> Html:
+    """The last `most` experiments, or those before a number, in parts; with a button for the
     earlier ones."""
     every = [e for e in subject.view.experiments if before is None or e.number < before]
-    shown = every[: -MOST - 1 : -1]
+    shown = every[: -min(most, MOST) - 1 : -1]
     parts = [shown[k : k + CHUNK] for k in range(0, len(shown), CHUNK)]
     lists = [
         tag(

@@ -39,9 +39,11 @@ function fits(row) {
 }
 
 function choose() {
+  const narrowed = Boolean(one("#kind").value || one("#words").value.trim());
   rows.dataset.kind = one("#kind").value;
-  rows.toggleAttribute("data-few", Boolean(one("#kind").value || one("#words").value.trim()));
+  rows.toggleAttribute("data-few", narrowed);
   for (const row of all("li", rows)) row.classList.toggle("out", !fits(row));
+  if (narrowed) earlier(3000);
 }
 
 function put(row) {
@@ -68,13 +70,23 @@ function put(row) {
   if (below > 0) rows.scrollTop = below + fresh.offsetHeight;
 }
 
-async function earlier(button) {
+// The experiments before those in the list, whose end is a button.
+async function earlier(most) {
+  const button = one(".earlier", rows);
+  if (!button || button.disabled) return;
   button.disabled = true;
-  const html = await ask(`${one("[data-run]").dataset.run}/rows?before=${button.dataset.before}`);
-  const found = elements(html), first = one("a", found);
+  const address = `${one("[data-run]").dataset.run}/rows?before=${button.dataset.before}&most=${most}`;
+  const found = await ask(address).then(elements, () => null);
+  if (!found) return void (button.disabled = false);
+  const first = document.activeElement === button ? one("a", found) : null;
   button.replaceWith(found);
   choose();
-  if (first) first.focus();
+  first?.focus();
+  nearEnd();
+}
+
+function nearEnd() {
+  if (rows.scrollHeight - rows.scrollTop - rows.clientHeight < 3000) earlier(300);
 }
 
 // ---- sections of the report, and the curve
@@ -204,7 +216,7 @@ document.addEventListener("submit", async (event) => {
 document.addEventListener("click", (event) => {
   const button = event.target.closest("button");
   if (!button) return;
-  if (button.classList.contains("earlier")) earlier(button);
+  if (button.classList.contains("earlier")) earlier(300);
   const what = button.dataset.post;
   if (!what) return;
   if (what === "stop" && !confirm("Stop the search after this experiment?")) return;
@@ -225,6 +237,7 @@ if (two) {
 if (rows) {
   one("#kind").addEventListener("change", choose);
   one("#words").addEventListener("input", choose);
+  rows.addEventListener("scroll", nearEnd, { passive: true });
 }
 for (const place of all("[data-stream]")) follow(place);
 fillAll();
