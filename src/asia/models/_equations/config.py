@@ -80,6 +80,11 @@ class Config:
     """Velocities among the states that get a Bouc-Wen force, which has a state."""
     play: tuple[str, ...] = ()
     """States and inputs that act on other states behind a play (backlash). Its width is learned."""
+    discover: tuple[str, ...] = ()
+    """States whose derivatives get terms that the equations lack: numbers times products of states
+    and inputs, found one by one by how much of the simulation error they explain."""
+    most_terms: int = 3
+    """Greatest number of such terms."""
 
     def __post_init__(self) -> None:
         if self.spill and not self.saturation:
@@ -101,6 +106,10 @@ class Config:
                 )
         if self.presliding and not self.friction:
             raise ValueError("greybox.Config: presliding needs a velocity in friction")
+        if self.most_terms < 1:
+            raise ValueError("greybox.Config: most_terms must be >= 1")
+        if self.discover and self.residual:
+            raise ValueError("greybox.Config: give discover or residual, not both")
         if set(self.lag) & set(self.play):
             raise ValueError("greybox.Config: a signal has a lag or a play, not both")
         if self.robust is not None and self.robust <= 0:
@@ -188,6 +197,7 @@ class GreyBoxStructure:
             ("friction", self.config.friction, states),
             ("hysteresis", self.config.hysteresis, states),
             ("play", self.config.play, signals),
+            ("discover", self.config.discover, states),
         ):
             for name in names:
                 if name not in known:

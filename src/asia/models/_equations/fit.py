@@ -91,6 +91,21 @@ def fit(
     return replace(fitted, noise=noise.noise, huber=method.huber)
 
 
+def refit(
+    structure: GreyBoxStructure, segments: RecordPieces, starts: Starts, method: LevenbergMarquardt
+) -> FittedEquations:
+    """The fit of all coordinates from one starting point."""
+    from asia.models._equations.programs import CompiledSimulator
+
+    simulate = CompiledSimulator(structure, segments.u, TRIALS)
+    noise = NoiseRounds(structure, segments, simulate, method)
+    stages = _Stages(structure, segments, method, simulate, noise, [])
+    active = np.ones(structure.layout.size)
+    found = stages.under_noise(starts, active, stages.best_fits(starts, active))
+    fitted = _finish(structure, segments, simulate, starts, found, np.concatenate(stages.curve))
+    return replace(fitted, noise=noise.noise, huber=method.huber)
+
+
 @dataclass(frozen=True)
 class _Stages:
     """The fits of one model, from all starting points at once."""

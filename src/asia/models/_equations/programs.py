@@ -28,7 +28,9 @@ class CompiledSimulator:
         each = u.shape[1] * structure.nx * rows
         self._width = int(np.clip(_MOST_VALUES // each, 1, len(u)))
         # Settings that the states do not depend on would compile them again.
-        plain = replace(structure.config, ridge=0.0, residual_ridge=0.0, robust=None, initial=None)
+        plain = replace(
+            structure.config, ridge=0.0, residual_ridge=0.0, robust=None, initial=None, discover=()
+        )
         self._program = _compiled(replace(structure, config=plain))
 
     def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:

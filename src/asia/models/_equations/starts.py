@@ -135,6 +135,12 @@ def _base_scales(structure: GreyBoxStructure, segments: RecordPieces) -> Scales:
     )
 
 
+def opened(scales: Scales) -> Scales:
+    """Without the limits outside which the simulation of a trained model counts as run away."""
+    low = np.full_like(np.asarray(scales.low), -_OPEN)
+    return scales._replace(low=low, high=-low)
+
+
 def _neutral(structure: GreyBoxStructure) -> Array:
     z = np.zeros(structure.layout.size)
     z[structure.layout.limits] = _NO_LIMIT

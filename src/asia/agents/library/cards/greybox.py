@@ -62,6 +62,7 @@ def _space(facts: Facts) -> Space:
             OneOf("presliding", (False, True), needs="friction"),
             OneOf("hysteresis", ((), *_states(facts))),
             OneOf("play", ((), *_inputs(facts))),
+            OneOf("discover", ((), _all_states(facts)), needs="residual", being=0),
             Span("smooth_width", 0.02, 0.3, needs="smooth"),
             *_widths(facts),
             Span("ridge", 1e-5, 1e-1),
@@ -84,6 +85,10 @@ def _single(facts: Facts) -> tuple[tuple[str, ...], ...]:
 
 def _states(facts: Facts) -> tuple[tuple[str, ...], ...]:
     return tuple((name,) for name in (facts.physics.states if facts.physics else ()))
+
+
+def _all_states(facts: Facts) -> tuple[str, ...]:
+    return facts.physics.states if facts.physics else ()
 
 
 def _inputs(facts: Facts) -> tuple[tuple[str, ...], ...]:
@@ -202,7 +207,7 @@ _MOVES: tuple[Move, ...] = (
     Move(
         name="residual network",
         weight=lambda c: 0 if c.recipe.get("residual") else 0.65 if coloured(c.trial) else 0.35,
-        change=lambda c: c.recipe.configured(residual=4),
+        change=lambda c: c.recipe.without("discover").configured(residual=4),
         hypothesis="What is left depends on the state in a way the equations do not have: a small "
         "network in the dynamics, held small by its prior, can learn it.",
         expected="Lower training error; lower V only if the effect is real.",
@@ -210,7 +215,7 @@ _MOVES: tuple[Move, ...] = (
     Move(
         name="residual network, held tighter",
         weight=lambda c: 0 if c.recipe.get("residual") else 0.6 if coloured(c.trial) else 0.3,
-        change=lambda c: c.recipe.configured(residual=4, residual_ridge=5e-2),
+        change=lambda c: c.recipe.without("discover").configured(residual=4, residual_ridge=5e-2),
         hypothesis="The equations lack an effect of the state, and a small network finds it only "
         "if its prior keeps it from following its own fold.",
         expected="Less gain on the training side than a free network, and more on V.",

@@ -1,0 +1,165 @@
+"""Sparse discovery of terms that the equations lack, by the simulation error.
+
+All terms of a library are written into the equations with numbers that are zero. The sensitivity of
+the simulation error to these numbers says how much of the error each term would explain beside
+what the fitted parameters can explain. The best one is freed, the model is fitted again, and so
+on; terms that no longer help are taken away. No derivative of a measured signal is needed, and
+states may be hidden. Sources: the greedy search of Chen, Billings and Luo, Int. J. Control 50(5),
+1989; the library of Brunton, Proctor and Kutz, PNAS 113(15), 2016.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asia.data import Array
+from asia.models._equations.added.terms import Term, library, with_terms
+from asia.models._equations.config import GreyBoxStructure
+from asia.models._equations.fit import FittedEquations, refit
+from asia.models._equations.simulation_error import SimulationError
+from asia.models._equations.starts import RecordPieces, Starts, opened
+from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._solvers.minimise import minimise
+
+if TYPE_CHECKING:
+    from asia.models._equations.programs import CompiledSimulator
+
+# A term is taken, and kept, where it lowers the cost by this share: less is often luck, because
+# errors of a model that lacks something are alike from one sample to the next.
+_LEAST_GAIN = 0.02
+# Of a term's squared sensitivity, what parameters and other terms cannot imitate.
+_LEAST_OWN = 1e-6
+# Terms that are tried by a fit before one is taken, and the iterations of such a fit.
+_TRIED, _ITERATIONS = 3, 15
+# Simulations of one call of the compiled program.
+_ROWS = 32
+
+
+def discover(
+    structure: GreyBoxStructure,
+    segments: RecordPieces,
+    fitted: FittedEquations,
+    method: LevenbergMarquardt,
+) -> tuple[GreyBoxStructure, FittedEquations]:
+    """The structure with up to `Config.most_terms` terms, and its fit; both as they are where no
+    term helps."""
+    search = _TermSearch.of(structure, segments, fitted, method)
+    chosen = search.chosen(structure.config.most_terms)
+    if not chosen:
+        return structure, fitted
+    found = with_terms(structure, [search.terms[k] for k in chosen])
+    z = np.concatenate([fitted.z, np.zeros(len(chosen))])
+    return found, refit(found, segments, _starts_at(fitted, z), method)
+
+
+@dataclass(frozen=True)
+class _Selection:
+    """A model on the way."""
+
+    chosen: tuple[int, ...]
+    """Numbers of its terms."""
+    theta: Array
+    """Where its fit ended (n,)."""
+    cost: float
+    """There."""
+
+
+@dataclass(frozen=True)
+class _TermSearch:
+    """All terms are in the equations; a coordinate that is zero and held there is none."""
+
+    terms: list[Term]
+    first: int
+    """Coordinate of the first term."""
+    structure: GreyBoxStructure
+    segments: RecordPieces
+    starts: Starts
+    simulate: CompiledSimulator
+    method: LevenbergMarquardt
+
+    @classmethod
+    def of(
+        cls,
+        structure: GreyBoxStructure,
+        segments: RecordPieces,
+        fitted: FittedEquations,
+        method: LevenbergMarquardt,
+    ) -> _TermSearch:
+        from asia.models._equations.programs import CompiledSimulator
+
+        inside = segments.mask > 0
+        starts = _starts_at(fitted, fitted.z)
+        own = CompiledSimulator(structure, segments.u, 1)
+        x = own(starts.z, starts.scales, starts.x_guess)[1][0]
+        moves = np.diff(x, axis=1)[inside[:, 1:]] / structure.sampling_time
+        rates = np.sqrt((moves**2).mean(axis=0))
+        terms = library(structure, x[inside], segments.u[inside], rates)
+        full = with_terms(structure, terms)
+        starts = _starts_at(fitted, np.concatenate([fitted.z, np.zeros(len(terms))]))
+        simulate = CompiledSimulator(full, segments.u, _ROWS)
+        method = replace(method, iterations=min(method.iterations, _ITERATIONS))
+        return cls(terms, len(fitted.z), full, segments, starts, simulate, method)
+
+    def chosen(self, most: int) -> tuple[int, ...]:
+        """Numbers of the terms that help, at most so many."""
+        state = self._fit((), None)
+        while len(state.chosen) < most:
+            trials = [self._fit((*state.chosen, k), state.theta) for k in self._promising(state)]
+            best = min(trials, key=lambda s: s.cost, default=state)
+            if not best.cost < (1.0 - _LEAST_GAIN) * state.cost:
+                break
+            state = self._without_idle(best)
+        return state.chosen
+
+    def _without_idle(self, state: _Selection) -> _Selection:
+        """Without those earlier terms that the newest has made needless."""
+        for k in state.chosen[:-1]:
+            less = self._fit(tuple(j for j in state.chosen if j != k), state.theta)
+            if (1.0 - _LEAST_GAIN) * less.cost <= state.cost:
+                return less
+        return state
+
+    def _promising(self, state: _Selection) -> list[int]:
+        """Terms in the order of what they would explain, the first few, by the normal equations at
+        the fit with all terms free."""
+        at = self._error(range(len(self.terms))).linearise(state.theta[None])
+        numbers = np.arange(len(self.terms)) + self.first
+        taken = numbers[list(state.chosen)]
+        held = np.setdiff1d(numbers, taken)
+        free = np.setdiff1d(np.arange(len(state.theta)), held)
+        gram, gradient = at.gram[0], at.gradient[0]
+        inner = gram[np.ix_(free, free)]
+        inner = inner + 1e-10 * np.diag(np.maximum(np.diag(inner), 1e-30))
+        solved = np.linalg.solve(inner, np.column_stack([gram[np.ix_(free, held)], gradient[free]]))
+        whole = np.diag(gram)[held]
+        own = whole - (gram[np.ix_(free, held)] * solved[:, :-1]).sum(axis=0)
+        pull = gradient[held] - gram[np.ix_(free, held)].T @ solved[:, -1]
+        known = own > _LEAST_OWN * whole
+        gain = np.where(known, pull**2 / np.where(known, own, 1.0), 0.0)
+        order = np.argsort(-gain, kind="stable")[:_TRIED]
+        return [int(held[i] - self.first) for i in order if gain[i] > 0.0]
+
+    def _fit(self, chosen: tuple[int, ...], theta: Array | None) -> _Selection:
+        error = self._error(chosen)
+        begin = error.theta0 if theta is None else theta[None].copy()
+        idle = np.setdiff1d(np.arange(len(self.terms)), chosen) + self.first
+        begin[:, idle] = 0.0
+        found = minimise(error.cost, error.linearise, begin, self.method)
+        return _Selection(chosen, found.theta[0], float(found.cost[0]))
+
+    def _error(self, chosen: Sequence[int]) -> SimulationError:
+        active = np.ones(self.structure.layout.size)
+        active[self.first :] = 0.0
+        active[[self.first + k for k in chosen]] = 1.0
+        return SimulationError(self.structure, self.segments, self.starts, active, self.simulate)
+
+
+def _starts_at(fitted: FittedEquations, z: Array) -> Starts:
+    """One starting point: coordinates z (size,), and the initial states of a fit."""
+    assert fitted.x0 is not None
+    x0 = fitted.x0[None]
+    return Starts(z[None], np.zeros_like(x0), x0, opened(fitted.scales.for_rows()))
