@@ -172,7 +172,7 @@ def train(
     structure = extended(model.structure, segments)
     fitted = fit(structure, segments, method, context.seed)
     if structure.config.discover:
-        from asia.models._equations.discovery import discover
+        from asia.models._equations.added.discovery import discover
 
         structure, fitted = discover(structure, segments, fitted, method)
     for step in np.unique(np.linspace(0, len(fitted.history) - 1, 20).round().astype(int)):
