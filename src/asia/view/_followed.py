@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from asia.errors import UserError
@@ -20,6 +20,7 @@ from asia.ledger import (
 )
 from asia.problem.load import Problem, load_lock
 from asia.report.pieces import Detail, Subject
+from asia.search._steering import Steering
 
 # A long search is not told whole below its list of experiments.
 _DETAIL = Detail(sources=1, stories=1, rows=150)
@@ -35,6 +36,8 @@ class Snapshot:
     """Digest of that line."""
     trouble: str = ""
     """Why there are no records, in words; "" where there are."""
+    paused: bool = False
+    """Whether a person asked it to pause."""
 
     @property
     def run(self) -> Run:
@@ -75,8 +78,12 @@ class FollowedRun:
             except OSError as error:
                 raise UserError(f"{self.directory} is gone: {error.strerror}") from None
             last, busy = self._snapshot, in_use(ledger)
+            paused = busy and Steering(self.directory).paused
             if new or last is None or busy != last.run.busy:
-                self._snapshot = last = self._make(busy)
+                last = self._make(busy)
+            if last.paused != paused:
+                last = replace(last, paused=paused)
+            self._snapshot = last
             return last
 
     def count_of(self, mark: str) -> int | None:

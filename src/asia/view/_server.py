@@ -37,8 +37,8 @@ def serve(runs: Path, run: str | None, port: int, on_start: Callable[[str], obje
             timeout_graceful_shutdown=_END_SECONDS,
         )
         page = "" if run is None else f"runs/{quote(run, safe='')}"
-        on_start(f"http://{_HOST}:{bound}/{page}?token={token}")
         with contextlib.suppress(KeyboardInterrupt):
+            on_start(f"http://{_HOST}:{bound}/{page}?token={token}")
             _LocalServer(config, streams).run(sockets=[listener])
 
 

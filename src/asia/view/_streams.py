@@ -12,8 +12,9 @@ from functools import partial
 from anyio.to_thread import run_sync
 
 from asia.errors import UserError
-from asia.view._followed import FollowedRun, RunFolder
+from asia.view._followed import FollowedRun, RunFolder, Snapshot
 from asia.view.pages.news import Changed, list_news, run_news
+from asia.view.pages.rows import FIRST
 
 _LOOK_SECONDS = 0.1
 _LIST_SECONDS = 0.5
@@ -63,20 +64,25 @@ class _RunNews:
     """The run."""
     mark: str
     """The line up to which the page shows it."""
-    busy: bool | None = None
-    """Whether it was running; None before the first look."""
+    told: Snapshot | None = None
+    """What was last told of; None before the first look."""
+    trouble: str = ""
+    """What was wrong last."""
 
     def look(self, _: str) -> Changed | None:
         """None where there is nothing new."""
         try:
             snapshot = self.followed.snapshot()
         except UserError as error:
-            return Changed("trouble", self.mark, {"words": str(error)})
-        count = self.followed.count_of(self.mark)
-        if count is None:
-            return Changed("anew", snapshot.mark, {})
-        first = self.busy is None
-        if snapshot.mark == self.mark and snapshot.run.busy == self.busy:
+            if str(error) == self.trouble:
+                return None
+            self.trouble = str(error)
+            return Changed("trouble", self.mark, {"words": self.trouble})
+        if snapshot is self.told and not self.trouble:
             return None
-        self.mark, self.busy = snapshot.mark, snapshot.run.busy
+        count = self.followed.count_of(self.mark)
+        if count is None or len(snapshot.changed_since(count)) > FIRST:
+            return Changed("anew", snapshot.mark, {})
+        first, self.told, self.trouble = self.told is None, snapshot, ""
+        self.mark = snapshot.mark
         return run_news(snapshot, count, first=first)

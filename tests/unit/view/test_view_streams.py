@@ -13,6 +13,8 @@ import pytest
 from asia.errors import UserError
 from asia.ledger import Chain, Follower, Store, open_run
 from asia.problem.load import Problem
+from asia.search import Steering
+from asia.view import _streams
 from asia.view._followed import FollowedRun, RunFolder
 from asia.view._streams import Streams
 from tests.unit.report.made_up import append_experiment
@@ -93,6 +95,54 @@ def test_a_search_that_is_resumed_is_running_again(runs: Path) -> None:
     found = asyncio.run(asyncio.wait_for(story(), 60))
     assert [one["data"]["running"] for one in found] == [False, True, False]
     assert "interrupted" in found[2]["data"]["parts"]["now"]
+
+
+def test_a_pause_that_was_asked_for_is_shown(runs: Path) -> None:
+    followed = FollowedRun(runs / "made")
+
+    async def story() -> str:
+        with Chain(runs / "made" / "ledger.jsonl"):
+            messages = Streams().of_run(followed, followed.snapshot().mark)
+            first = await next_message(messages)
+            assert "to pause" not in first["data"]["parts"]["now"]
+            Steering(runs / "made").pause()
+            return (await next_message(messages))["data"]["parts"]["now"]
+
+    assert "running, to pause" in asyncio.run(asyncio.wait_for(story(), 60))
+
+
+def test_a_run_that_was_removed_is_told_of_once(runs: Path) -> None:
+    followed = FollowedRun(runs / "made")
+
+    async def story() -> list[dict[str, Any]]:
+        streams = Streams()
+        messages = streams.of_run(followed, followed.snapshot().mark)
+        found = [await next_message(messages)]
+        (runs / "made").rename(runs / "elsewhere")
+        found.append(await next_message(messages))
+        rest = asyncio.ensure_future(next_message(messages))
+        await asyncio.sleep(0.4)
+        assert not rest.done()
+        (runs / "elsewhere").rename(runs / "made")
+        return [*found, await rest]
+
+    found = asyncio.run(asyncio.wait_for(story(), 60))
+    assert [one["event"] for one in found] == ["news", "trouble", "news"]
+    assert "is gone" in found[1]["data"]["words"]
+
+
+def test_a_page_that_missed_very_much_loads_anew(
+    runs: Path, problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mark = FollowedRun(runs / "made").snapshot().mark
+    for number in (5, 6):
+        grow(runs / "made", problem, number, "title", None)
+    monkeypatch.setattr(_streams, "FIRST", 1)
+
+    async def story() -> dict[str, Any]:
+        return await next_message(Streams().of_run(FollowedRun(runs / "made"), mark))
+
+    assert asyncio.run(asyncio.wait_for(story(), 60))["event"] == "anew"
 
 
 def test_the_list_is_sent_when_it_changes(runs: Path, problem: Problem) -> None:

@@ -23,7 +23,7 @@ def experiment_row(subject: Subject, e: Experiment) -> Html:
         tag("span", said(e.proposed.title, 120), class_="what"),
         tag("span", status, class_=f"status {status}"),
         tag("span", subject.v(e) if e.score else "", class_="value"),
-        href=f"{run_address(subject.view.started.run)}/experiments/{e.number}",
+        href=f"{run_address(subject.run.name)}/experiments/{e.number}",
     )
     kind = "kept" if e.kept else "failed" if e.failure is not None else "other"
     return tag("li", link, id=f"e{e.number}", class_=kind)

@@ -12,7 +12,6 @@ from asia.view.pages.runs import state_mark
 
 # These are written here, so that they can change line by line.
 _OWN: Final = ("progress", "experiments")
-_FIRST: Final = "verdict"
 
 
 def run_page(snapshot: Snapshot, token: str) -> str:
@@ -34,10 +33,9 @@ def run_page(snapshot: Snapshot, token: str) -> str:
         trouble,
         steering_panel(name, running=snapshot.run.state == "running"),
         tag("nav", tag("ul", *links), aria_label="Sections"),
-        _later(name, next(one for one in SECTIONS if one.key == _FIRST)),
         _progress(snapshot),
         _experiments(snapshot),
-        *(_later(name, one) for one in SECTIONS if one.key not in (*_OWN, _FIRST)),
+        *(_later(name, one) for one in SECTIONS if one.key not in _OWN),
     )
     holder = tag(
         "div",
@@ -51,8 +49,7 @@ def run_page(snapshot: Snapshot, token: str) -> str:
 
 def _titles() -> list[tuple[str, str]]:
     titles = {one.key: one.title for one in SECTIONS}
-    first = (_FIRST, *_OWN)
-    keys = (*first, *(one.key for one in SECTIONS if one.key not in first))
+    keys = (*_OWN, *(one.key for one in SECTIONS if one.key not in _OWN))
     return [(key, titles[key]) for key in keys]
 
 
@@ -67,7 +64,7 @@ def now_panel(snapshot: Snapshot) -> Html:
     if pending is not None and snapshot.run.state == "running":
         doing = join((subject.name(pending), " ", said(pending.proposed.title, 60)))
     tiles: list[tuple[str, Html | None]] = [
-        ("state", state_mark(snapshot.run.state)),
+        ("state", state_mark(snapshot.run.state, paused=snapshot.paused)),
         ("experiments", join((done, budget))),
         (f"{view.v_name}, the best", subject.v(best) if best is not None else None),
         ("spent on them", subject.over("evaluated", "seconds", "sum", "duration")),

@@ -78,7 +78,7 @@ def _cells(one: ListedRun) -> list[Html]:
     view, best = one.brief.view, one.brief.view.best
     value = error_value(best.score.value) if best is not None and best.score is not None else ""
     title = best.proposed.title if best is not None else ""
-    changed = datetime.fromtimestamp(one.changed).strftime("%d\u00a0%b\u00a0%H:%M")
+    changed = datetime.fromtimestamp(one.changed).strftime("%d %b %H:%M")
     return [
         choose,
         link,
@@ -92,6 +92,7 @@ def _cells(one: ListedRun) -> list[Html]:
     ]
 
 
-def state_mark(state: str) -> Html:
+def state_mark(state: str, *, paused: bool = False) -> Html:
     """Where a search stands, as a label."""
-    return tag("span", state, class_=f"state {state}")
+    words = f"{state}, to pause" if paused else state
+    return tag("span", words, class_=f"state {state}")
