@@ -37,7 +37,7 @@ def status(
 
 
 def _object(directory: Path, found: Brief) -> dict[str, Any]:
-    from asia.ledger import control, metric_of, model_to_use
+    from asia.ledger import control, floor_to_beat, metric_of, model_to_use
     from asia.scoring import Score
 
     view, best = found.view, found.view.best
@@ -65,6 +65,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "validation_scores": found.validation_scores,
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
         "remark": _remark(view) or None,
+        "noise_floor": floor_to_beat(view),
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
         "confirmed": None if view.confirmed is None else asdict(view.confirmed),
@@ -96,7 +97,7 @@ def _print(directory: Path, found: Brief) -> None:
         validation_words,
         value_words,
     )
-    from asia.ledger import control, control_words, hand_over_words, metric_of
+    from asia.ledger import control, control_words, floor_words, hand_over_words, metric_of
     from asia.protocol import metric_label
 
     view = found.view
@@ -122,6 +123,8 @@ def _print(directory: Path, found: Brief) -> None:
         say(f"V is {validation_words(found.validation_scores)}")
     if view.started.residuals == "held_out":
         say("V is with held-out residuals shown")
+    if words := floor_words(view):
+        say(f"floor   {words}")
     _print_winner(view)
     if view.unsealed is not None:
         say(f"the test was opened: asia unseal {directory.name} shows the result again")

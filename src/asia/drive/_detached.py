@@ -49,6 +49,8 @@ class SearchRequest:
     """Level asked for; None for the strongest that works."""
     isolation_strict: bool = False
     """Whether the folds of a candidate run one after the other."""
+    retests: int | None = None
+    """Fits from other seeds of a candidate about to be kept; None for the problem's number."""
     records: int = 0
     """Lines that the ledger had when this was asked for."""
     settings: dict[str, str] = field(default_factory=dict[str, str])

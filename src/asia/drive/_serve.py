@@ -37,6 +37,7 @@ def requested_problem(request: SearchRequest) -> Problem:
         budget,
         experiments=request.experiments or budget.experiments,
         hours=request.hours if request.hours is not None else budget.hours,
+        retests=request.retests if request.retests is not None else budget.retests,
         patience=_PATIENCE,
     )
     problem = replace(problem, budget=budget)

@@ -26,6 +26,7 @@ from asia.ledger._events import (
     Refitted,
     Repeated,
     Resumed,
+    Retest,
     RungScored,
     SessionEnded,
     SessionStarted,
@@ -71,7 +72,7 @@ from asia.ledger.evidence.experiment import (
 )
 from asia.ledger.evidence.findings import findings_of, put_findings
 from asia.ledger.evidence.identified_words import identified_lines, identified_object
-from asia.ledger.evidence.noise import noise_of_repeats
+from asia.ledger.evidence.noise import floor_to_beat, floor_words, noise_of_repeats
 from asia.ledger.evidence.parameters import (
     EstimatedModel,
     EstimatedParameter,
@@ -122,6 +123,7 @@ __all__ = [
     "Refitted",
     "Repeated",
     "Resumed",
+    "Retest",
     "Run",
     "RunSettings",
     "RunState",
@@ -157,6 +159,8 @@ __all__ = [
     "evidence_of",
     "find_run",
     "findings_of",
+    "floor_to_beat",
+    "floor_words",
     "get_estimates",
     "hand_over_words",
     "identified",

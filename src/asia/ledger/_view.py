@@ -56,6 +56,15 @@ class Experiment:
         return outcome if isinstance(outcome, Failure) else None
 
     @property
+    def seed_values(self) -> tuple[float, ...]:
+        """V from each seed, that of the search first; a single value where fits do not depend on
+        the seed, or none was repeated; () without a score."""
+        if self.score is None or self.result is None:
+            return ()
+        again = [r.value for r in self.result.retests if r.value is not None and not r.same]
+        return (self.score.value, *again)
+
+    @property
     def kept(self) -> bool:
         """Whether it was a new best."""
         return self.result is not None and self.result.status == "keep"

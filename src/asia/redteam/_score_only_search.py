@@ -9,8 +9,7 @@ from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator, FoldResult
 from asia.ledger import Evaluated, Event, Proposed, Started, published, replay
 from asia.scoring import Failure, Score
-from asia.search._loop import judge
-from asia.search._rules import decide
+from asia.search._judging import judge
 
 HALVINGS = 15
 
@@ -26,8 +25,8 @@ class ScoreOnlySearch:
     def submit(self, score: Score, spoil: Spoil | None = None) -> Evaluated:
         """What an agent learns of a candidate with this score. spoil: how it breaks a relation."""
         view, evaluator = replay(self._events), _Known(score, spoil)
-        number, outcome = len(view.experiments) + 1, judge(evaluator, "", view).outcome
-        name, status = str(number), decide(outcome, view)
+        number, judged = len(view.experiments) + 1, judge(evaluator, "", view)
+        name, status, outcome = str(number), judged.status, judged.evaluation.outcome
         proposed = Proposed(number, None, "explore", "probe", name, "h", "e", name, name)
         self._events += [proposed, Evaluated(number, status, outcome, (), None, 0.0)]
         result = published(replay(self._events)).experiment(number).result

@@ -25,6 +25,7 @@ from asia.scoring._correlation import (
 from asia.scoring._diagnostics import Diagnostics, diagnose
 from asia.scoring._fit import fit_index, r2
 from asia.scoring._mee import GroupError, MeeTable, mee_table
+from asia.scoring._noise_floor import noise_floor
 from asia.scoring._outcome import (
     Failure,
     FoldScore,
@@ -79,6 +80,7 @@ __all__ = [
     "fit_index",
     "independent_band",
     "mee_table",
+    "noise_floor",
     "noise_of_seeds",
     "output_bands",
     "paired_difference",

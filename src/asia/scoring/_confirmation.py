@@ -20,6 +20,7 @@ from asia.data import Array
 from asia.errors import InternalError
 from asia.protocol import find_metric
 from asia.scoring._fit import pooled
+from asia.scoring._noise_floor import student_quantile
 
 BLOCKS: Final = 8
 _DRAWS = 2000
@@ -178,7 +179,7 @@ def expected_error(winner: RepeatedFits, tried: Array, level: float, seed: int) 
     total = variance / parts.shape[1] + variance / parts.size + seeds
     if centre <= 0.0 or total == 0.0:
         return ExpectedError(centre, centre, centre, optimism)
-    half = _quantile(level, max(1, parts.size - 1)) * math.sqrt(total) / centre
+    half = student_quantile(level, max(1, parts.size - 1)) * math.sqrt(total) / centre
     return ExpectedError(centre, centre * math.exp(-half), centre * math.exp(half), optimism)
 
 
@@ -213,11 +214,5 @@ def _sum_of_variances(parts: Sequence[tuple[float, int]]) -> tuple[float, float]
 
 
 def _around(value: float, variance: float, degrees: float, level: float) -> Interval:
-    half = _quantile(level, degrees) * math.sqrt(variance) if variance > 0.0 else 0.0
+    half = student_quantile(level, degrees) * math.sqrt(variance) if variance > 0.0 else 0.0
     return Interval(value, value - half, value + half)
-
-
-def _quantile(level: float, degrees: float) -> float:
-    from scipy.special import stdtrit  # only where statistics are asked for
-
-    return float(stdtrit(degrees, 0.5 + level / 2.0))

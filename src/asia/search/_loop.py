@@ -21,7 +21,7 @@ from asia.agents import (
     Proposal,
     agent_of_leg,
 )
-from asia.evaluation import Evaluation, Evaluator, FoldResult, score_rungs
+from asia.evaluation import Evaluator, FoldResult, score_rungs
 from asia.ledger import (
     Chain,
     Evaluated,
@@ -46,10 +46,10 @@ from asia.ledger import (
     write_exports,
 )
 from asia.problem.load import Problem
-from asia.scoring import Failure
 from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
 from asia.search._guard import look_at_guard
-from asia.search._rules import decide, next_leg, stop_reason
+from asia.search._judging import judge
+from asia.search._rules import next_leg, stop_reason
 from asia.search._steering import Steering
 from asia.search.final.ending import refit_winner
 
@@ -232,20 +232,23 @@ class Loop:
             if settled and twin.proposed.digest == experiment.proposed.digest:
                 return _outcome_of_twin(experiment, twin)
         start, before = time.monotonic(), len(self.evaluator.left_behind)
-        evaluation = judge(self.evaluator, self.store.text(experiment.proposed.source), view)
+        judged = judge(self.evaluator, self.store.text(experiment.proposed.source), view)
+        evaluation = judged.evaluation
         with self.watch.activity(Activity.LEDGER):
             folds = tuple(self._keep(fold) for fold in evaluation.folds)
         return Evaluated(
             experiment=experiment.number,
-            status=decide(evaluation.outcome, view),
+            status=judged.status,
             outcome=evaluation.outcome,
             folds=folds,
             output=self.store.put(evaluation.output.encode()) if evaluation.output else None,
             seconds=time.monotonic() - start,
-            deadline=_touched_deadline(evaluation),
-            validation_scores=evaluation.validation_scores,
+            deadline=judged.deadline,
+            validation_scores=judged.validation_scores,
             isolation=self.evaluator.isolation.value,
             left_behind=tuple(self.evaluator.left_behind[before:]),
+            retests=judged.retests,
+            floor=judged.floor,
         )
 
     def _keep(self, fold: FoldResult) -> FoldEvidence:
@@ -308,19 +311,6 @@ class LoopJournal:
         return self.loop.steering.waiting
 
 
-def judge(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
-    """Evaluate. A candidate that would be kept must also come back bitwise the same from its bytes,
-    and answer like a model. With the Ladder every candidate with a score must: otherwise the check,
-    and the time it takes, would say which one is kept. After an objection the folds stay."""
-    evaluation = evaluator.evaluate(source)
-    if isinstance(evaluation.outcome, Failure):
-        return evaluation
-    if view.started.ladder is None and decide(evaluation.outcome, view) != "keep":
-        return evaluation
-    failure = evaluator.objection(source, evaluation.folds)
-    return evaluation if failure is None else replace(evaluation, outcome=failure)
-
-
 def _baseline(source: str) -> Proposal:
     return Proposal(
         source=source,
@@ -329,11 +319,6 @@ def _baseline(source: str) -> Proposal:
         hypothesis="The problem's own baseline, untouched, is where every search starts.",
         expected="A reference value that the rest must beat.",
     )
-
-
-def _touched_deadline(evaluation: Evaluation) -> bool:
-    outcome = evaluation.outcome
-    return isinstance(outcome, Failure) and outcome.reason.status == "timeout"
 
 
 def _outcome_of_twin(experiment: Experiment, twin: Experiment) -> Evaluated:

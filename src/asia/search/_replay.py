@@ -44,8 +44,8 @@ from asia.problem.load import Problem, load_lock
 from asia.sandbox import LEVELS, Isolation, probe
 from asia.scoring import Failure, Outcome, Score
 from asia.search._agent_view import agent_view, as_bytes, problem_facts
-from asia.search._loop import judge
-from asia.search._rules import decide, stop_reason
+from asia.search._judging import judge
+from asia.search._rules import stop_reason
 from asia.search._run import LOCK, environment, environment_changes, make_evaluator
 
 OutcomeAgreement = Literal["same", "close", "differs", "exempt", "unfinished"]
@@ -252,11 +252,16 @@ class _Replaying:
         if event.deadline:
             return _with_detail(replace(item, outcome="exempt"), "the deadline decided")
         source = self.run.store.text(view.experiment(event.experiment).proposed.source)
-        outcome = judge(self.evaluator, source, view).outcome
-        item = self._compare(item, event.outcome, outcome)
-        status = decide(outcome, view)
-        if status != event.status and item.outcome == "same":
-            return _with_detail(replace(item, outcome="differs"), f"it would be {status} now")
+        judged = judge(self.evaluator, source, view)
+        item = self._compare(item, event.outcome, judged.evaluation.outcome)
+        if item.outcome != "same":
+            return item
+        if judged.status != event.status:
+            words = f"it would be {judged.status} now"
+            return _with_detail(replace(item, outcome="differs"), words)
+        if judged.retests != event.retests and not self.tolerance:
+            words = "from another seed it comes out otherwise"
+            return _with_detail(replace(item, outcome="differs"), words)
         return item
 
     def _end(self, name: str, reason: HandOverReason | StopReason, before: SearchView) -> None:

@@ -48,7 +48,7 @@ def next_leg(view: SearchView, stopped: Stopped) -> HandedOver | None:
 
 
 def decide(outcome: Outcome, view: SearchView) -> Status:
-    """`keep` when V beats the incumbent's, else `discard`; a failure by its reason."""
+    """By one fit: `keep` when V beats the incumbent's, else `discard`; a failure by its reason."""
     if isinstance(outcome, Failure):
         return outcome.reason.status
     return "keep" if beats(outcome, view) else "discard"

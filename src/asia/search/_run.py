@@ -127,6 +127,8 @@ def prepare(
         lessons=hashlib.sha256(taught).hexdigest() if taught else None,
         folds=fold_names(folds, problem.protocol),
         legs=_recorded_legs(legs),
+        # The Ladder has a floor of its own, and retests would say by their time what is kept.
+        retests=0 if problem.protocol.ladder is not None else problem.budget.retests,
     )
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
@@ -319,6 +321,8 @@ def _check_lock_agrees(problem: Problem, sealed: Seal, directory: Path) -> None:
     """The budget may grow; all else must be as it was."""
     found = lock_differences(problem, sealed, directory / LOCK)
     different = [d for d in found if d.key not in ("budget.experiments", "budget.hours")]
+    # A run from before there were retests goes on by the rule in its ledger.
+    different = [d for d in different if not (d.key == "budget.retests" and d.before is None)]
     if different:
         raise UserError(
             f"{directory} was started with other settings ({different[0]}); only the number of "

@@ -25,6 +25,14 @@ class SearchOptions:
     hours: Annotated[
         float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
     ] = None
+    retests: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Other seeds that a new best is fitted from before it is kept; 0: one fit "
+            "decides. Default the problem's.",
+        ),
+    ] = None
     name: Annotated[
         str | None, typer.Option(help="Name of the run; default PROBLEM-AGENT-sSEED.")
     ] = None
@@ -77,6 +85,7 @@ class SearchOptions:
             own,
             experiments=self.experiments or own.experiments,
             hours=self.hours if self.hours is not None else own.hours,
+            retests=self.retests if self.retests is not None else own.retests,
         )
         problem = replace(problem, budget=budget)
         if self.early_stopping is None:
@@ -97,6 +106,7 @@ class SearchOptions:
             early_stopping=self.early_stopping,
             isolation=self.isolation,
             isolation_strict=self.isolation_strict,
+            retests=self.retests,
         )
 
     def words(self) -> list[str]:
@@ -105,6 +115,7 @@ class SearchOptions:
             ("--experiments", self.experiments),
             ("--seed", self.seed or None),
             ("--hours", self.hours),
+            ("--retests", self.retests),
             ("--name", self.name),
             ("--early-stopping", self.early_stopping),
             ("--isolation", self.isolation),

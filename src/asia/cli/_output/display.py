@@ -45,6 +45,8 @@ from asia.ledger import (
     control,
     control_words,
     error_value,
+    floor_to_beat,
+    floor_words,
     hand_over_words,
     open_run,
 )
@@ -53,7 +55,13 @@ from asia.protocol import find_metric
 from asia.scoring import Failure
 from asia.search import Prepared, environment_changes
 
-STYLES = {"keep": "bold green", "discard": "dim", "crash": "red", "timeout": "yellow"}
+STYLES = {
+    "keep": "bold green",
+    "discard": "dim",
+    "inconclusive": "cyan",
+    "crash": "red",
+    "timeout": "yellow",
+}
 
 
 def make_display(problem: Problem, prepared: Prepared, *, json: bool) -> JsonDisplay | TextDisplay:
@@ -199,6 +207,8 @@ class TextDisplay:
             beside = control(self.prepared.directory, view.started, len(view.finished))
             if beside is not None:
                 self._print(f"control  {control_words(beside, view.started)}")
+            if words := floor_words(view):
+                self._print(f"floor    {words}")
             if words := again_words(view):
                 self._print(f"again    {words}")
             if view.looks:
@@ -262,6 +272,9 @@ class TextDisplay:
             p = view.pending.proposed
             doing = f"#{p.experiment:02d} {p.phase}: {p.title}"
         done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"
+        floor = floor_to_beat(view)
+        if floor is not None:
+            done += f" · noise floor {floor:.2g}"
         self.footer.update(Text(f"{done} · {printable_line(doing)}"))
 
     def _print(self, text: str, style: str = "") -> None:

@@ -77,7 +77,7 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     title = f"{proposed.agent}: {proposed.title}" if proposed.agent else proposed.title
     asked = "" if view.started.early_stopping == "inner" else f" | {validation_score_words(r):<21}"
     return (
-        f"#{experiment.number:02d} {r.status:<8}{found:<25}  {duration(r.seconds):>6}  "
+        f"#{experiment.number:02d} {r.status:<7} {found:<25}  {duration(r.seconds):>6}  "
         f"{title:<44}{asked} | {tail}"
     )
 
@@ -185,6 +185,8 @@ def event_object(event: Event, view: SearchView) -> dict[str, Any]:
             "title": experiment.proposed.title,
             "seconds": round(event.seconds, 3),
             "validation_scores": event.validation_scores,
+            "retests": [r.value for r in event.retests],
+            "floor": event.floor,
             "best": best.number if best else None,
         }
     if isinstance(event, HandedOver):

@@ -10,7 +10,7 @@ from asia.ledger._events.final import RefitCheck, Stack, Use
 from asia.protocol import EarlyStopping, ShownResidual
 from asia.scoring import Diagnostics, Outcome
 
-Status = Literal["keep", "discard", "crash", "timeout", "invalid"]
+Status = Literal["keep", "inconclusive", "discard", "crash", "timeout", "invalid"]
 Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
@@ -88,6 +88,9 @@ class Started:
     """With `held_out` those who propose saw residuals of the held-out samples."""
     legs: tuple[Leg, ...] = ()
     """The agents that propose one after the other; () where one agent does."""
+    retests: int = 0
+    """The most fits from other seeds of a candidate about to be kept, which must then be better by
+    the noise floor; 0 where one fit decides, as in older ledgers."""
     event: Literal["started"] = "started"
 
     @property
@@ -161,6 +164,22 @@ class FoldEvidence:
 
 
 @dataclass(frozen=True)
+class Retest:
+    """A candidate about to be kept, fitted again on every fold from another seed."""
+
+    value: float | None = None
+    """V of these fits; None where one failed."""
+    folds: tuple[float, ...] = ()
+    """Its part of each fold; () where one failed."""
+    failed: str = ""
+    """The reason of the failure."""
+    same: bool = False
+    """Whether every simulation is bitwise that of the first fit: the seed plays no part."""
+    seconds: float = field(default=0.0, compare=False)
+    """Duration."""
+
+
+@dataclass(frozen=True)
 class Evaluated:
     """What came of a candidate."""
 
@@ -175,7 +194,7 @@ class Evaluated:
     output: str | None
     """Artifact of what it printed; None where it printed nothing."""
     seconds: float
-    """Duration of the evaluation."""
+    """Duration of the evaluation, retests included."""
     duplicate_of: int | None = None
     """The experiment whose outcome was reused."""
     deadline: bool = False
@@ -188,6 +207,11 @@ class Evaluated:
     """Process ids of workers that the kernel did not let end."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
     """Where the seconds went since the last event that says so; () in older ledgers."""
+    retests: tuple[Retest, ...] = ()
+    """Its fits from other seeds; () where it was not about to be kept."""
+    floor: float | None = None
+    """How much lower than the incumbent's its mean over the seeds had to be; None without an
+    incumbent, or where one fit decides."""
     event: Literal["evaluated"] = "evaluated"
 
 

@@ -1,12 +1,14 @@
-"""How far V moves when nothing changed but luck: the one place where it is asked."""
+"""How far V moves when nothing changed but luck."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from statistics import variance
+from statistics import fmean, variance
 
+from asia.ledger._exports import error_value
 from asia.ledger._view import SearchView
+from asia.scoring import noise_floor
 
 
 def noise_of_repeats(view: SearchView) -> float | None:
@@ -16,9 +18,31 @@ def noise_of_repeats(view: SearchView) -> float | None:
     for experiment in view.finished:
         result, score = experiment.result, experiment.score
         if score is not None and result is not None and result.duplicate_of is None:
-            values[experiment.proposed.digest].append(score.value)
+            values[experiment.proposed.digest] += experiment.seed_values
     repeated = [one for one in values.values() if len(one) > 1]
     if not repeated:
         return None
     degrees = sum(len(one) - 1 for one in repeated)
     return math.sqrt(sum((len(one) - 1) * variance(one) for one in repeated) / degrees)
+
+
+def floor_to_beat(view: SearchView) -> float | None:
+    """By how much a candidate must be lower than the incumbent, over the seeds, to be kept, if it
+    varies as much; 0 where the incumbent does not depend on the seed, None where that is not known
+    or one fit decides."""
+    best = view.best
+    if best is None or best.result is None or not best.result.retests:
+        return None
+    return noise_floor(best.seed_values, best.seed_values)
+
+
+def floor_words(view: SearchView) -> str:
+    """`0.0031 below 0.1312, the mean of #07 over 3 seeds`; "" where it is not known."""
+    best, floor = view.best, floor_to_beat(view)
+    if best is None or floor is None:
+        return ""
+    values = best.seed_values
+    if len(values) == 1:
+        return f"0: #{best.number:02d} does not depend on the seed"
+    mean = error_value(fmean(values))
+    return f"{floor:.2g} below {mean}, the mean of #{best.number:02d} over {len(values)} seeds"

@@ -1,0 +1,31 @@
+"""How much lower V must be before luck of the seeds is no explanation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from statistics import variance
+
+_LEVEL = 0.95
+
+
+def student_quantile(level: float, degrees: float) -> float:
+    """Half the width of a two-sided interval of Student's t, in standard errors."""
+    from scipy.special import stdtrit  # only where statistics are asked for
+
+    return float(stdtrit(degrees, 0.5 + level / 2.0))
+
+
+def noise_floor(one: Sequence[float], other: Sequence[float]) -> float:
+    """By how much the means of two candidates over their seeds must differ to be told apart.
+
+    one, other: V of each from several seeds, a single value of one whose fits do not depend on the
+    seed. Half of a two-sided 95 % interval by Student's t with the pooled variance; 0 where the
+    fits of neither depend on the seed."""
+    repeated = [values for values in (one, other) if len(values) > 1]
+    degrees = sum(len(values) - 1 for values in repeated)
+    if not degrees:
+        return 0.0
+    pooled = sum((len(values) - 1) * variance(values) for values in repeated) / degrees
+    error = math.sqrt(pooled * sum(1.0 / len(values) for values in repeated))
+    return student_quantile(_LEVEL, degrees) * error

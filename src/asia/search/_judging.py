@@ -1,0 +1,157 @@
+"""Fit, score and decide on one candidate.
+
+A candidate about to become the incumbent is fitted again from other seeds. It takes the title where
+its mean over the seeds is lower than the incumbent's by the noise floor.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean
+
+from asia.evaluation import Evaluation, Evaluator
+from asia.ledger import Retest, SearchView, Status
+from asia.scoring import Failure, Score, noise_floor
+from asia.search._rules import decide
+
+_FIRST_SEED = 1_000_000
+"""The number of the first seed of retests: those of `asia confirm` count from 1, and what chose a
+winner must not also confirm it."""
+_WORTH_A_RETEST = 0.5
+"""The share of the noise floor by which a first fit must be lower: with less, two more fits make a
+new best very unlikely."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A candidate and the decision on it."""
+
+    evaluation: Evaluation
+    """Its first fit, or why there is no score."""
+    status: Status
+    """The decision."""
+    retests: tuple[Retest, ...] = ()
+    """Its fits from other seeds."""
+    floor: float | None = None
+    """How much lower than the incumbent's its mean over the seeds had to be; None without an
+    incumbent, or where one fit decides."""
+    deadline: bool = False
+    """Whether the machine's speed had a part in the decision."""
+    validation_scores: int = 0
+    """Validation scores given in all fits."""
+
+
+@dataclass(frozen=True)
+class _Decision:
+    """What the fits from several seeds say."""
+
+    status: Status
+    retests: tuple[Retest, ...] = ()
+    floor: float | None = None
+    deadline: bool = False
+    validation_scores: int = 0
+
+
+def judge(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
+    """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept must
+    also come back bitwise the same from its bytes, and answer like a model. With the Ladder every
+    candidate with a score must: otherwise the check, and the time it takes, would say which one is
+    kept. After an objection the folds stay."""
+    evaluation = evaluator.evaluate(source)
+    asked = evaluation.validation_scores
+    if isinstance(evaluation.outcome, Failure):
+        status = evaluation.outcome.reason.status
+        return Judged(evaluation, status, (), None, status == "timeout", asked)
+    if view.started.retests:
+        found = _Retesting(evaluator, source, evaluation, evaluation.outcome, view).decide()
+    else:
+        found = _Decision(decide(evaluation.outcome, view))
+    status = found.status
+    if status == "keep" or view.started.ladder is not None:
+        failure = evaluator.objection(source, evaluation.folds)
+        if failure is not None:
+            evaluation = replace(evaluation, outcome=failure)
+            status = failure.reason.status
+    deadline = found.deadline or status == "timeout"
+    asked += found.validation_scores
+    return Judged(evaluation, status, found.retests, found.floor, deadline, asked)
+
+
+@dataclass(frozen=True)
+class _Retesting:
+    """A candidate with a score beside the incumbent."""
+
+    evaluator: Evaluator
+    source: str
+    first: Evaluation
+    score: Score
+    view: SearchView
+
+    def decide(self) -> _Decision:
+        """`discard` where it is not lower than the incumbent, `inconclusive` where it is, but not
+        by the noise floor. Each as soon as it is certain enough, so most candidates cost no fit
+        more."""
+        best = self.view.best
+        if best is None:
+            # Nothing to beat; its spread is the first noise floor.
+            return replace(self._repeat(()), status="keep")
+        known = best.seed_values
+        floor, lead = noise_floor(known, known), fmean(known) - self.score.value
+        if lead <= 0.0:
+            return _Decision("discard", floor=floor)
+        if lead < _WORTH_A_RETEST * floor:
+            return _Decision("inconclusive", floor=floor)
+        return self._repeat(known)
+
+    def _repeat(self, known: Sequence[float]) -> _Decision:
+        """Fit from other seeds until the decision is clear, or there are no more."""
+        retests: list[Retest] = []
+        values, asked, timed_out, failed = [self.score.value], 0, False, False
+        for number in range(self.view.started.retests):
+            begin = time.monotonic()
+            again = self.evaluator.evaluate(self.source, _FIRST_SEED + number)
+            seconds = time.monotonic() - begin
+            asked += again.validation_scores
+            outcome = again.outcome
+            if isinstance(outcome, Failure):
+                retests.append(Retest(failed=outcome.reason.value, seconds=seconds))
+                timed_out, failed = outcome.reason.status == "timeout", True
+                break
+            same = _is_same(self.first, again)
+            folds = tuple(fold.value for fold in outcome.folds)
+            retests.append(Retest(outcome.value, folds, same=same, seconds=seconds))
+            if same:
+                # One fit shows it: the others would be the same.
+                break
+            values.append(outcome.value)
+            if known and (fmean(values) >= fmean(known) or _is_lower(values, known)):
+                break
+        status, floor = _decision(values, known, failed=failed)
+        return _Decision(status, tuple(retests), floor, timed_out, asked)
+
+
+def _decision(
+    values: Sequence[float], known: Sequence[float], *, failed: bool
+) -> tuple[Status, float | None]:
+    if not known:
+        return "keep", None
+    floor = noise_floor(values, known)
+    if fmean(values) >= fmean(known):
+        return "discard", floor
+    return "keep" if not failed and _is_lower(values, known) else "inconclusive", floor
+
+
+def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
+    """By more than the noise floor; by any amount where neither depends on the seed."""
+    return fmean(known) - fmean(values) > noise_floor(values, known)
+
+
+def _is_same(first: Evaluation, again: Evaluation) -> bool:
+    """Whether every simulation came out bitwise the same."""
+    return all(
+        a.tobytes() == b.tobytes()
+        for one, other in zip(first.folds, again.folds, strict=True)
+        for a, b in zip(one.y_hat, other.y_hat, strict=True)
+    )

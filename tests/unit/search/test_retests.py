@@ -1,0 +1,180 @@
+"""A new best must be better than luck of the seeds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+import asia
+from asia.errors import Reason
+from asia.evaluation import Evaluation, Evaluator, FoldResult
+from asia.ledger import (
+    Evaluated,
+    Event,
+    Proposed,
+    Retest,
+    SearchView,
+    Started,
+    floor_to_beat,
+    floor_words,
+    replay,
+)
+from asia.scoring import Failure, Score, noise_floor
+from asia.search import replay_run
+from asia.search._judging import Judged, judge
+
+from .toy import Scripted, arx, write_problem
+
+DIGEST = "0" * 64
+LUCKY = """
+import numpy as np
+
+
+class Model:
+    def __init__(self, gain):
+        self.gain = gain
+
+    def simulate(self, past_u, past_y, u):
+        return self.gain * u
+
+
+def fit(trajectories, context):
+    # candidate {number}
+    return Model(0.3 + 0.1 * np.random.default_rng([context.seed, {number}]).normal())
+"""
+
+
+class Fits(Evaluator):
+    """V of the fits of one candidate, one after the other."""
+
+    def __init__(self, *outcomes: float | Failure) -> None:
+        self.outcomes, self.starts = outcomes, list[int]()
+
+    def evaluate(self, source: str, start: int = 0) -> Evaluation:
+        """The next one."""
+        self.starts.append(start)
+        outcome = self.outcomes[len(self.starts) - 1]
+        if isinstance(outcome, Failure):
+            return Evaluation(outcome)
+        fold = SimpleNamespace(y_hat=(np.array([outcome]),))
+        return Evaluation(Score(outcome, ()), (cast(FoldResult, fold),))
+
+    def objection(self, source: str, folds: object) -> None:
+        """None."""
+
+
+def a_search(retests: int, *incumbent: float) -> SearchView:
+    """One experiment that was kept, with these values over its seeds."""
+    start = Started(
+        "run", "problem", "agent", 0, 9, None, ("y",), DIGEST, DIGEST, None, "process", (), {},
+        retests=retests,
+    )  # fmt: skip
+    first, *others = incumbent
+    again = tuple(Retest(value, same=value == first) for value in others)
+    events: list[Event] = [
+        start,
+        Proposed(1, None, "baseline", "f", "t", "h", "e", "s", "d"),
+        Evaluated(1, "keep", Score(first, ()), (), None, 1.0, retests=again),
+    ]
+    return replay(events)
+
+
+def judged(view: SearchView, *outcomes: float | Failure) -> tuple[Judged, int]:
+    """The decision, and how many fits it took."""
+    evaluator = Fits(*outcomes)
+    return judge(evaluator, "", view), len(evaluator.starts)
+
+
+NOISY = 1.0, 1.1, 0.9
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "status", "fits"),
+    [
+        ((1.01,), "discard", 1),
+        ((0.95,), "inconclusive", 1),
+        ((0.80, 0.95, 0.93), "inconclusive", 3),
+        ((0.80, 1.25), "discard", 2),
+        ((0.60, 0.80, 0.65), "keep", 3),
+        ((0.20, 0.25), "keep", 2),
+        ((0.70, 0.70), "keep", 2),
+        ((0.50, Failure(Reason.CRASH)), "inconclusive", 2),
+    ],
+)
+def test_a_candidate_must_stand_out_over_its_seeds(
+    outcomes: tuple[float | Failure, ...], status: str, fits: int
+) -> None:
+    found, taken = judged(a_search(2, *NOISY), *outcomes)
+    assert (found.status, taken) == (status, fits)
+    assert found.evaluation.outcome == Score(cast(float, outcomes[0]), ())
+    assert len(found.retests) == fits - 1
+
+
+def test_where_no_fit_depends_on_the_seed_any_lower_value_is_kept_after_one_more_fit() -> None:
+    found, fits = judged(a_search(2, 1.0, 1.0), 0.999, 0.999)
+    assert (found.status, found.floor, fits) == ("keep", 0.0, 2)
+    assert found.retests[0].same
+
+
+def test_a_ledger_without_retests_is_decided_by_the_first_fit() -> None:
+    found, fits = judged(a_search(0, 1.0), 0.999)
+    assert (found.status, found.floor, fits) == ("keep", None, 1)
+
+
+def test_the_first_candidate_with_a_score_is_kept_and_measures_the_floor() -> None:
+    view = replace(a_search(2, 1.0), experiments=())
+    found, fits = judged(view, 1.0, 1.1, 0.9)
+    assert (found.status, found.floor, fits) == ("keep", None, 3)
+    assert judged(view, 1.0, Failure(Reason.CRASH))[0].status == "keep"
+
+
+def test_the_seeds_are_not_those_of_a_confirmation() -> None:
+    evaluator = Fits(0.6, 0.8, 0.65)
+    judge(evaluator, "", a_search(2, *NOISY))
+    assert evaluator.starts[0] == 0
+    assert min(evaluator.starts[1:]) > 1000
+    assert len(set(evaluator.starts)) == 3
+
+
+def test_the_floor_is_students_interval() -> None:
+    from scipy.stats import ttest_ind
+
+    one, other = [1.0, 1.1, 0.9], [0.5, 0.56, 0.53]
+    interval = ttest_ind(one, other).confidence_interval(0.95)
+    assert noise_floor(one, other) == pytest.approx((interval.high - interval.low) / 2)
+    assert noise_floor([1.0], [2.0]) == 0.0
+
+
+def test_the_floor_is_told_once_it_is_known() -> None:
+    assert floor_to_beat(a_search(2, *NOISY)) == pytest.approx(noise_floor(NOISY, NOISY))
+    assert floor_words(a_search(2, *NOISY)).endswith("below 1.0000, the mean of #01 over 3 seeds")
+    assert floor_words(a_search(2, 1.0, 1.0)) == "0: #01 does not depend on the seed"
+    assert floor_to_beat(a_search(0, 1.0)) is None
+
+
+def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) -> None:
+    """Candidates that differ in luck alone, in a real search: a lower V is not kept."""
+    problem = write_problem(tmp_path / "toy")
+    (problem / "baseline.py").write_text(LUCKY.replace("{number}", "0"))
+    agent = Scripted(tuple(LUCKY.replace("{number}", str(n)) for n in (1, 2, 3)))
+    run = asia.run(problem, agent=agent, runs=tmp_path / "runs", experiments=4)
+    results = [e.result for e in run.view.finished if e.result]
+    assert run.view.started.retests == 2
+    assert [r.status == "keep" for r in results] == [True, False, False, False]
+    assert len(results[0].retests) == 2
+    assert not results[0].retests[0].same
+    assert all(item.agrees for item in replay_run(run.directory, lambda item: None).items)
+
+
+def test_a_deterministic_search_repeats_each_new_best_once(tmp_path: Path) -> None:
+    problem = write_problem(tmp_path / "toy")
+    run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
+    again = [e.result.retests for e in run.view.finished if e.result]
+    assert [[r.same for r in retests] for retests in again] == [[True], [True]]
+    assert run.view.best is not None
+    assert run.view.best.number == 2
