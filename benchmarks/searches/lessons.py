@@ -49,7 +49,7 @@ from asia.problem.load import Problem, builtin_problems, load_problem
 from asia.protocol import Fold, make_folds, whole
 from asia.scoring import Diagnostics, Failure, FoldScore, combine, diagnose, score_fold
 from asia.search import problem_facts
-from asia.search._rules import EXPLORE_SHARE
+from asia.search.deciding.rules import EXPLORE_SHARE
 from systems import KINDS, make_system, write_problem
 
 Arm = Literal["without", "with", "misled", "other kinds"]

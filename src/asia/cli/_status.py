@@ -65,7 +65,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "validation_scores": found.validation_scores,
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
         "remark": _remark(view) or None,
-        "noise_floor": floor_to_beat(view),
+        "floor": floor_to_beat(view),
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
         "confirmed": None if view.confirmed is None else asdict(view.confirmed),

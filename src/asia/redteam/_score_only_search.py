@@ -9,7 +9,7 @@ from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator, FoldResult
 from asia.ledger import Evaluated, Event, Proposed, Started, published, replay
 from asia.scoring import Failure, Score
-from asia.search._judging import judge
+from asia.search.deciding.judging import judge
 
 HALVINGS = 15
 

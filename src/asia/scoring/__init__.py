@@ -23,9 +23,9 @@ from asia.scoring._correlation import (
     with_own_past,
 )
 from asia.scoring._diagnostics import Diagnostics, diagnose
+from asia.scoring._difference import least_significant_difference
 from asia.scoring._fit import fit_index, r2
 from asia.scoring._mee import GroupError, MeeTable, mee_table
-from asia.scoring._noise_floor import noise_floor
 from asia.scoring._outcome import (
     Failure,
     FoldScore,
@@ -79,8 +79,8 @@ __all__ = [
     "expected_lowest",
     "fit_index",
     "independent_band",
+    "least_significant_difference",
     "mee_table",
-    "noise_floor",
     "noise_of_seeds",
     "output_bands",
     "paired_difference",

@@ -19,8 +19,8 @@ import numpy as np
 from asia.data import Array
 from asia.errors import InternalError
 from asia.protocol import find_metric
+from asia.scoring._difference import student_quantile
 from asia.scoring._fit import pooled
-from asia.scoring._noise_floor import student_quantile
 
 BLOCKS: Final = 8
 _DRAWS = 2000

@@ -23,7 +23,7 @@ from asia.ledger import (
 )
 from asia.problem.load import Problem
 from asia.scoring import Score
-from asia.search._rules import phase
+from asia.search.deciding.rules import phase
 
 CURVE_POINTS = 200
 

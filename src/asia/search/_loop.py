@@ -48,9 +48,9 @@ from asia.ledger import (
 from asia.problem.load import Problem
 from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
 from asia.search._guard import look_at_guard
-from asia.search._judging import judge
-from asia.search._rules import next_leg, stop_reason
 from asia.search._steering import Steering
+from asia.search.deciding.judging import judge
+from asia.search.deciding.rules import next_leg, stop_reason
 from asia.search.final.ending import refit_winner
 
 OnEvent = Callable[[Event, SearchView], None]

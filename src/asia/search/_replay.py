@@ -44,9 +44,9 @@ from asia.problem.load import Problem, load_lock
 from asia.sandbox import LEVELS, Isolation, probe
 from asia.scoring import Failure, Outcome, Score
 from asia.search._agent_view import agent_view, as_bytes, problem_facts
-from asia.search._judging import judge
-from asia.search._rules import stop_reason
 from asia.search._run import LOCK, environment, environment_changes, make_evaluator
+from asia.search.deciding.judging import judge
+from asia.search.deciding.rules import stop_reason
 
 OutcomeAgreement = Literal["same", "close", "differs", "exempt", "unfinished"]
 ProposalAgreement = Literal["same", "differs", "taken", "none"]

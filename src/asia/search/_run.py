@@ -127,13 +127,15 @@ def prepare(
         lessons=hashlib.sha256(taught).hexdigest() if taught else None,
         folds=fold_names(folds, problem.protocol),
         legs=_recorded_legs(legs),
-        # The Ladder has a floor of its own, and retests would say by their time what is kept.
-        retests=0 if problem.protocol.ladder is not None else problem.budget.retests,
+        retests=_retests(problem),
     )
-    resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
-    if resumes:
-        _check_lock_agrees(problem, sealed, directory)
+    resumes = _resumes(problem, sealed, directory)
     return Prepared(problem, directory, lock, started, resumes, taught)
+
+
+def _retests(problem: Problem) -> int:
+    """The Ladder has a floor of its own, and retests would say by their time what is kept."""
+    return 0 if problem.protocol.ladder is not None else problem.budget.retests
 
 
 def _default_name(problem: Problem, agent_name: str, seed: int) -> str:
@@ -317,8 +319,10 @@ def _absent(name: str) -> str:
     return "not recorded" if name == "asia.models" else "missing"
 
 
-def _check_lock_agrees(problem: Problem, sealed: Seal, directory: Path) -> None:
-    """The budget may grow; all else must be as it was."""
+def _resumes(problem: Problem, sealed: Seal, directory: Path) -> bool:
+    """Whether the run is there. The budget may grow; all else must be as it was."""
+    if not ((directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()):
+        return False
     found = lock_differences(problem, sealed, directory / LOCK)
     different = [d for d in found if d.key not in ("budget.experiments", "budget.hours")]
     # A run from before there were retests goes on by the rule in its ledger.
@@ -328,6 +332,7 @@ def _check_lock_agrees(problem: Problem, sealed: Seal, directory: Path) -> None:
             f"{directory} was started with other settings ({different[0]}); only the number of "
             "experiments and the hours can grow: choose another --name"
         )
+    return True
 
 
 def check_same_search(view: SearchView, wanted: Started) -> None:

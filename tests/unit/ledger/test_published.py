@@ -7,7 +7,7 @@ import pytest
 from asia.errors import Reason
 from asia.ledger import Evaluated, Event, Proposed, SearchView, Started, beats, published, replay
 from asia.scoring import Failure, FoldScore, Score
-from asia.search._rules import decide
+from asia.search.deciding.rules import decide
 
 STARTED = Started(
     "r", "p", "a", 0, 9, None, ("y",), "0", "0", None, "process", (), {}, ladder=0.1

@@ -25,7 +25,7 @@ from asia.redteam import _score_only_search
 from asia.redteam.attacks import probing
 from asia.scoring import Failure, Score
 from asia.search import prepare, search, with_early_stopping
-from asia.search._rules import decide
+from asia.search.deciding.rules import decide
 
 from .toy import Scripted, arx, write_problem
 

@@ -207,10 +207,9 @@ class TextDisplay:
             beside = control(self.prepared.directory, view.started, len(view.finished))
             if beside is not None:
                 self._print(f"control  {control_words(beside, view.started)}")
-            if words := floor_words(view):
-                self._print(f"floor    {words}")
-            if words := again_words(view):
-                self._print(f"again    {words}")
+            for name, words in (("floor", floor_words(view)), ("again", again_words(view))):
+                if words:
+                    self._print(f"{name:<8} {words}")
             if view.looks:
                 self._print(f"guard    {guard_words(view)}")
             rungs = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.rungs)
@@ -274,7 +273,7 @@ class TextDisplay:
         done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"
         floor = floor_to_beat(view)
         if floor is not None:
-            done += f" · noise floor {floor:.2g}"
+            done += f" · floor {floor:.2g}"
         self.footer.update(Text(f"{done} · {printable_line(doing)}"))
 
     def _print(self, text: str, style: str = "") -> None:

@@ -90,7 +90,7 @@ class Started:
     """The agents that propose one after the other; () where one agent does."""
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
-    the noise floor; 0 where one fit decides, as in older ledgers."""
+    the floor; 0 where one fit decides, as in older ledgers."""
     event: Literal["started"] = "started"
 
     @property

@@ -8,7 +8,7 @@ from statistics import fmean, variance
 
 from asia.ledger._exports import error_value
 from asia.ledger._view import SearchView
-from asia.scoring import noise_floor
+from asia.scoring import least_significant_difference
 
 
 def noise_of_repeats(view: SearchView) -> float | None:
@@ -33,7 +33,7 @@ def floor_to_beat(view: SearchView) -> float | None:
     best = view.best
     if best is None or best.result is None or not best.result.retests:
         return None
-    return noise_floor(best.seed_values, best.seed_values)
+    return least_significant_difference(best.seed_values, best.seed_values)
 
 
 def floor_words(view: SearchView) -> str:

@@ -16,7 +16,7 @@ def student_quantile(level: float, degrees: float) -> float:
     return float(stdtrit(degrees, 0.5 + level / 2.0))
 
 
-def noise_floor(one: Sequence[float], other: Sequence[float]) -> float:
+def least_significant_difference(one: Sequence[float], other: Sequence[float]) -> float:
     """By how much the means of two candidates over their seeds must differ to be told apart.
 
     one, other: V of each from several seeds, a single value of one whose fits do not depend on the

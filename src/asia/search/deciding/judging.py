@@ -1,7 +1,7 @@
 """Fit, score and decide on one candidate.
 
 A candidate about to become the incumbent is fitted again from other seeds. It takes the title where
-its mean over the seeds is lower than the incumbent's by the noise floor.
+its mean over the seeds is lower than the incumbent's by the floor.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from statistics import fmean
 
 from asia.evaluation import Evaluation, Evaluator
 from asia.ledger import Retest, SearchView, Status
-from asia.scoring import Failure, Score, noise_floor
-from asia.search._rules import decide
+from asia.scoring import Failure, Score, least_significant_difference
+from asia.search.deciding.rules import decide
 
 _FIRST_SEED = 1_000_000
 """The number of the first seed of retests: those of `asia confirm` count from 1, and what chose a
 winner must not also confirm it."""
 _WORTH_A_RETEST = 0.5
-"""The share of the noise floor by which a first fit must be lower: with less, two more fits make a
+"""The share of the floor by which a first fit must be lower: with less, two more fits make a
 new best very unlikely."""
 
 
@@ -91,14 +91,14 @@ class _Retesting:
 
     def decide(self) -> _Decision:
         """`discard` where it is not lower than the incumbent, `inconclusive` where it is, but not
-        by the noise floor. Each as soon as it is certain enough, so most candidates cost no fit
+        by the floor. Each as soon as it is certain enough, so most candidates cost no fit
         more."""
         best = self.view.best
         if best is None:
-            # Nothing to beat; its spread is the first noise floor.
+            # Nothing to beat; its spread is the first floor.
             return replace(self._repeat(()), status="keep")
         known = best.seed_values
-        floor, lead = noise_floor(known, known), fmean(known) - self.score.value
+        floor, lead = least_significant_difference(known, known), fmean(known) - self.score.value
         if lead <= 0.0:
             return _Decision("discard", floor=floor)
         if lead < _WORTH_A_RETEST * floor:
@@ -137,15 +137,15 @@ def _decision(
 ) -> tuple[Status, float | None]:
     if not known:
         return "keep", None
-    floor = noise_floor(values, known)
+    floor = least_significant_difference(values, known)
     if fmean(values) >= fmean(known):
         return "discard", floor
     return "keep" if not failed and _is_lower(values, known) else "inconclusive", floor
 
 
 def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
-    """By more than the noise floor; by any amount where neither depends on the seed."""
-    return fmean(known) - fmean(values) > noise_floor(values, known)
+    """By more than the floor; by any amount where neither depends on the seed."""
+    return fmean(known) - fmean(values) > least_significant_difference(values, known)
 
 
 def _is_same(first: Evaluation, again: Evaluation) -> bool:

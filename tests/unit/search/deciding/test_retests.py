@@ -24,11 +24,10 @@ from asia.ledger import (
     floor_words,
     replay,
 )
-from asia.scoring import Failure, Score, noise_floor
+from asia.scoring import Failure, Score, least_significant_difference
 from asia.search import replay_run
-from asia.search._judging import Judged, judge
-
-from .toy import Scripted, arx, write_problem
+from asia.search.deciding.judging import Judged, judge
+from tests.unit.search.toy import Scripted, arx, write_problem
 
 DIGEST = "0" * 64
 LUCKY = """
@@ -146,12 +145,16 @@ def test_the_floor_is_students_interval() -> None:
 
     one, other = [1.0, 1.1, 0.9], [0.5, 0.56, 0.53]
     interval = ttest_ind(one, other).confidence_interval(0.95)
-    assert noise_floor(one, other) == pytest.approx((interval.high - interval.low) / 2)
-    assert noise_floor([1.0], [2.0]) == 0.0
+    assert least_significant_difference(one, other) == pytest.approx(
+        (interval.high - interval.low) / 2
+    )
+    assert least_significant_difference([1.0], [2.0]) == 0.0
 
 
 def test_the_floor_is_told_once_it_is_known() -> None:
-    assert floor_to_beat(a_search(2, *NOISY)) == pytest.approx(noise_floor(NOISY, NOISY))
+    assert floor_to_beat(a_search(2, *NOISY)) == pytest.approx(
+        least_significant_difference(NOISY, NOISY)
+    )
     assert floor_words(a_search(2, *NOISY)).endswith("below 1.0000, the mean of #01 over 3 seeds")
     assert floor_words(a_search(2, 1.0, 1.0)) == "0: #01 does not depend on the seed"
     assert floor_to_beat(a_search(0, 1.0)) is None

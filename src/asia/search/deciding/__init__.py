@@ -1,0 +1,1 @@
+"""The decision on a candidate, and on the end of a search."""
