@@ -97,7 +97,7 @@ def _print(directory: Path, found: Brief) -> None:
         validation_words,
         value_words,
     )
-    from asia.ledger import control, control_words, floor_words, hand_over_words, metric_of
+    from asia.ledger import control, control_words, hand_over_words, metric_of
     from asia.protocol import metric_label
 
     view = found.view
@@ -123,8 +123,6 @@ def _print(directory: Path, found: Brief) -> None:
         say(f"V is {validation_words(found.validation_scores)}")
     if view.started.residuals == "held_out":
         say("V is with held-out residuals shown")
-    if words := floor_words(view):
-        say(f"floor   {words}")
     _print_winner(view)
     if view.unsealed is not None:
         say(f"the test was opened: asia unseal {directory.name} shows the result again")
@@ -147,9 +145,12 @@ def _remark(view: SearchView) -> str:
 
 
 def _print_winner(view: SearchView) -> None:
-    """What is known of the winner of a finished search beside its V."""
+    """What is known of the best candidate beside its V."""
     from asia.cli._output.words import again_words, guard_words, use_lines
+    from asia.ledger import floor_words
 
+    if words := floor_words(view):
+        say(f"floor   {words}")
     if words := again_words(view):
         say(f"again   {words}")
     for line in use_lines(view):
