@@ -3,7 +3,8 @@
 x[k+1] = A x + B u + f(x, u),  y = C x + D u + offset + h(x, u), where f and h are small networks
 and the state at the first sample is a linear map plus a network of the past window: trained on
 truncated simulations, each from its own past window (`methods.Adam(truncation=...)`). The linear
-part and the linear encoder may start from the best linear model of that order. Sources: Beintema,
+part and the linear encoder may start from the best linear model of that order. Some of the states
+may be free integrators. Sources: Beintema,
 Schoukens and Toth, Deep subspace encoders for nonlinear system identification, Automatica 156,
 2023; Schoukens, Improved initialization of state-space artificial neural networks, ECC 2021.
 """
@@ -21,11 +22,13 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.models import linear
 from asia.models._arrays import AnyArray, bounded, namespace
-from asia.models._config import check_at_least, check_choice
+from asia.models._config import check_at_least, check_choice, demand
 from asia.models._data.records import ScaledData, window_size
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows
+from asia.models._linear.drift import drift_shift
 from asia.models._linear.fit import Refinement, encoder_of
+from asia.models._linear.integrators import free_entries, held_entries
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowLags, one_step
 from asia.models._networks.family import Driven, network_family
@@ -59,9 +62,14 @@ class Config:
     of them; "random" starts from time constants between 1 and 100 samples."""
     features: tuple[str, ...] = ()
     """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    integrators: int = 0
+    """Free integrators: the last of the states, whose pole is held at 1 and which f and h do not
+    read."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "states", "width", "layers")
+        check_at_least(0, self, "integrators")
+        demand(self, "integrators", self.integrators < self.states, "less than the states")
         check_choice(self, "start", ("linear", "random"))
         check_features(self)
 
@@ -75,7 +83,7 @@ class SubnetCell(Driven[Config]):
         rng, c = np.random.default_rng(context.seed), self.config
         d, n, nu, ny = window_size(context), c.states, context.nu, context.ny
         inner = (c.width,) * c.layers
-        driven = n + drive_size(c.features, nu)
+        driven = n - c.integrators + drive_size(c.features, nu)
         decay = np.exp(-np.exp(-log_spaced(1.0, 100.0, n)))
         return {
             "a": np.diag(decay).astype(np.float32),
@@ -95,7 +103,7 @@ class SubnetCell(Driven[Config]):
         del trajectories
         if self.config.start == "random":
             return as_built
-        return partial(_from_linear_model, context=context)
+        return partial(_from_linear_model, context=context, integrators=self.config.integrators)
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
         """State at the first sample."""
@@ -104,26 +112,38 @@ class SubnetCell(Driven[Config]):
 
     def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
         """The output of a sample is read from the state at that sample."""
-        bent = mlp(params["f"], namespace(state, u).concatenate([state, self.drive(u)], axis=-1))
-        after = state @ params["a"] + u @ params["b"] + bent
+        after = state @ self._dynamics(params) + u @ params["b"] + self._bent(params["f"], state, u)
         return bounded(after, -_LARGEST_STATE, _LARGEST_STATE), state
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """C x + D u + offset + h(x, u)."""
-        bent = mlp(
-            params["h"], namespace(features, u).concatenate([features, self.drive(u)], axis=-1)
-        )
+        bent = self._bent(params["h"], features, u)
         return features @ params["c"] + u @ params["d"] + params["offset"] + bent
+
+    def _bent(self, layers: Any, state: AnyArray, u: AnyArray) -> AnyArray:
+        """f or h, of the states that come back."""
+        read = state[..., : self.config.states - self.config.integrators]
+        return mlp(layers, namespace(read, u).concatenate([read, self.drive(u)], axis=-1))
+
+    def _dynamics(self, params: Any) -> AnyArray:
+        """A, transposed."""
+        a, c = params["a"], self.config
+        if not c.integrators:
+            return a
+        free, held = free_entries(c.states, c.integrators), held_entries(c.states, c.integrators)
+        return a * free.T.astype(a.dtype) + held.T.astype(a.dtype)
 
 
 def _from_linear_model(
-    params: Params, records: ScaledData, scaling: Scaling, *, context: Context
+    params: Params, records: ScaledData, scaling: Scaling, *, context: Context, integrators: int
 ) -> Params:
     del scaling
     states = len(params["a"])
     lags = WindowLags(
         context.n_past_u, context.n_past_y, 0, context.n_past_y, context.nu, context.ny
     )
+    if integrators:
+        return _from_integrating_model(params, records, context, integrators)
     if context.horizon is None or lags.y == 0:
         found, _, used = linear.fit_records(
             records, context, linear.Config(order=states), Refinement()
@@ -140,6 +160,22 @@ def _from_linear_model(
     params = _embedded(params, _without_constant(s), encoder.weights[:, :n], encoder.bias[:n])
     last = dict(params["f"][-1])
     last["b"] = np.pad(s.a[:n, n], (0, states - n)).astype(np.float32)
+    return {**params, "f": [*params["f"][:-1], last]}
+
+
+def _from_integrating_model(
+    params: Params, records: ScaledData, context: Context, integrators: int
+) -> Params:
+    """Inputs at which the integrators stand still are no zero of the z-scores: what these inputs do
+    goes into the constants of f and of the output."""
+    choice = linear.Config(order=len(params["a"]), integrators=integrators)
+    shift = drift_shift(records, len(params["a"]), integrators)
+    moved = [replace(r, u=r.u + shift, measured_u=r.measured_u) for r in records]
+    found, _, used = linear.fit_records(moved, context, choice, Refinement())
+    encoder, s = encoder_of(used, found, context), found.system
+    s = LinearSystem(s.a, s.b, s.c, s.d, s.offset + s.d @ shift)
+    params = _embedded(params, s, encoder.weights, encoder.bias)
+    last = {**params["f"][-1], "b": (s.b @ shift).astype(np.float32)}
     return {**params, "f": [*params["f"][:-1], last]}
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
+from asia.agents.library.methods import integrator_moves, integrator_setting
 from asia.agents.library.network import STEP_BY_STEP, NetworkStart, network_family
-from asia.agents.library.space import OneOf
+from asia.agents.library.space import OneOf, Parameter
 
 
 def _start(facts: Facts) -> NetworkStart:
@@ -16,7 +17,7 @@ def _start(facts: Facts) -> NetworkStart:
     if least > 1:
         sizes |= {least, least + 4}
     return NetworkStart(
-        (("states", max(4, least)), ("width", 32), ("layers", 1)),
+        (("states", max(4, least)), ("width", 32), ("layers", 1), *integrator_setting(facts)),
         2e-3,
         "medium",
         (
@@ -24,8 +25,14 @@ def _start(facts: Facts) -> NetworkStart:
             OneOf("width", (16, 32, 64)),
             OneOf("layers", (1, 2)),
             OneOf("start", ("linear", "random")),
+            *_integrators_space(facts),
         ),
     )
+
+
+def _integrators_space(facts: Facts) -> tuple[Parameter, ...]:
+    """Windows are too short to tell them from slow states."""
+    return (OneOf("integrators", (0, 1)),) if facts.horizon is None else ()
 
 
 CARD = Card((
@@ -40,4 +47,4 @@ CARD = Card((
         small=(("states", 2), ("width", 4), ("layers", 1)),
         timing=Timing(start=3.9, unit=4.3e-07),
     ),
-))  # fmt: skip
+), integrator_moves())  # fmt: skip
