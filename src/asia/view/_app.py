@@ -64,8 +64,8 @@ class _Pages:
     token: str
     """What a page sends with a person's word."""
 
-    def _snapshot(self, request: Request) -> Snapshot:
-        return self.folder.get(request.path_params["run"]).snapshot()
+    def _snapshot(self, request: Request, *, with_records: bool = False) -> Snapshot:
+        return self.folder.get(request.path_params["run"]).snapshot(with_records=with_records)
 
     def listed(self, request: Request) -> Response:
         """The list of runs."""
@@ -89,24 +89,25 @@ class _Pages:
 
     def section(self, request: Request) -> Response:
         """A section of the report."""
-        found = section_part(self._snapshot(request), request.path_params["key"])
+        found = section_part(self._snapshot(request, with_records=True), request.path_params["key"])
         return Response(status_code=204) if found is None else HTMLResponse(found)
 
     def experiment(self, request: Request) -> Response:
         """The page of an experiment."""
-        number = request.path_params["number"]
-        return HTMLResponse(experiment_page(self._snapshot(request), number, self.token))
+        snapshot = self._snapshot(request, with_records=True)
+        return HTMLResponse(experiment_page(snapshot, request.path_params["number"], self.token))
 
     def experiment_part(self, request: Request) -> Response:
         """What that page says."""
         number = request.path_params["number"]
-        return HTMLResponse(experiment_part(self._snapshot(request), number))
+        return HTMLResponse(experiment_part(self._snapshot(request, with_records=True), number))
 
     def overlay(self, request: Request) -> Response:
         """Some samples of a held-out simulation, drawn."""
         number, index = (request.path_params[key] for key in ("number", "index"))
         first, last = (_number(request, key) for key in ("first", "last"))
-        return HTMLResponse(overlay_part(self._snapshot(request), number, index, first or 0, last))
+        snapshot = self._snapshot(request, with_records=True)
+        return HTMLResponse(overlay_part(snapshot, number, index, first or 0, last))
 
     def compare(self, request: Request) -> Response:
         """Two runs side by side."""
@@ -120,7 +121,7 @@ class _Pages:
         names = request.query_params.getlist("run")
         if len(names) != 2:
             raise UserError(f"choose two runs to see them side by side: {len(names)} are named")
-        return [self.folder.get(name).snapshot() for name in names]
+        return [self.folder.get(name).snapshot(with_records=True) for name in names]
 
     async def run_events(self, request: Request) -> Response:
         """What is new in a run, as it comes."""

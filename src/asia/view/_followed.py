@@ -14,6 +14,7 @@ from asia.ledger import (
     Follower,
     Proposed,
     Run,
+    Store,
     brief,
     in_use,
     ledger_of,
@@ -34,6 +35,8 @@ class Snapshot:
     """What pages are written from."""
     head: str
     """Digest of that line."""
+    problem: Problem | None = None
+    """The problem with its records; None until they were read."""
     trouble: str = ""
     """Why there are no records, in words; "" where there are."""
     paused: bool = False
@@ -67,24 +70,35 @@ class FollowedRun:
         self._follower = Follower(ledger_of(directory))
         self._lock = threading.Lock()
         self._snapshot: Snapshot | None = None
-        self._problem: Problem | None = None
+        self._records = _Records(directory / "problem.lock.toml")
 
-    def snapshot(self) -> Snapshot:
-        """As of now. Raises UserError where the ledger does not verify or is gone."""
+    def snapshot(self, *, with_records: bool = False) -> Snapshot:
+        """As of now. with_records: wait for the records to be read. Raises UserError where the
+        ledger does not verify or is gone."""
+        if with_records and Store(self.directory / "artifacts").kept:
+            self._records.wait()
         with self._lock:
             try:
                 new = self._follower.read()
-                ledger = ledger_of(self.directory)
+                busy = in_use(ledger_of(self.directory))
             except OSError as error:
                 raise UserError(f"{self.directory} is gone: {error.strerror}") from None
-            last, busy = self._snapshot, in_use(ledger)
-            paused = busy and Steering(self.directory).paused
-            if new or last is None or busy != last.run.busy:
-                last = self._make(busy)
-            if last.paused != paused:
-                last = replace(last, paused=paused)
-            self._snapshot = last
-            return last
+            self._snapshot = self._as_of_now(self._snapshot if not new else None, busy)
+            return self._snapshot
+
+    def _as_of_now(self, last: Snapshot | None, busy: bool) -> Snapshot:
+        """last: with the same lines; None where there is none."""
+        paused = busy and Steering(self.directory).paused
+        problem, trouble = self._records.found
+        same = last is not None and (busy, trouble) == (last.run.busy, last.trouble)
+        if last is None or not same or problem is not last.problem:
+            run = Run(self.directory, self._follower.view, tuple(self._follower.lines), busy)
+            # A search that has only begun has no artifacts yet.
+            if run.store.kept:
+                self._records.begin()
+            subject = Subject(run, problem if run.store.kept else None, _DETAIL)
+            return Snapshot(subject, self._follower.head, problem, trouble, paused)
+        return last if last.paused == paused else replace(last, paused=paused)
 
     def count_of(self, mark: str) -> int | None:
         """How many lines lie before a mark; None where it is not of this ledger."""
@@ -93,17 +107,36 @@ class FollowedRun:
             known = count.isdecimal() and self._follower.head_at(int(count)).startswith(head)
         return int(count) if known and len(head) >= 20 else None
 
-    def _make(self, busy: bool) -> Snapshot:
-        follower, trouble = self._follower, ""
-        run = Run(self.directory, follower.view, tuple(follower.lines), busy)
-        # A search that has only begun has no artifacts yet.
-        if self._problem is None and run.store.kept:
-            try:
-                self._problem = load_lock(self.directory / "problem.lock.toml")
-            except UserError as error:
-                trouble = str(error)
-        problem = self._problem if run.store.kept else None
-        return Snapshot(Subject(run, problem, _DETAIL), follower.head, trouble)
+
+class _Records:
+    """The problem of a run with its records, which are read beside: they may have to be
+    downloaded."""
+
+    def __init__(self, lock_file: Path) -> None:
+        self._lock_file = lock_file
+        self._thread: threading.Thread | None = None
+        self._starting = threading.Lock()
+        self.found: tuple[Problem | None, str] = (None, "")
+        """The problem, or why there is none; neither before it was read."""
+
+    def begin(self) -> None:
+        """Read them once."""
+        with self._starting:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._read, daemon=True)
+                self._thread.start()
+
+    def wait(self) -> None:
+        """Until they were read."""
+        self.begin()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _read(self) -> None:
+        try:
+            self.found = load_lock(self._lock_file), ""
+        except UserError as error:
+            self.found = None, str(error)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Final
@@ -37,17 +38,26 @@ def serve(runs: Path, run: str | None, port: int, on_start: Callable[[str], obje
             timeout_graceful_shutdown=_END_SECONDS,
         )
         page = "" if run is None else f"runs/{quote(run, safe='')}"
+        address = f"http://{_HOST}:{bound}/{page}?token={token}"
         with contextlib.suppress(KeyboardInterrupt):
-            on_start(f"http://{_HOST}:{bound}/{page}?token={token}")
-            _LocalServer(config, streams).run(sockets=[listener])
+            _LocalServer(config, streams, partial(on_start, address)).run(sockets=[listener])
 
 
 class _LocalServer(uvicorn.Server):
-    """Ends the open streams when it is interrupted: it would wait for them."""
+    """Says when it has begun. Ends the open streams when it is interrupted: it would wait for
+    them."""
 
-    def __init__(self, config: uvicorn.Config, streams: Streams) -> None:
+    def __init__(
+        self, config: uvicorn.Config, streams: Streams, on_start: Callable[[], object]
+    ) -> None:
         super().__init__(config)
         self._streams = streams
+        self._on_start = on_start
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """From here on an interrupt is a clean end."""
+        await super().startup(sockets)
+        self._on_start()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """A signal."""

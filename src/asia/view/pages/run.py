@@ -24,13 +24,9 @@ def run_page(snapshot: Snapshot, token: str) -> str:
     )  # fmt: skip
     header = tag("header", tag("h1", said(name)), tag("p", *words))
     links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in _titles()]
-    trouble = None
-    if snapshot.trouble:
-        trouble = tag("p", "Without the records: ", said(snapshot.trouble), class_="trouble")
     main = (
         header,
         tag("div", now_panel(snapshot), id="now"),
-        trouble,
         steering_panel(name, running=snapshot.run.state == "running"),
         tag("nav", tag("ul", *links), aria_label="Sections"),
         _progress(snapshot),
@@ -75,7 +71,11 @@ def now_panel(snapshot: Snapshot) -> Html:
         for label, value in tiles
         if value is not None
     ]
-    return tag("dl", *shown, class_="tiles")
+    trouble = None
+    if snapshot.trouble:
+        words = said(snapshot.trouble, 600)
+        trouble = tag("p", "Without the records, so without simulations: ", words, class_="trouble")
+    return join((tag("dl", *shown, class_="tiles"), trouble))
 
 
 def steering_panel(name: str, *, running: bool) -> Html:
