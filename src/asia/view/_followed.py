@@ -70,7 +70,7 @@ class FollowedRun:
         self._follower = Follower(ledger_of(directory))
         self._lock = threading.Lock()
         self._snapshot: Snapshot | None = None
-        self._records = _Records(directory / "problem.lock.toml")
+        self._records = _RecordsBeside(directory / "problem.lock.toml")
 
     def snapshot(self, *, with_records: bool = False) -> Snapshot:
         """As of now. with_records: wait for the records to be read. Raises UserError where the
@@ -108,7 +108,7 @@ class FollowedRun:
         return int(count) if known and len(head) >= 20 else None
 
 
-class _Records:
+class _RecordsBeside:
     """The problem of a run with its records, which are read beside: they may have to be
     downloaded."""
 
