@@ -62,8 +62,16 @@ def _warning(subjects: Sequence[Subject]) -> Html | None:
     if len({(s.problem, s.protocol_digest) for s in starts}) == 1:
         if len({one.view.v_name for one in subjects}) == 1:
             return None
-        return tag("p", "V was computed under other rules: do not compare it.", class_="trouble")
-    return tag("p", "These are other problems or protocols: V does not compare.", class_="trouble")
+        return tag(
+            "p",
+            "V was computed under different rules in the two runs: do not compare it.",
+            class_="trouble",
+        )
+    return tag(
+        "p",
+        "The runs have different problems or protocols: do not compare their V.",
+        class_="trouble",
+    )
 
 
 def _figures(subjects: Sequence[Subject]) -> Html:
