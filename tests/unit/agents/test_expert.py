@@ -10,10 +10,12 @@ from asia.agents.expert import agent
 from asia.agents.expert.course import COURSE_MOVES
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.titles import plain_title, title_of
+from asia.agents.library.cards import neural_ss
 from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import overfit, plateau_share
 from asia.agents.library.move import Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.records.switching import Switching
 from asia.agents.library.table import families, family
 from asia.data import Trajectory
 from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
@@ -354,3 +356,24 @@ def test_families_that_cannot_add_up_are_not_refined_where_the_output_drifts() -
     assert not refined & doubtful
     # Evidence that is wrong is given up: a family that leads is refined.
     assert {t.family for t in search(AGENT, known, 40, near) if t.parent is not None} & doubtful
+
+
+def test_a_trace_of_switching_brings_its_elements_before_polynomials(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known, left = simulation(physics=False), replace(CLEAN, whiteness=0.9)
+
+    def coloured_always(proposal: Proposal, number: int) -> Trial:
+        return trial(proposal, number, 0.3 if proposal.family == "neural_ss" else 0.9, left)
+
+    def titles(share: float) -> list[str]:
+        found = Switching(share, "displacement", 0)
+        monkeypatch.setattr(neural_ss, "switching", lambda facts: found)
+        return [t.title for t in search(AGENT, known, 15, coloured_always)]
+
+    first = ["fit from pieces", "a trace of friction", "a trace of play", "polynomials"]
+    places = [titles(0.1).index(f"neural state-space: {name}") for name in first]
+    assert places == sorted(places)
+    smooth = titles(0.001)
+    last = smooth.index("neural state-space: polynomials")
+    assert "neural state-space: a trace of friction" not in smooth[:last]

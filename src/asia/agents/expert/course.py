@@ -71,9 +71,8 @@ def _cause(facts: Facts, found: Relation) -> str:
             f"up. Models with free integrators come next. {_windows(facts, found)}"
         )
     return (
-        f"the inputs act (correlation {found.effect:.2f} after {found.delay} samples), but explain "
-        f"little of a whole record. Other starts and kinds of model come next. "
-        f"{_windows(facts, found)}"
+        "the inputs act, but no model so far makes much of that over a whole simulation. Other "
+        f"starts and kinds of model come next. {_windows(facts, found)}"
     )
 
 

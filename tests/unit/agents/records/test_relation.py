@@ -64,3 +64,13 @@ def test_a_loop_is_seen_and_whether_it_holds_an_unstable_plant(pole: float, unst
     found = relation(closed_loop(pole, 0.5))
     assert found.feedback > 0.2
     assert found.unstable == unstable
+
+
+def test_an_input_without_news_acts_all_the_same() -> None:
+    time = np.arange(SAMPLES) / SAMPLES
+    rng = np.random.default_rng(2)
+    phases = rng.uniform(0, 2 * np.pi, 20)
+    u = sum(np.cos(2 * np.pi * (k + 1) * time + phase) for k, phase in enumerate(phases))
+    found = relation(facts(np.asarray(u), lagged(np.asarray(u), 1) + rng.standard_normal(SAMPLES)))
+    assert found.acts
+    assert found.feedback == 0.0

@@ -58,6 +58,9 @@ def _neural_ss_space(facts: Facts) -> Space:
     )
 
 
+# Share of the one-step error from which on a switching term is more than what smooth systems show,
+# and how much more it may be by chance in one sample.
+_TRACE, _BY_CHANCE = 0.01, 8.0
 # Inputs and outputs for which cubic polynomials, and for which quadratic ones, have few terms.
 _CUBIC, _QUADRATIC = 2, 5
 
@@ -108,6 +111,20 @@ def _element_weight(at: Situation, element: str, *causes: Cause) -> float:
     return 0.93 * (found.found and found.cause in causes and not at.recipe.get(element))
 
 
+def _trace_weight(at: Situation, weight: float) -> float:
+    """Where the records show but a trace of it, on a residual that stays coloured."""
+    smooth = at.facts.horizon is None and not _has_element(at)
+    if not smooth or not coloured(at.trial) or switching(at.facts).found:
+        return 0.0
+    least = _TRACE + _BY_CHANCE / at.facts.samples
+    return weight if switching(at.facts).share > least else 0.5 * weight
+
+
+def _with_trace_of_friction(at: Situation) -> Recipe:
+    recipe = at.recipe.without("channels", "members")
+    return recipe.configured(nonlinearity="none", friction=1).trained(starts=4)
+
+
 def _with_friction(at: Situation, order: int) -> Recipe:
     """Few states, so that none of them takes the place of friction."""
     recipe = at.recipe.without("channels", "members").configured(nonlinearity="none", friction=1)
@@ -155,6 +172,22 @@ _ELEMENTS: tuple[Move, ...] = (
         "(backlash) between actuator and process.",
         expected="A far lower V; lower error after each turn of the input.",
         behind_counts=False,
+    ),
+    Move(
+        name="a trace of friction",
+        weight=lambda c: _trace_weight(c, 0.86),
+        change=_with_trace_of_friction,
+        hypothesis="The residual is coloured, and smooth functions may not be what is missing: an "
+        "element of friction turns where the motion turns, and can hold the system still.",
+        expected="A far lower V if something sticks; a higher one if nothing does.",
+    ),
+    Move(
+        name="a trace of play",
+        weight=lambda c: _trace_weight(c, 0.85),
+        change=_with_play,
+        hypothesis="The residual is coloured, and smooth functions may not be what is missing: in "
+        "a play between two parts nothing happens after each turn.",
+        expected="A far lower V if there is play; a higher one if there is none.",
     ),
     Move(
         name="static functions beside the element",

@@ -25,6 +25,9 @@ _OWN_LAGS, _MOST_SAMPLES, _FAR = 10, 20_000, 400
 _LEVEL, _LEAST, _LEAST_BACK = 0.01, 0.05, 0.15
 # A signal whose past predicts it to this share of its standard deviation holds nothing new.
 _PREDICTABLE = 0.02
+# Blocks of all records, their lags, and the share of an error that inputs take away by more than
+# chance.
+_BLOCKS, _BLOCK_LAGS, _LEAST_GAIN = 240, 4, 0.03
 # A mode that grows this much over the records.
 _GROWTH = 100.0
 
@@ -34,9 +37,10 @@ class Relation:
     """What holds for the training records."""
 
     effect: float
-    """Greatest correlation of an output with present and past inputs, or with their squares."""
+    """Greatest correlation of what is new in an output with what is new in the inputs or in their
+    squares; 0 where it may be chance, or where the inputs are too regular to tell."""
     delay: int
-    """Samples after which inputs act first; 0 where they do not act."""
+    """Samples after which inputs act first; 0 where there is no such correlation."""
     feedback: float
     """Greatest correlation of an input with past outputs; 0 where it may be chance, or where the
     inputs are too regular to tell."""
@@ -46,11 +50,14 @@ class Relation:
     """Greatest lag in samples that was looked at."""
     length: int
     """Samples of the longest record."""
+    gain: float
+    """Share of the error of one step, on samples left out, that inputs and their squares take
+    away from that of past outputs alone."""
 
     @property
     def acts(self) -> bool:
         """Whether an effect of an input is seen."""
-        return self.effect > 0.0
+        return self.effect > 0.0 or self.gain > _LEAST_GAIN
 
     @property
     def unstable(self) -> bool:
@@ -86,6 +93,7 @@ def _relation(same: SameRecords) -> Relation:
         pole=max((_largest_pole(usable, k) for k in range(len(outputs))), default=0.0),
         reach=reach,
         length=max(map(len, same.records)),
+        gain=max((_gain(usable, k) for k in range(len(outputs))), default=0.0),
     )
 
 
@@ -136,6 +144,50 @@ def _strongest(
         return 0, 0.0
     greatest = max(sure)[0]
     return min(lag for size, lag in sure if size > 0.5 * greatest), greatest
+
+
+def _gain(records: Sequence[Trajectory], output: int) -> float:
+    """Of samples, and of means of blocks: slow effects drown in the noise of single samples."""
+    size = max(1, sum(map(len, records)) // _BLOCKS)
+    return max(_gain_of_blocks(records, output, 1), _gain_of_blocks(records, output, size))
+
+
+def _gain_of_blocks(records: Sequence[Trajectory], output: int, size: int) -> float:
+    alone: list[Array] = []
+    driven: list[Array] = []
+    targets: list[Array] = []
+    for record in records:
+        y, u = _means(record.y[:, output : output + 1], size)[:, 0], _means(record.u, size)
+        rows = len(y) - _BLOCK_LAGS
+        if rows < 2:
+            continue
+        past = [y[_BLOCK_LAGS - k : _BLOCK_LAGS - k + rows] for k in range(1, _BLOCK_LAGS + 1)]
+        inputs = np.hstack([u, (u - u.mean(axis=0)) ** 2])
+        late = [inputs[_BLOCK_LAGS - k : _BLOCK_LAGS - k + rows] for k in range(_BLOCK_LAGS + 1)]
+        alone.append(np.column_stack([*past, np.ones(rows)]))
+        driven.append(np.column_stack([*past, *late, np.ones(rows)]))
+        targets.append(y[_BLOCK_LAGS:])
+    if not targets:
+        return 0.0
+    target = np.concatenate(targets)
+    without = _left_out_error(np.concatenate(alone), target)
+    return 1.0 - _left_out_error(np.concatenate(driven), target) / max(without, 1e-300)
+
+
+def _left_out_error(x: Array, y: Array) -> float:
+    """Root mean square error of each half by a linear model of the other."""
+    spread = np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)
+    x, half, total = x / spread, len(y) // 2, 0.0
+    for fitted, left in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
+        theta = np.linalg.lstsq(x[fitted], y[fitted], rcond=1e-8)[0]
+        total += float(((y[left] - x[left] @ theta) ** 2).sum())
+    return (total / len(y)) ** 0.5
+
+
+def _means(values: Array, size: int) -> Array:
+    """Means (blocks, n) of blocks of so many samples."""
+    blocks = len(values) // size
+    return values[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
 
 
 def _largest_pole(records: Sequence[Trajectory], output: int) -> float:
