@@ -16,6 +16,7 @@ import typer
 
 from asia._text import say
 from asia.cli import (
+    _ablate,
     _bench,
     _check,
     _compare,
@@ -45,7 +46,7 @@ from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
 
-RESUMED = frozenset({"run", "bench", "compare", "confirm", "workspace", "mcp"})
+RESUMED = frozenset({"run", "bench", "compare", "confirm", "ablate", "workspace", "mcp"})
 INTERRUPTED = 130
 TERMINATED = 128 + signal.SIGTERM
 
@@ -73,6 +74,7 @@ _FIRST: dict[str, Callable[..., None]] = {
 _MORE: dict[str, Callable[..., None]] = {
     "diff": _diff.diff,
     "confirm": _confirm.confirm,
+    "ablate": _ablate.ablate,
     "view": _view.view,
     "verify": _verify.verify,
     "replay": _replay.replay,

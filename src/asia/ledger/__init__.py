@@ -5,6 +5,8 @@ from asia.ledger._control import Control, control, control_words
 from asia.ledger._disk import write_whole
 from asia.ledger._events import (
     RESUMABLE,
+    Ablated,
+    AblationFit,
     Again,
     Confirmed,
     ConfirmedCandidate,
@@ -18,6 +20,7 @@ from asia.ledger._events import (
     GuardScore,
     HandedOver,
     HandOverReason,
+    LeftOut,
     Leg,
     Phase,
     Proposed,
@@ -87,6 +90,8 @@ from asia.scoring import Diagnostics
 
 __all__ = [
     "RESUMABLE",
+    "Ablated",
+    "AblationFit",
     "Again",
     "Brief",
     "Chain",
@@ -113,6 +118,7 @@ __all__ = [
     "HandedOver",
     "IdentifiedModel",
     "IdentifiedParameter",
+    "LeftOut",
     "Leg",
     "Line",
     "ModelToUse",

@@ -11,6 +11,7 @@ from asia.errors import UserError
 from asia.ledger._artifacts import Artifacts
 from asia.ledger._chain import ledger_of
 from asia.ledger._events import (
+    AblationFit,
     Evaluated,
     Event,
     Exchanged,
@@ -121,7 +122,7 @@ def _artifacts(event: Event) -> Iterator[str]:
     match event:
         case Started(lessons=str(lessons)):
             yield lessons
-        case Proposed():
+        case Proposed() | AblationFit():
             yield event.source
         case Evaluated():
             for fold in event.folds:

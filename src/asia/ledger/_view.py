@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 from asia.errors import UserError
 from asia.ledger._events import (
+    Ablated,
+    AblationFit,
     Confirmed,
     Evaluated,
     Event,
@@ -98,6 +100,10 @@ class SearchView:
     repeats: tuple[Repeated, ...] = ()
     """Fits of candidates after the search, from other seeds."""
     confirmed: Confirmed | None = None
+    """What these said last; None since the search went on."""
+    ablation_fits: tuple[AblationFit, ...] = ()
+    """Fits of the winner with parts taken back, after the search."""
+    ablated: Ablated | None = None
     """What these said last; None since the search went on."""
 
     @property
@@ -213,6 +219,7 @@ class Replay:
         self._rungs: list[RungScored] = []
         self._notes: list[Steered] = []
         self._repeats: dict[tuple[int, int], Repeated] = {}
+        self._ablation_fits: list[AblationFit] = []
         self._exchanges: list[Exchanged] = []
         self._sessions: list[SessionEnded] = []
         self._begun: list[SessionStarted] = []
@@ -227,6 +234,7 @@ class Replay:
             rungs=tuple(self._rungs),
             notes=tuple(self._notes),
             repeats=tuple(self._repeats.values()),
+            ablation_fits=tuple(self._ablation_fits),
             exchanges=tuple(self._exchanges),
             sessions=tuple(self._sessions),
             begun=tuple(self._begun),
@@ -251,6 +259,8 @@ class Replay:
                 self._notes.append(event)
             case Repeated():
                 self._repeat(event)
+            case AblationFit():
+                self._ablation_fits.append(event)
             case Exchanged():
                 self._exchanges.append(event)
             case SessionStarted():
@@ -306,6 +316,7 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
                 refitted=None,
                 looked=False,
                 confirmed=None,
+                ablated=None,
             )
         case HandedOver():
             handed_over = (*view.handed_over, event)
@@ -313,11 +324,15 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
         case Stopped():
             return replace(view, stopped=event)
         case Resumed():
-            return replace(view, stopped=None, refitted=None, looked=False, confirmed=None)
+            return replace(
+                view, stopped=None, refitted=None, looked=False, confirmed=None, ablated=None
+            )
         case Refitted():
             return replace(view, refitted=event)
         case GuardLooked():
             return replace(view, looks=(*view.looks, event), looked=True)
+        case Ablated():
+            return replace(view, ablated=event)
         case Confirmed():
             return replace(view, confirmed=event)
         case Unsealing():

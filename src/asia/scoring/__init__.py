@@ -1,5 +1,6 @@
 """(y, y_hat) -> Score or Failure. Sees targets, never runs a candidate."""
 
+from asia.scoring._attribution import Attribution, attribute, gain
 from asia.scoring._bands import Bands, HeldOutErrors, output_bands
 from asia.scoring._confirmation import (
     ExpectedError,
@@ -49,6 +50,7 @@ from asia.scoring._signed import (
 from asia.scoring._validity import Region, region_of
 
 __all__ = [
+    "Attribution",
     "Bands",
     "Correlation",
     "Diagnostics",
@@ -68,6 +70,7 @@ __all__ = [
     "Score",
     "SignedResidual",
     "TestScore",
+    "attribute",
     "block_values",
     "check_reply",
     "combine",
@@ -78,6 +81,7 @@ __all__ = [
     "expected_error",
     "expected_lowest",
     "fit_index",
+    "gain",
     "independent_band",
     "least_significant_difference",
     "mee_table",

@@ -21,12 +21,14 @@ from asia.search._simulate import simulate
 from asia.search._sinks import OpenSink, Sink, Sinks, find_sink, open_sinks
 from asia.search._steering import Steering
 from asia.search._unseal import CONSENT, UnsealResult, needs_consent, unseal
+from asia.search.ablation.ablate import OnFit, ablate
 from asia.search.final.confirmation import OnRepeat, confirm
 
 __all__ = [
     "CONSENT",
     "LOCK",
     "OnEvent",
+    "OnFit",
     "OnRepeat",
     "OpenSink",
     "Prepared",
@@ -37,6 +39,7 @@ __all__ = [
     "Sinks",
     "Steering",
     "UnsealResult",
+    "ablate",
     "agent_view",
     "check_baseline",
     "check_hidden_from_workers",

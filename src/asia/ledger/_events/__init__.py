@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, TypeAdapter
 
+from asia.ledger._events.ablation import Ablated, AblationFit, LeftOut
 from asia.ledger._events.agent import (
     Exchanged,
     SessionEnded,
@@ -52,6 +53,8 @@ from asia.ledger._events.test import (
 
 __all__ = [
     "RESUMABLE",
+    "Ablated",
+    "AblationFit",
     "Again",
     "Confirmed",
     "ConfirmedCandidate",
@@ -65,6 +68,7 @@ __all__ = [
     "GuardScore",
     "HandOverReason",
     "HandedOver",
+    "LeftOut",
     "Leg",
     "Phase",
     "Proposed",
@@ -97,7 +101,7 @@ __all__ = [
 Event = (
     Started | RungScored | Proposed | Evaluated | HandedOver | Extended | Stopped | Resumed
     | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked
-    | Unsealing | Unsealed | Repeated | Confirmed
+    | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated
 )  # fmt: skip
 
 adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

@@ -50,7 +50,7 @@ def confirm(
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = chain.view
-        _check(directory, view)
+        check_repeatable(directory, view, "a confirmation")
         chosen = scored(view)
         store = Store(directory / "artifacts")
         problem = load_lock(directory / LOCK)
@@ -77,18 +77,19 @@ def scored(view: SearchView) -> list[Experiment]:
     return [e for _, _, e in sorted(found, key=lambda one: one[:2])]
 
 
-def _check(directory: Path, view: SearchView) -> None:
+def check_repeatable(directory: Path, view: SearchView, what: str) -> None:
+    """Raises UserError unless candidates of a finished search can be fitted again; what: for."""
     check_lock(directory, view.started)
     run = view.started.run
     if view.started.ladder is not None:
         raise UserError(
-            f"run '{run}' has ladder feedback, which hides the exact V: a confirmation would print "
+            f"run '{run}' has ladder feedback, which hides the exact V: {what} would print "
             "it, so use guard records or the sealed test to tell its candidates apart"
         )
     if not view.complete:
-        raise UserError(f"run '{run}' is not finished: a confirmation comes after a search")
+        raise UserError(f"run '{run}' is not finished: {what} comes after a search")
     if view.best is None:
-        raise UserError(f"run '{run}' has no candidate with a score, so nothing to confirm")
+        raise UserError(f"run '{run}' has no candidate with a score, so nothing to fit again")
     if not Store(directory / "artifacts").kept:
         raise UserError(without_artifacts(directory))
 

@@ -1,0 +1,73 @@
+"""What a gain is due to: the model, the training, or both together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+from asia.errors import InternalError
+from asia.scoring._confirmation import Interval
+from asia.scoring._difference import student_quantile
+
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """A gain of V in parts that add up to it, each with a 95 % interval over the seeds."""
+
+    gain: Interval
+    """V of the baseline less that of the winner."""
+    model: Interval
+    """What the winner's model brings with the baseline's training."""
+    training: Interval
+    """What the winner's training brings with the baseline's model."""
+    interaction: Interval
+    """What the two bring together and neither does alone."""
+
+    def share(self, part: Interval) -> float | None:
+        """Of the gain; None where there is none."""
+        return part.value / self.gain.value if self.gain.value > 0 else None
+
+
+def attribute(
+    baseline: Array, model_alone: Array, training_alone: Array, winner: Array
+) -> Attribution:
+    """From V over the seeds of the four crossings of two models and two trainings, (seeds,) each; a
+    single value where fits do not depend on the seed."""
+    each = _paired(baseline, model_alone, training_alone, winner)
+    base, model, training, both = each
+    return Attribution(
+        _over_seeds(base - both),
+        _over_seeds(base - model),
+        _over_seeds(base - training),
+        _over_seeds(model + training - base - both),
+    )
+
+
+def gain(before: Array, after: Array) -> Interval:
+    """V before less V after, over the same seeds, (seeds,) each."""
+    one, other = _paired(before, after)
+    return _over_seeds(one - other)
+
+
+def _over_seeds(values: Array) -> Interval:
+    """The mean over the seeds, with an interval by Student's t."""
+    mean, half = float(values.mean()), 0.0
+    if len(values) > 1:
+        error = float(values.std(ddof=1)) / len(values) ** 0.5
+        half = student_quantile(_LEVEL, len(values) - 1) * error
+    return Interval(mean, mean - half, mean + half)
+
+
+def _paired(*each: Array) -> tuple[Array, ...]:
+    """With as many seeds each; a single value stands for all."""
+    counts = [len(values) for values in each if len(values) != 1]
+    if not all(len(values) for values in each):
+        raise InternalError("a crossing without a score was about to be attributed")
+    count = min(counts, default=1)
+    return tuple(
+        np.repeat(values, count) if len(values) == 1 else values[:count] for values in each
+    )

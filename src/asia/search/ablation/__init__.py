@@ -1,0 +1,1 @@
+"""What the gain of a search is due to: fits of its winner with parts taken back."""
