@@ -16,7 +16,7 @@ from asia.drive import RunDesk
 from asia.drive._program import program
 from asia.drive._workspace import write_views
 from asia.errors import Reason, UserError
-from asia.evaluation import Evaluation, Evaluator, Suspicion, SuspicionKind
+from asia.evaluation import Evaluator, Suspicion, SuspicionKind
 from asia.evaluation import _evaluator as evaluator_module
 from asia.ledger import SearchView, open_run
 from asia.mcp._answers import source_answer
@@ -25,6 +25,7 @@ from asia.redteam import _score_only_search
 from asia.redteam.attacks import probing
 from asia.scoring import Failure, Score
 from asia.search import prepare, search, with_early_stopping
+from asia.search.deciding.judging import Judged
 from asia.search.deciding.rules import decide
 
 from .toy import Scripted, arx, write_problem
@@ -155,13 +156,14 @@ def test_a_verdict_from_held_out_outputs_is_told_as_no_new_best(
     assert told(ready.directory, 2) == told(ready.directory, 3)
 
 
-def judged_as_without_the_ladder(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
+def judged_as_without_the_ladder(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
     """Only a would-be winner is doubted."""
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
     if decide(evaluation.outcome, view) != "keep":
-        return evaluation
-    return replace(evaluation, outcome=evaluator.objection(source, ()) or evaluation.outcome)
+        return Judged(evaluation, "discard")
+    outcome = evaluator.objection(source, ()) or evaluation.outcome
+    return Judged(replace(evaluation, outcome=outcome), decide(outcome, view))
 
 
 @pytest.mark.parametrize(

@@ -291,6 +291,7 @@ def unjudged(searched: Searched, factor: float = 1.0) -> Any:
         del evaluator
         from asia.evaluation import Evaluation
         from asia.scoring import Score
+        from asia.search.deciding.judging import Judged
 
         number = view.pending.number
         result = searched.run.view.experiment(number).result
@@ -298,6 +299,6 @@ def unjudged(searched: Searched, factor: float = 1.0) -> Any:
         outcome = result.outcome
         if isinstance(outcome, Score):
             outcome = replace(outcome, value=outcome.value * factor)
-        return Evaluation(outcome)
+        return Judged(Evaluation(outcome), result.status, result.retests)
 
     return judge

@@ -32,6 +32,7 @@ from asia.evaluation import Evaluation, Evaluator
 from asia.ledger import HandedOver, Proposed, Run, SearchView, hand_over_words, verify
 from asia.scoring import Score
 from asia.search import replay_run
+from asia.search.deciding.judging import Judged
 from tests.unit.agents.fake_llm import FakeServer, fake_llm, said
 from tests.unit.search.toy import Scripted, arx, write_problem
 
@@ -43,14 +44,17 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
     """Every candidate has the folds of one fit, and a V that its source decides."""
     known: list[Evaluation] = []
 
-    def judge(evaluator: Evaluator, source: str, view: SearchView) -> Evaluation:
-        del view
+    def judge(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
+        best = view.best
         if not known:
             known.append(evaluator.evaluate(arx(2)))
         outcome = known[0].outcome
         assert isinstance(outcome, Score)
         number = int.from_bytes(hashlib.sha256(source.encode()).digest()[:4], "big")
-        return replace(known[0], outcome=replace(outcome, value=0.1 + number / 2**32))
+        value = 0.1 + number / 2**32
+        lower = best is None or best.score is None or value < best.score.value
+        evaluation = replace(known[0], outcome=replace(outcome, value=value))
+        return Judged(evaluation, "keep" if lower else "discard")
 
     def refit(self: Evaluator, source: str) -> None:
         raise CandidateError(Reason.CRASH, "made up")
