@@ -23,6 +23,10 @@ _WORTH_A_RETEST = 0.5
 """The share of the floor by which a first fit must be lower: with less, two more fits make a
 new best very unlikely."""
 
+_NARROW = 0.1
+"""The largest floor, over the mean, that an incumbent fitted from fewer seeds may leave: a wide one
+would keep better candidates out."""
+
 
 @dataclass(frozen=True)
 class Judged:
@@ -126,7 +130,8 @@ class _Retesting:
                 # One fit shows it: the others would be the same.
                 break
             values.append(outcome.value)
-            if known and (fmean(values) >= fmean(known) or _is_lower(values, known)):
+            higher = fmean(values) >= fmean(known) if known else False
+            if higher or (known and _is_lower(values, known) and _is_narrow(values)):
                 break
         status, floor = _decision(values, known, failed=failed)
         return _Decision(status, tuple(retests), floor, timed_out, asked)
@@ -146,6 +151,11 @@ def _decision(
 def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
     """By more than the floor; by any amount where neither depends on the seed."""
     return fmean(known) - fmean(values) > least_significant_difference(values, known)
+
+
+def _is_narrow(values: Sequence[float]) -> bool:
+    """Whether these seeds are enough for an incumbent: the floor that it gives is small."""
+    return least_significant_difference(values, values) <= _NARROW * fmean(values)
 
 
 def _is_same(first: Evaluation, again: Evaluation) -> bool:
