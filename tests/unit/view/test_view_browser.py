@@ -28,6 +28,8 @@ CHROMIUM = next(
 SIZES = {"wide": {"width": 1280, "height": 900}, "phone": {"width": 390, "height": 844}}
 PAGES = ("/", "/runs/made", "/runs/made/experiments/2", "/compare?run=made&run=other")
 
+# A busy machine is slow.
+expect.set_options(timeout=60_000)
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt-get install chromium"),
