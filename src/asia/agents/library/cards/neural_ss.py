@@ -5,7 +5,7 @@ from __future__ import annotations
 from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.evidence import coloured, curved
+from asia.agents.library.evidence import coloured, curved, overfit
 from asia.agents.library.family import Family
 from asia.agents.library.methods import (
     LM,
@@ -61,6 +61,8 @@ def _neural_ss_space(facts: Facts) -> Space:
 # Share of the one-step error from which on a switching term is more than what smooth systems show,
 # and how much more it may be by chance in one sample.
 _TRACE, _BY_CHANCE = 0.01, 8.0
+# V over the training error.
+_BY_HEART = 4.0
 # Inputs and outputs for which cubic polynomials, and for which quadratic ones, have few terms.
 _CUBIC, _QUADRATIC = 2, 5
 
@@ -76,7 +78,7 @@ def _polynomial_weight(at: Situation) -> float:
     smooth = recipe.get("nonlinearity") == "state" and not _has_element(at)
     if not (few and smooth) or recipe.get("basis") == "polynomial":
         return 0.0
-    return 0.82 if coloured(at.trial) else 0.5
+    return 0.855 if coloured(at.trial) else 0.5
 
 
 def _as_polynomials(at: Situation) -> Recipe:
@@ -112,12 +114,14 @@ def _element_weight(at: Situation, element: str, *causes: Cause) -> float:
 
 
 def _trace_weight(at: Situation, weight: float) -> float:
-    """Where the records show but a trace of it, on a residual that stays coloured."""
+    """On a residual that stays coloured, where the records show but a trace of it, or where a
+    smooth model knows its own fold far better than the others."""
     smooth = at.facts.horizon is None and not _has_element(at)
     if not smooth or not coloured(at.trial) or switching(at.facts).found:
         return 0.0
     least = _TRACE + _BY_CHANCE / at.facts.samples
-    return weight if switching(at.facts).share > least else 0.5 * weight
+    likely = switching(at.facts).share > least or overfit(at.trial) > _BY_HEART
+    return weight if likely else 0.5 * weight
 
 
 def _with_trace_of_friction(at: Situation) -> Recipe:
@@ -175,7 +179,7 @@ _ELEMENTS: tuple[Move, ...] = (
     ),
     Move(
         name="a trace of friction",
-        weight=lambda c: _trace_weight(c, 0.86),
+        weight=lambda c: _trace_weight(c, 0.87),
         change=_with_trace_of_friction,
         hypothesis="The residual is coloured, and smooth functions may not be what is missing: an "
         "element of friction turns where the motion turns, and can hold the system still.",
@@ -183,7 +187,7 @@ _ELEMENTS: tuple[Move, ...] = (
     ),
     Move(
         name="a trace of play",
-        weight=lambda c: _trace_weight(c, 0.85),
+        weight=lambda c: _trace_weight(c, 0.86),
         change=_with_play,
         hypothesis="The residual is coloured, and smooth functions may not be what is missing: in "
         "a play between two parts nothing happens after each turn.",
