@@ -1,0 +1,50 @@
+"""The validation dossier: what one asks of a model before using it, check by check.
+
+Every check is a function of arrays: measured and simulated outputs, or answers of a simulator that
+may be anything. A residual is judged by what explains it beyond chance, with a correction for its
+own correlation, and only where that part is large enough to matter.
+"""
+
+from asia.scoring.dossier.ahead import check_ahead
+from asia.scoring.dossier.check import Cause, Check, Curve, Verdict, most_serious, summary
+from asia.scoring.dossier.gain import check_gain
+from asia.scoring.dossier.long_run import HORIZONS, check_long_run
+from asia.scoring.dossier.overfit import check_overfit
+from asia.scoring.dossier.records import SimulatedBlock, Simulations
+from asia.scoring.dossier.region import check_region
+from asia.scoring.dossier.residual import residual_checks
+from asia.scoring.dossier.response import (
+    SMALL,
+    LinearResponse,
+    check_responses,
+    frequency_response_of,
+    impulse_response,
+    poles,
+)
+from asia.scoring.dossier.spectrum import check_frequency_response, check_spectrum
+
+__all__ = [
+    "HORIZONS",
+    "SMALL",
+    "Cause",
+    "Check",
+    "Curve",
+    "LinearResponse",
+    "SimulatedBlock",
+    "Simulations",
+    "Verdict",
+    "check_ahead",
+    "check_frequency_response",
+    "check_gain",
+    "check_long_run",
+    "check_overfit",
+    "check_region",
+    "check_responses",
+    "check_spectrum",
+    "frequency_response_of",
+    "impulse_response",
+    "most_serious",
+    "poles",
+    "residual_checks",
+    "summary",
+]

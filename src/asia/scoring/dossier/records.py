@@ -1,0 +1,75 @@
+"""What the checks of residuals look at: simulations of samples that the model was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+
+
+@dataclass(frozen=True)
+class SimulatedBlock:
+    """A stretch of a record, measured and simulated."""
+
+    u: Array
+    """Inputs (H, nu)."""
+    y: Array
+    """Measured outputs (H, ny)."""
+    y_hat: Array
+    """Simulated outputs (H, ny)."""
+    record: int = 0
+    """Number of the record, 0-based."""
+    start: int = 0
+    """The first sample in that record, 0-based."""
+
+    @property
+    def residual(self) -> Array:
+        """Measured less simulated (H, ny)."""
+        return self.y - self.y_hat
+
+
+@dataclass(frozen=True)
+class Simulations:
+    """All blocks of a dossier, with what their channels are called."""
+
+    blocks: tuple[SimulatedBlock, ...]
+    """At least one."""
+    inputs: tuple[str, ...]
+    """Names."""
+    outputs: tuple[str, ...]
+    """Names."""
+    sampling_time: float
+    """s."""
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviation of the measured outputs (ny,), never 0."""
+        found = np.concatenate([b.y for b in self.blocks]).std(axis=0)
+        return np.where(found > 0.0, found, 1.0)
+
+    def residuals(self, output: int) -> list[Array]:
+        """Of one output, (H,) a block."""
+        return [b.residual[:, output] for b in self.blocks]
+
+    def input(self, number: int) -> list[Array]:
+        """One input, (H,) a block."""
+        return [b.u[:, number] for b in self.blocks]
+
+    @property
+    def shortest(self) -> int:
+        """Samples of the shortest block."""
+        return min(len(b.y) for b in self.blocks)
+
+
+def percent(share: float) -> str:
+    """With two digits, such as `41 %` or `0.62 %`."""
+    value = 100.0 * share
+    return f"{value:.0f} %" if abs(value) >= 10 else f"{value:.2g} %"
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

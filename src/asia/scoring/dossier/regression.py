@@ -1,0 +1,131 @@
+"""Whether columns explain a coloured residual: an F test after whitening.
+
+Source: Cochrane and Orcutt, Application of least squares regression to relationships containing
+auto-correlated error terms, JASA 44 (1949), with an autoregression of several lags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data import Array
+
+_ORDER = 8
+_MOST_ROWS = 20_000
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What columns add to others."""
+
+    chance: float
+    """Probability that independent columns explain as much."""
+    share: float
+    """Of the variance of the residual, corrected for the number of columns."""
+    size: float
+    """Standard deviation of what they explain, in the unit of the residual."""
+
+
+def explained(
+    residual: Sequence[Array], base: Sequence[Array], added: Sequence[Array]
+) -> Explained:
+    """What `added` explains of a residual beyond `base` and a constant.
+
+    residual (n,), base and added (n, columns): one a block.
+    """
+    lengths = [len(e) for e in residual]
+    if sum(lengths) > _MOST_ROWS:
+        residual, base, added = _thinned(residual, base, added)
+        lengths = [len(e) for e in residual]
+    e = np.concatenate(list(residual))
+    constant = np.ones((len(e), 1))
+    x0 = _scaled(np.concatenate([constant, np.concatenate(list(base))], axis=1))
+    x1 = _scaled(np.concatenate(list(added)))
+    x = np.concatenate([x0, x1], axis=1)
+    if x1.shape[1] == 0 or len(e) <= 2 * x.shape[1] or not np.any(e):
+        return Explained(1.0, 0.0, 0.0)
+    left0, left, columns = _left(e, x0)[0], *_left(e, x)
+    size = float(np.std(left0 - left))
+    free = max(len(e) - columns, 1)
+    loss = float(left0 @ left0)
+    kept = (float(left @ left) / free) / max(loss / max(len(e) - x0.shape[1], 1), 1e-300)
+    filters = _autoregression(left, lengths)
+    white = [_filtered(v, filters, lengths) for v in (e[:, None], x0, x)]
+    chance = _f_chance(white[0][:, 0], white[1], white[2])
+    total = max(float(np.sum((e - e.mean()) ** 2)), 1e-300)
+    return Explained(chance, max(0.0, 1.0 - kept) * min(loss / total, 1.0), size)
+
+
+def _left(e: Array, x: Array) -> tuple[Array, int]:
+    """What the columns leave, and their rank."""
+    solution, _, rank, _ = np.linalg.lstsq(x, e, rcond=1e-9)
+    return e - x @ solution, int(rank)
+
+
+def _f_chance(e: Array, x0: Array, x: Array) -> float:
+    from scipy.special import fdtrc  # only where statistics are asked for
+
+    left0, rank0 = _left(e, x0)
+    left, rank = _left(e, x)
+    more, free = rank - rank0, len(e) - rank
+    if more <= 0 or free <= 0:
+        return 1.0
+    rest = float(left @ left)
+    gain = float(left0 @ left0) - rest
+    return float(fdtrc(more, free, max(gain, 0.0) / more / max(rest / free, 1e-300)))
+
+
+def _autoregression(e: Array, lengths: Sequence[int]) -> Array:
+    """Coefficients (order,) of e(t) on its own past, over all blocks; the order is shorter in short
+    blocks."""
+    order = max(0, min(_ORDER, min(lengths) // 4))
+    rows, targets = [], []
+    for part in _split(e, lengths):
+        if len(part) > order > 0:
+            lagged = np.lib.stride_tricks.sliding_window_view(part, order)[:-1, ::-1]
+            rows.append(lagged)
+            targets.append(part[order:])
+    if not rows:
+        return np.zeros(0)
+    x, y = np.concatenate(rows), np.concatenate(targets)
+    # A little ridge keeps a residual that is zero harmless.
+    ridge = 1e-9 * float(np.sum(x * x)) / x.shape[1] + 1e-300
+    return np.linalg.solve(x.T @ x + ridge * np.eye(order), x.T @ y)
+
+
+def _filtered(x: Array, filters: Array, lengths: Sequence[int]) -> Array:
+    """Each column less what its past predicts; the first samples of each block fall away."""
+    order = len(filters)
+    parts: list[Array] = []
+    for part in _split(x, lengths):
+        left = part[order:].copy()
+        for lag, value in enumerate(filters, start=1):
+            left -= value * part[order - lag : len(part) - lag]
+        parts.append(left)
+    return np.concatenate(parts)
+
+
+def _split(x: Array, lengths: Sequence[int]) -> list[Array]:
+    return np.split(x, np.cumsum(lengths)[:-1])
+
+
+def _scaled(x: Array) -> Array:
+    """Columns of size 1, without those that do not move but the first constant."""
+    size = np.sqrt(np.mean(x * x, axis=0))
+    moves = np.ptp(x, axis=0) > 1e-9 * np.maximum(size, 1e-300)
+    if x.shape[1]:
+        moves[0] |= bool(np.all(x[:, 0] == 1.0))
+    return x[:, moves] / size[moves]
+
+
+def _thinned(*parts: Sequence[Array]) -> tuple[list[Array], ...]:
+    """Blocks, evenly spread, or the middle of each where there are few, of `_MOST_ROWS` at most."""
+    count = len(parts[0])
+    longest = max(len(e) for e in parts[0])
+    many = max(1, min(count, _MOST_ROWS // longest))
+    places = np.linspace(0, count - 1, many).round().astype(int).tolist()
+    each = _MOST_ROWS // many
+    return tuple([p[k][:each] for k in places] for p in parts)
