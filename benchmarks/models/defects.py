@@ -2,9 +2,9 @@
 
 Eight systems, each with one of eight defects or none, five seeds. The model has the structure of
 the system without the defect, fitted to noisy records by Levenberg-Marquardt on two of three
-contiguous folds at a time. The pure functions of the dossier see held-out simulations and answers of
-the model, as in asia validate. Options: --seeds FIRST LAST (default 0 4; thresholds were set on 100
-to 104), --show to print each flag.
+contiguous folds at a time. The pure functions of the dossier see held-out simulations and answers
+of the model, as in asia validate. Options: --seeds FIRST LAST (default 0 4; thresholds were set on
+100 to 104), --jobs, --show to print each flag that is missed or false.
 """
 
 from __future__ import annotations
