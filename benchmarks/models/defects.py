@@ -84,8 +84,9 @@ def fit(system: Motion, u: Array, y: Array, weights: Array) -> Array:
     return best
 
 
-def dossiers(system: Motion, planted: str, seeds: range) -> list[tuple[Check, ...]]:
-    """The checks of each seed."""
+def dossiers(number: int, planted: str, seeds: range) -> list[tuple[Check, ...]]:
+    """The checks of each seed of one system."""
+    system = SYSTEMS[number]
     defect = PLANTED[planted][0]
     records = []
     for seed in seeds:
@@ -166,20 +167,20 @@ def main() -> None:
     seeds = range(options.seeds[0], options.seeds[1] + 1)
     print("| defect | flagged | first in the summary | another cause first, most often |")
     print("|---|---|---|---|")
-    asked = [(system, planted, seeds) for planted in PLANTED for system in SYSTEMS]
+    asked = [(k, planted, seeds) for planted in PLANTED for k in range(len(SYSTEMS))]
     with Pool(options.jobs) as pool:
-        answers = dict(zip([(p, s.name) for s, p, _ in asked],
-                           pool.starmap(dossiers, asked, chunksize=1), strict=True))  # fmt: skip
-    for planted in PLANTED:
-        print(row(planted, {s.name: answers[planted, s.name] for s in SYSTEMS}, options.show))
+        answers = pool.starmap(dossiers, asked, chunksize=1)
+    for place, planted in enumerate(PLANTED):
+        own = answers[place * len(SYSTEMS) : (place + 1) * len(SYSTEMS)]
+        print(row(planted, own, options.show))
 
 
-def row(planted: str, answers: dict[str, list[tuple[Check, ...]]], show: bool) -> str:
+def row(planted: str, answers: list[list[tuple[Check, ...]]], show: bool) -> str:
     """A line of the table."""
     causes = PLANTED[planted][1]
     flagged = first = total = 0
     others: Counter[str] = Counter()
-    for name, each in answers.items():
+    for system, each in zip(SYSTEMS, answers, strict=True):
         for number, checks in enumerate(each):
             raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
             worst = most_serious(checks)
@@ -190,7 +191,11 @@ def row(planted: str, answers: dict[str, list[tuple[Check, ...]]], show: bool) -
                 others[worst.name] += 1
             missed = bool(raised) if not causes else not any(c.cause in causes for c in raised)
             if show and missed:
-                print(f"{planted}, {name}, {number}:", *(c.sentence for c in checks), sep="\n    ")
+                print(
+                    f"{planted}, {system.name}, {number}:",
+                    *(c.sentence for c in checks),
+                    sep="\n    ",
+                )
     most = ", ".join(f"{name} {count}" for name, count in others.most_common(3))
     return f"| {planted} | {flagged} of {total} | {first} | {most} |"
 

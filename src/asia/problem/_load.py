@@ -13,6 +13,7 @@ from asia._files import read_text
 from asia._nearest import suggestion
 from asia.data._trajectory import Signal, Trajectory
 from asia.data.sources import Channels, data_source, test_source
+from asia.data.sources.csv_files import read_files
 from asia.errors import UserError
 from asia.problem._lock import check_digests
 from asia.problem._problem import Problem, TestSource
@@ -72,6 +73,13 @@ def load_lock(path: Path) -> Problem:
     problem = _assemble(file, path.resolve().parent, texts, file.digests.test, file.digests.guard)
     check_digests(problem, file.digests, path)
     return problem
+
+
+def read_record(problem: Problem, path: Path) -> Trajectory:
+    """A record that a person brings, with the problem's columns and sampling time. Raises UserError
+    where it cannot be read."""
+    channels = Channels(problem.inputs, problem.outputs, problem.sampling_time)
+    return read_files([path], channels).trajectories[0]
 
 
 def _builtin_root() -> Path:

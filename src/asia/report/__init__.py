@@ -30,6 +30,7 @@ from asia.report._simulated import SimulatedCase, SimulatedCases, simulated_case
 if TYPE_CHECKING:
     from asia.problem.load import Problem
     from asia.report._page import PublishedRuns
+    from asia.scoring.dossier import Check
 
 __all__ = [
     "ArmCurves",
@@ -54,6 +55,7 @@ __all__ = [
     "read_board",
     "simulated_cases",
     "write_bundle",
+    "write_dossier",
     "write_figures",
     "write_page",
     "write_report",
@@ -73,6 +75,14 @@ def write_report(directory: Path, *, missing_only: bool = False) -> tuple[Path, 
     from asia.report._write import write
 
     return write(directory, missing_only=missing_only)
+
+
+def write_dossier(directory: Path, checks: Sequence[Check], title: str) -> tuple[Path, ...]:
+    """Draw the checks of a dossier into `<directory>/report` as validation.png and validation.pdf.
+    Returns the paths written."""
+    from asia.report._write import write_dossier
+
+    return write_dossier(directory, checks, title)
 
 
 def write_page(directory: Path) -> Path:

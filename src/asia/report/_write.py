@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from asia.report._board import read_board
 from asia.report._drawing.style import DPI, drawing
 from asia.report._pictures.boards import draw_boards
 from asia.report._pictures.data import draw_data
+from asia.report._pictures.dossier import draw_dossier
 from asia.report._pictures.equations import draw_equations
 from asia.report._pictures.progress import draw_progress
 from asia.report._pictures.residuals import draw_residuals
@@ -26,6 +27,7 @@ from asia.report._pictures.standing import draw_standing
 from asia.report._pictures.tried import draw_tried, draw_tried_residuals
 from asia.report._pictures.windows import draw_horizon, draw_test_horizon
 from asia.report._simulated import SimulatedCases
+from asia.scoring.dossier import Check
 
 Picture = tuple[str, Callable[[], Figure]]
 
@@ -43,6 +45,12 @@ def write(directory: Path, *, missing_only: bool = False) -> tuple[Path, ...]:
     if missing_only:
         drawn = (one for one in drawn if not all(path.exists() for path in _files(report, one[0])))
     return save(drawn, report)
+
+
+def write_dossier(directory: Path, checks: Sequence[Check], title: str) -> tuple[Path, ...]:
+    """See `asia.report.write_dossier`."""
+    drawn: Picture = ("validation", lambda: draw_dossier(checks, title))
+    return save(iter([drawn]), directory / "report")
 
 
 def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:

@@ -22,11 +22,13 @@ from asia.search._sinks import OpenSink, Sink, Sinks, find_sink, open_sinks
 from asia.search._steering import Steering
 from asia.search._unseal import CONSENT, UnsealResult, needs_consent, unseal
 from asia.search.ablation.ablate import OnFit, ablate
+from asia.search.dossier import Dossier, validate
 from asia.search.final.confirmation import OnRepeat, confirm
 
 __all__ = [
     "CONSENT",
     "LOCK",
+    "Dossier",
     "OnEvent",
     "OnFit",
     "OnRepeat",
@@ -58,6 +60,7 @@ __all__ = [
     "simulate",
     "simulated_excerpts",
     "unseal",
+    "validate",
     "with_early_stopping",
     "with_relay_budget",
 ]

@@ -78,4 +78,4 @@ def summary(checks: tuple[Check, ...]) -> str:
 def most_serious(checks: tuple[Check, ...]) -> Check | None:
     """The check to look at first; None where all pass."""
     raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
-    return max(raised, key=lambda c: (c.verdict is Verdict.FAIL, c.weight), default=None)
+    return max(raised, key=lambda c: (c.weight, c.verdict is Verdict.FAIL), default=None)

@@ -32,6 +32,8 @@ class _Found:
     found: Explained
     size: float
     """Over the deviation of the output."""
+    alone: float
+    """The share that the columns explain without any others."""
 
     @property
     def verdict(self) -> Verdict:
@@ -107,7 +109,7 @@ def check_inputs(found: Simulations, columns: Sequence[Groups]) -> Check:
         f"the residual of {found.outputs[best[1]]} follows {found.inputs[best[2]]} at "
         f"{lags_of_best}: {Cause.DYNAMICS} ({worst.words()})"
     )
-    return Check("inputs", worst.verdict, sentence, Cause.DYNAMICS, worst.found.share,
+    return Check("inputs", worst.verdict, sentence, Cause.DYNAMICS, worst.alone,
                  tuple(curves), axes)  # fmt: skip
 
 
@@ -137,7 +139,7 @@ def check_time(found: Simulations, columns: Sequence[Groups]) -> Check:
         return Check("time", Verdict.PASS, sentence, curves=curves, axes=axes)
     sentence = f"the residual of {found.outputs[worst.output]} drifts with time: {Cause.DRIFT} "
     return Check("time", worst.verdict, f"{sentence}({worst.words()})", Cause.DRIFT,
-                 worst.found.share, curves, axes)  # fmt: skip
+                 worst.alone, curves, axes)  # fmt: skip
 
 
 def check_amplitude(found: Simulations, columns: Sequence[Groups]) -> Check:
@@ -152,7 +154,7 @@ def check_amplitude(found: Simulations, columns: Sequence[Groups]) -> Check:
         f"the residual of {found.outputs[worst.output]} depends on the amplitude: {Cause.STATIC} "
         f"({worst.words()})"
     )
-    return Check("amplitude", worst.verdict, sentence, Cause.STATIC, worst.found.share,
+    return Check("amplitude", worst.verdict, sentence, Cause.STATIC, worst.alone,
                  curves, axes)  # fmt: skip
 
 
@@ -166,7 +168,7 @@ def check_motion(found: Simulations, columns: Sequence[Groups]) -> Check:
         f"the residual of {found.outputs[worst.output]} changes where the motion turns: "
         f"{Cause.FRICTION} ({worst.words()})"
     )
-    return Check("motion", worst.verdict, sentence, Cause.FRICTION, worst.found.share)
+    return Check("motion", worst.verdict, sentence, Cause.FRICTION, worst.alone)
 
 
 def _linear(columns: Groups) -> list[Array]:
@@ -180,7 +182,9 @@ def _worst(found: Simulations, columns: Sequence[Groups], added: Columns, base: 
     for output, (group, deviation) in enumerate(zip(columns, found.deviation, strict=True)):
         e = [r[group.reach :] for r in found.residuals(output)]
         one = explained(e, base(group), added(group))
-        each.append(_Found(output, one, one.size / float(deviation)))
+        nothing = [x[:, :0] for x in group.inputs]
+        alone = explained(e, nothing, added(group)).share
+        each.append(_Found(output, one, one.size / float(deviation), alone))
     return max(each, key=lambda f: (f.verdict is not Verdict.PASS, f.found.share))
 
 

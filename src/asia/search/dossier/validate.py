@@ -1,0 +1,205 @@
+"""Make the dossier of a run: held-out simulations from the ledger, further answers in the sandbox.
+
+It uses training records alone, and a record that the user brings. The sealed test stays closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from asia.data import Array, Trajectory
+from asia.errors import CandidateError, UserError
+from asia.evaluation import Evaluator
+from asia.ledger import (
+    Experiment,
+    Run,
+    Store,
+    Use,
+    findings_of,
+    model_to_use,
+    open_run,
+    without_artifacts,
+)
+from asia.problem.frequency import responses
+from asia.problem.load import Problem, load_lock, read_record
+from asia.protocol import Block, whole
+from asia.scoring import region_of
+from asia.scoring.dossier import (
+    Check,
+    SimulatedBlock,
+    Simulations,
+    check_ahead,
+    check_frequency_response,
+    check_gain,
+    check_long_run,
+    check_overfit,
+    check_region,
+    check_responses,
+    check_spectrum,
+    residual_checks,
+    summary,
+)
+from asia.search._run import LOCK, make_evaluator
+from asia.search.dossier.probes import Range, Simulator, linear_responses, long_run, starts
+from asia.search.final.bands import band_basis
+from asia.search.final.members import FinalMember, final_members
+
+
+@dataclass(frozen=True)
+class Dossier:
+    """All checks of the model to use."""
+
+    run: str
+    """The run."""
+    experiment: int
+    """Its winner, 1-based."""
+    model: Use
+    """Which final model answered small steps and the long run."""
+    record: str | None
+    """The new record that was simulated; None for the held-out samples of the folds."""
+    checks: tuple[Check, ...]
+    """In the order to read them."""
+
+    @property
+    def summary(self) -> str:
+        """Counts, and the sentence of the check that matters most."""
+        return summary(self.checks)
+
+
+def validate(directory: Path, record: Path | None = None) -> Dossier:
+    """Check the model to use of a run.
+
+    Without a record, residuals are those of the fold models on what their fold held out. With one,
+    the model to use simulates it from its first past window. Raises UserError where the run has
+    no scored model, hides its scores, or came without its artifacts, and where the record cannot be
+    read; CandidateError where the model cannot simulate it.
+    """
+    run = open_run(directory)
+    chosen = model_to_use(run.view)
+    if chosen is None or run.view.best is None:
+        raise UserError(f"run '{run.name}' has no scored model, so nothing to validate")
+    if run.view.started.ladder is not None:
+        raise UserError(
+            f"run '{run.name}' has ladder feedback, which hides the exact scores that a dossier "
+            "prints: validate a run without it"
+        )
+    if not Store(directory / "artifacts").kept:
+        raise UserError(without_artifacts(directory))
+    problem = load_lock(directory / LOCK)
+    work = _Validation(run, problem, make_evaluator(problem, run.view), run.view.best, chosen.model)
+    checks = work.held_out() if record is None else work.on(read_record(problem, record))
+    name = None if record is None else record.name
+    return Dossier(run.name, run.view.best.number, chosen.model, name, checks)
+
+
+@dataclass(frozen=True)
+class _Validation:
+    """A dossier under way."""
+
+    run: Run
+    problem: Problem
+    evaluator: Evaluator
+    best: Experiment
+    use: Use
+
+    def held_out(self) -> tuple[Check, ...]:
+        """The dossier on what the folds held out."""
+        basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
+        pairs = [
+            (block, error)
+            for fold, errors in zip(self.evaluator.folds, basis.errors, strict=True)
+            for block, error in zip(fold.validation, errors.blocks, strict=True)
+        ]
+        blocks = tuple(
+            SimulatedBlock(b.case.u, b.y, b.y - error, b.record, b.start) for b, error in pairs
+        )
+        found = self._simulations(blocks)
+        checks = list(self._of_residuals(found))
+        errors = findings_of(self.run.store, self.best, bounded=False)
+        if errors:
+            train, held = ([float(np.mean(e)) for e in each] for each in (
+                [f.train_errors for f in errors], [f.errors for f in errors]))  # fmt: skip
+            checks.append(check_overfit(train, held))
+        checks += self._ahead()
+        return (*checks, check_region(found, basis.region))
+
+    def on(self, record: Trajectory) -> tuple[Check, ...]:
+        """The dossier on a new record."""
+        blocks = whole([record], self.problem.protocol)
+        if not blocks:
+            raise UserError(f"record '{record.name}' is too short: it holds no case to simulate")
+        y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
+        pairs = zip(blocks, y_hat, strict=True)
+        found = self._simulations(
+            tuple(SimulatedBlock(b.case.u, b.y, y, b.record, b.start) for b, y in pairs)
+        )
+        region = region_of([(r.u, r.y) for r in self.evaluator.records])
+        return (*self._of_residuals(found), check_region(found, region))
+
+    def _simulations(self, blocks: tuple[SimulatedBlock, ...]) -> Simulations:
+        inputs = tuple(s.name for s in self.problem.inputs)
+        outputs = tuple(s.name for s in self.problem.outputs)
+        return Simulations(blocks, inputs, outputs, self.problem.sampling_time)
+
+    def _of_residuals(self, found: Simulations) -> tuple[Check, ...]:
+        """What both dossiers have."""
+        simulator = self._simulator(final_members(self.run.view, self.use))
+        given = self._range
+        linear = linear_responses(given, found.inputs, simulator)
+        y = np.concatenate([r.y for r in self.evaluator.records])
+        levels = [None if one is None else one.levels.noise for one in responses(self.problem)]
+        far = long_run(given, self.evaluator.horizon, simulator)
+        return (
+            *residual_checks(found),
+            check_gain(found),
+            check_spectrum(found, levels),
+            check_frequency_response(found, linear),
+            check_responses(linear, found.outputs, found.sampling_time),
+            check_long_run(far, y.min(axis=0), y.max(axis=0)),
+        )
+
+    @property
+    def _range(self) -> Range:
+        rule = self.problem.protocol
+        return Range(self.evaluator.records, rule.past_inputs, rule.past_outputs)
+
+    def _ahead(self) -> list[Check]:
+        """Each fold's model from starts within what it did not fit; [] where there is no room."""
+        member = final_members(self.run.view, "ensemble")[0]
+        model_errors: list[Array] = []
+        hold_errors: list[Array] = []
+        for fold, name in zip(self.evaluator.folds, member.models, strict=True):
+            blocks = starts(self._range, fold.validation)
+            if not blocks or self.problem.protocol.past_outputs == 0:
+                continue
+            one = FinalMember(member.source, (name,))
+            try:
+                replies = self._simulator([one])(blocks)
+            except CandidateError:
+                continue
+            for block, reply in zip(blocks, replies, strict=True):
+                model_errors.append(block.y - reply)
+                hold_errors.append(block.y - block.case.past_y[-1])
+        if not model_errors:
+            return []
+        scale = self.evaluator.scale
+        return [check_ahead(np.stack(model_errors), np.stack(hold_errors), scale)]
+
+    def _simulator(self, members: Sequence[FinalMember]) -> Simulator:
+        """Simulations of a final model, in the sandbox."""
+
+        def simulate(blocks: Sequence[Block]) -> list[Array]:
+            total = [np.zeros_like(block.y) for block in blocks]
+            for member in members:
+                models = [self.run.store.get(one) for one in member.models]
+                source = self.run.store.text(member.source)
+                for replies in self.evaluator.simulate(source, models, blocks):
+                    for sum_, reply in zip(total, replies, strict=True):
+                        sum_ += member.weight / len(models) * reply
+            return total
+
+        return simulate

@@ -1,0 +1,72 @@
+"""asia validate on a small search."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.problem.load import load_problem
+from asia.sandbox import Isolation
+from asia.search import prepare, search
+from tests.unit.search.toy import Scripted, arx, write_problem
+
+from .conftest import Asia
+
+
+def searched(root: Path, *sources: str) -> Path:
+    agent = Scripted(sources)
+    problem = load_problem(write_problem(root / "toy", experiments=1 + len(sources)))
+    ready = prepare(problem, agent.name, seed=0, runs=root / "runs", isolation=Isolation.PROCESS)
+    search(ready, agent, lambda event, view: None, lambda view: None)
+    return ready.directory
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return searched(tmp_path_factory.mktemp("validate"), arx(2))
+
+
+def new_record(path: Path, gain: float) -> Path:
+    rng = np.random.default_rng(9)
+    u = rng.normal(size=300)
+    y = np.zeros(300)
+    for k in range(2, 300):
+        y[k] = 1.2 * y[k - 1] - 0.5 * y[k - 2] + gain * (0.4 * u[k] + 0.2 * u[k - 1])
+    np.savetxt(path, np.stack([u, y], 1), delimiter=",", header="u,y", comments="")
+    return path
+
+
+def test_a_line_a_check_and_a_summary_at_the_end(run: Path, asia: Asia) -> None:
+    done = asia("validate", run)
+    assert done.code == 0, done.err
+    *lines, model, summary = done.out.splitlines()
+    assert model.endswith("on training records; the sealed test was not used")
+    assert summary.startswith("pass ")
+    assert summary.endswith("fail 0")
+    assert [line.split(":")[0].split("  ")[-1] for line in lines] == [
+        "fit in free run", "inputs", "whiteness", "time", "amplitude", "motion",
+        "direction of gain", "error spectrum", "frequency response", "poles and static gain",
+        "ten horizons", "held-out error", "steps ahead", "region of validity",
+    ]  # fmt: skip
+    assert (run / "report" / "validation.png").stat().st_size > 10_000
+
+
+def test_a_new_record_that_the_model_gets_wrong(run: Path, tmp_path: Path, asia: Asia) -> None:
+    good = asia("validate", run, "--record", new_record(tmp_path / "good.csv", 1.0))
+    assert good.out.splitlines()[-1].endswith("fail 0")
+    done = asia("validate", run, "--record", new_record(tmp_path / "bad.csv", -1.0), "--json")
+    *checks, end = (json.loads(line) for line in done.out.splitlines())
+    verdicts = {check["check"]: check["verdict"] for check in checks}
+    assert verdicts["direction of gain"] == "fail"
+    assert end["record"] == "bad"
+    assert end["summary"].endswith("a gain has the wrong sign")
+
+
+def test_a_record_without_the_columns_is_refused(run: Path, tmp_path: Path, asia: Asia) -> None:
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    done = asia("validate", run, "--record", tmp_path / "other.csv")
+    assert done.code == 2
+    assert "has no column" in done.err
