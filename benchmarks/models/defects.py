@@ -25,7 +25,7 @@ from asia.scoring.dossier import (
     Cause,
     Check,
     SimulatedBlock,
-    Simulations,
+    SimulatedBlocks,
     Verdict,
     check_frequency_response,
     check_gain,
@@ -142,7 +142,9 @@ def judge(u: Array, y: Array, y_hat: Array, far: Array, parts: list[Array]) -> t
         SimulatedBlock(u[held], y[held, None], y_hat[held, k : k + 1], 0, int(held[0]))
         for k, held in enumerate(parts)
     )
-    simulations = Simulations(blocks, tuple(f"u{k + 1}" for k in range(u.shape[1])), ("y",), 0.05)
+    simulations = SimulatedBlocks(
+        blocks, tuple(f"u{k + 1}" for k in range(u.shape[1])), ("y",), 0.05
+    )
     train, held_out = [], []
     for k, held in enumerate(parts):
         e2 = (y - y_hat[:, k]) ** 2

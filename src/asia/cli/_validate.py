@@ -42,7 +42,7 @@ def validate(
         _print_json(found)
         return
     for one in found.checks:
-        say(f"{one.verdict.upper():5}  {one.name}: {one.sentence}")
+        say(f"{one.verdict.upper():6}{one.name}: {one.sentence}")
     what = "training records" if found.record is None else found.record
     say(f"experiment {found.experiment}, {found.model}, on {what}; the sealed test was not used")
     say(found.summary)

@@ -46,7 +46,7 @@ def test_a_line_a_check_and_a_summary_at_the_end(run: Path, asia: Asia) -> None:
     assert model.endswith("on training records; the sealed test was not used")
     assert summary.startswith("pass ")
     assert summary.endswith("fail 0")
-    assert [line.split(":")[0].split("  ")[-1] for line in lines] == [
+    assert [line.split(":")[0].partition(" ")[2].strip() for line in lines] == [
         "fit in free run", "inputs", "whiteness", "time", "amplitude", "motion",
         "direction of gain", "error spectrum", "frequency response", "poles and static gain",
         "ten horizons", "held-out error", "steps ahead", "region of validity",

@@ -6,11 +6,11 @@ own correlation, and only where that part is large enough to matter.
 """
 
 from asia.scoring.dossier.ahead import check_ahead
-from asia.scoring.dossier.check import Cause, Check, Curve, Verdict, most_serious, summary
+from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict, most_serious, summary
 from asia.scoring.dossier.gain import check_gain
 from asia.scoring.dossier.long_run import HORIZONS, check_long_run
 from asia.scoring.dossier.overfit import check_overfit
-from asia.scoring.dossier.records import SimulatedBlock, Simulations
+from asia.scoring.dossier.records import SimulatedBlock, SimulatedBlocks
 from asia.scoring.dossier.region import check_region
 from asia.scoring.dossier.residual import residual_checks
 from asia.scoring.dossier.response import (
@@ -28,10 +28,10 @@ __all__ = [
     "SMALL",
     "Cause",
     "Check",
-    "Curve",
+    "CheckCurve",
     "LinearResponse",
     "SimulatedBlock",
-    "Simulations",
+    "SimulatedBlocks",
     "Verdict",
     "check_ahead",
     "check_frequency_response",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asia.data import Array
-from asia.scoring.dossier.check import Check, Curve, Verdict
+from asia.scoring.dossier.check import Check, CheckCurve, Verdict
 
 
 def check_ahead(model: Array, hold: Array, deviation: Array) -> Check:
@@ -13,7 +13,9 @@ def check_ahead(model: Array, hold: Array, deviation: Array) -> Check:
     output, at steps 1 to K; deviation (ny,) of the outputs."""
     sizes = [np.sqrt(np.mean((e / deviation) ** 2, axis=(0, 2))) for e in (model, hold)]
     steps = np.arange(1, model.shape[1] + 1, dtype=np.float64)
-    curves = tuple(Curve(n, steps, s) for n, s in zip(("model", "last output"), sizes, strict=True))
+    curves = tuple(
+        CheckCurve(n, steps, s) for n, s in zip(("model", "last output"), sizes, strict=True)
+    )
     shown = dict.fromkeys(k for k in (1, 5, 20, len(steps)) if k <= len(steps))
     words = ", ".join(f"{sizes[0][k - 1]:.3g} at step {k}" for k in shown)
     sentence = f"normalised error after a start from measured samples: {words}"

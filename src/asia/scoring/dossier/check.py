@@ -31,7 +31,7 @@ class Cause(StrEnum):
 
 
 @dataclass(frozen=True)
-class Curve:
+class CheckCurve:
     """One line to draw."""
 
     name: str
@@ -59,7 +59,7 @@ class Check:
     weight: float = 0.0
     """How much it matters among those that do not pass: the share of the residual that it explains,
     above 1 for a model that must not be used."""
-    curves: tuple[Curve, ...] = ()
+    curves: tuple[CheckCurve, ...] = ()
     """What to draw."""
     axes: tuple[str, str] = ("", "")
     """Names of the axes."""

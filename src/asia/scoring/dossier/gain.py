@@ -8,7 +8,7 @@ import numpy as np
 
 from asia.data import Array
 from asia.scoring.dossier.check import Cause, Check, Verdict
-from asia.scoring.dossier.records import Simulations
+from asia.scoring.dossier.records import SimulatedBlocks
 from asia.scoring.dossier.regressors import groups
 
 # An input's part of the output, over the output's deviation, below which its sign is not judged.
@@ -26,7 +26,7 @@ class _Direction:
     """Correlation of the two parts."""
 
 
-def check_gain(found: Simulations) -> Check:
+def check_gain(found: SimulatedBlocks) -> Check:
     """The part of each output that the past of an input explains, in the data and in the
     simulation: the two must not point in opposite directions."""
     judged: list[_Direction] = []
@@ -49,7 +49,7 @@ def check_gain(found: Simulations) -> Check:
     return Check("direction of gain", Verdict.FAIL, sentence, Cause.SIGN, 2.0)
 
 
-def _directions(found: Simulations, output: int) -> list[_Direction]:
+def _directions(found: SimulatedBlocks, output: int) -> list[_Direction]:
     columns = groups(found, output)
     reach, inputs = columns.reach, len(found.inputs)
     x = np.concatenate(columns.inputs)

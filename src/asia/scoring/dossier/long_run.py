@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asia.data import Array
-from asia.scoring.dossier.check import Cause, Check, Curve, Verdict
+from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict
 
 HORIZONS = 10
 _FAR = 5.0
@@ -27,7 +27,7 @@ def check_long_run(y_hat: Array | None, lowest: Array, highest: Array) -> Check:
     peaks = np.array([part.max() for part in np.array_split(distance, HORIZONS)])
     step = max(1, len(distance) // _DRAWN)
     times = np.arange(len(distance))[::step] * HORIZONS / len(distance)
-    curves = (Curve("distance from the middle", times, distance[::step]),)
+    curves = (CheckCurve("distance from the middle", times, distance[::step]),)
     last = float(peaks[-1])
     early, late = float(peaks[4] - peaks[0]), float(peaks[-1] - peaks[4])
     faster = late > _SPEEDS_UP * max(early, 0.05)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asia.scoring.dossier.check import Cause, Check, Curve, Verdict
+from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict
 
 # Mean held-out error over mean training error; and what the fold with the least must have.
 _DOUBT, _FAIL, _EVERY = 1.5, 2.5, 1.2
@@ -19,7 +19,7 @@ def check_overfit(train: Sequence[float], held_out: Sequence[float]) -> Check:
     ratio = float(b.mean() / max(float(a.mean()), 1e-300))
     least = float(np.min(b / np.maximum(a, 1e-300)))
     folds = np.arange(1, len(a) + 1, dtype=np.float64)
-    curves = (Curve("training", folds, a), Curve("held out", folds, b))
+    curves = (CheckCurve("training", folds, a), CheckCurve("held out", folds, b))
     words = (
         f"the error is {ratio:.2f} times that of the fit ({b.mean():.3g} against {a.mean():.3g})"
     )

@@ -32,7 +32,7 @@ class SimulatedBlock:
 
 
 @dataclass(frozen=True)
-class Simulations:
+class SimulatedBlocks:
     """All blocks of a dossier, with what their channels are called."""
 
     blocks: tuple[SimulatedBlock, ...]

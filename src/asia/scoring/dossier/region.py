@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from asia.scoring._validity import Region
-from asia.scoring.dossier.check import Check, Curve, Verdict
-from asia.scoring.dossier.records import Simulations, percent
+from asia.scoring.dossier.check import Check, CheckCurve, Verdict
+from asia.scoring.dossier.records import SimulatedBlocks, percent
 
 _DOUBT, _FAIL = 0.1, 0.5
 _NO_PAST = 0
 
 
-def check_region(found: Simulations, region: Region) -> Check:
+def check_region(found: SimulatedBlocks, region: Region) -> Check:
     """The share of samples outside the region of validity; the edge is at 1."""
     distances = [region.distance(b.u[:_NO_PAST], b.u, b.y_hat) for b in found.blocks]
     every = np.concatenate(distances)
     share = float(np.mean(every > 1.0))
     first = next((k for k, d in enumerate(distances) if (d > 1.0).any()), None)
-    curves = (Curve("distance", np.arange(len(every), dtype=np.float64), every),)
+    curves = (CheckCurve("distance", np.arange(len(every), dtype=np.float64), every),)
     words = f"{percent(share)} of the samples are outside the region of the training records"
     if first is not None and share > _DOUBT:
         block = found.blocks[first]

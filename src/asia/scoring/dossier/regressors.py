@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.data import Array
-from asia.scoring.dossier.records import SimulatedBlock, Simulations
+from asia.scoring.dossier.records import SimulatedBlock, SimulatedBlocks
 
 # First and last lag of the moving averages that stand for the past of a signal.
 _LAGS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 5), (6, 8), (9, 12), (13, 18), (19, 27), (28, 40))
@@ -41,7 +41,7 @@ class Groups:
     """Slow functions of the time in the record."""
 
 
-def groups(found: Simulations, output: int) -> Groups:
+def groups(found: SimulatedBlocks, output: int) -> Groups:
     """The columns for the residual of one output."""
     blocks = found.blocks
     most = max(2, found.shortest // 6)

@@ -10,8 +10,8 @@ import numpy as np
 from asia.data import Array
 from asia.scoring._correlation import QUANTILE, with_input, with_own_past
 from asia.scoring._fit import fit_index, pooled
-from asia.scoring.dossier.check import Cause, Check, Curve, Verdict
-from asia.scoring.dossier.records import Simulations, listed, percent
+from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict
+from asia.scoring.dossier.records import SimulatedBlocks, listed, percent
 from asia.scoring.dossier.regression import Explained, explained
 from asia.scoring.dossier.regressors import Groups, groups
 
@@ -52,7 +52,7 @@ class _Found:
         )
 
 
-def residual_checks(found: Simulations) -> tuple[Check, ...]:
+def residual_checks(found: SimulatedBlocks) -> tuple[Check, ...]:
     """Fit, and dependence of the residual on inputs, time, amplitude and motion."""
     columns = [groups(found, output) for output in range(len(found.outputs))]
     return (
@@ -65,7 +65,7 @@ def residual_checks(found: Simulations) -> tuple[Check, ...]:
     )
 
 
-def check_fit(found: Simulations) -> Check:
+def check_fit(found: SimulatedBlocks) -> Check:
     """Fit index and RMSE of the free run of each output."""
     y, y_hat = pooled([b.y for b in found.blocks]), pooled([b.y_hat for b in found.blocks])
     fits, rmse = fit_index(y, y_hat), np.sqrt(np.mean((y - y_hat) ** 2, axis=0))
@@ -83,19 +83,19 @@ def check_fit(found: Simulations) -> Check:
     return Check("fit in free run", Verdict.FAIL if bad else Verdict.PASS, sentence, weight=0.5)
 
 
-def check_inputs(found: Simulations, columns: Sequence[Groups]) -> Check:
+def check_inputs(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     """Independence of residual and inputs: what the past of the inputs explains. The cross-
     correlations name the lags, with bands that hold for all of them together."""
     worst = _worst(found, columns, lambda g: g.inputs, lambda g: [x[:, :0] for x in g.inputs])
     pairs = len(found.inputs) * len(found.outputs)
-    curves: list[Curve] = []
+    curves: list[CheckCurve] = []
     best, lags_of_best = (0.0, 0, 0), ""
     for output, name in enumerate(found.outputs):
         for number, other in enumerate(found.inputs):
             one = with_input(found.residuals(output), found.input(number))
             band = one.band * _wider(pairs * len(one.lags))
             lags = np.array(one.lags, dtype=np.float64)
-            curves.append(Curve(f"{name} with {other}", lags, one.values, one.band))
+            curves.append(CheckCurve(f"{name} with {other}", lags, one.values, one.band))
             past = lags >= 0
             peak = float(np.max(np.abs(one.values[past])) / max(band, 1e-300))
             if output == worst.output and peak > best[0]:
@@ -113,14 +113,14 @@ def check_inputs(found: Simulations, columns: Sequence[Groups]) -> Check:
                  tuple(curves), axes)  # fmt: skip
 
 
-def check_whiteness(found: Simulations) -> Check:
+def check_whiteness(found: SimulatedBlocks) -> Check:
     """Correlation of each residual with its own past: shown, for what a simulation leaves need not
     be white."""
-    curves: list[Curve] = []
+    curves: list[CheckCurve] = []
     largest, name = 0.0, found.outputs[0]
     for output, label in enumerate(found.outputs):
         one = with_own_past(found.residuals(output))
-        curves.append(Curve(label, np.array(one.lags, dtype=np.float64), one.values, one.band))
+        curves.append(CheckCurve(label, np.array(one.lags, dtype=np.float64), one.values, one.band))
         peak = float(np.max(np.abs(one.values[1:])))
         if peak > largest:
             largest, name = peak, label
@@ -129,7 +129,7 @@ def check_whiteness(found: Simulations) -> Check:
                  axes=("lag [samples]", "correlation [-]"))  # fmt: skip
 
 
-def check_time(found: Simulations, columns: Sequence[Groups]) -> Check:
+def check_time(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     """What a slow function of time explains: a drift."""
     worst = _worst(found, columns, lambda g: g.time, _linear)
     curves = tuple(_along_time(found, k) for k in range(len(found.outputs)))
@@ -142,7 +142,7 @@ def check_time(found: Simulations, columns: Sequence[Groups]) -> Check:
                  worst.alone, curves, axes)  # fmt: skip
 
 
-def check_amplitude(found: Simulations, columns: Sequence[Groups]) -> Check:
+def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     """What bends of the simulated output and of the inputs explain, beyond linear dynamics."""
     worst = _worst(found, columns, lambda g: g.bends, _linear)
     curves = tuple(_against_amplitude(found, k) for k in range(len(found.outputs)))
@@ -158,7 +158,7 @@ def check_amplitude(found: Simulations, columns: Sequence[Groups]) -> Check:
                  curves, axes)  # fmt: skip
 
 
-def check_motion(found: Simulations, columns: Sequence[Groups]) -> Check:
+def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     """What the signs of the output and of its rate explain, beyond linear dynamics."""
     worst = _worst(found, columns, lambda g: g.turns, _linear)
     if worst.verdict is Verdict.PASS:
@@ -176,7 +176,9 @@ def _linear(columns: Groups) -> list[Array]:
     return [np.concatenate(pair, axis=1) for pair in pairs]
 
 
-def _worst(found: Simulations, columns: Sequence[Groups], added: Columns, base: Columns) -> _Found:
+def _worst(
+    found: SimulatedBlocks, columns: Sequence[Groups], added: Columns, base: Columns
+) -> _Found:
     """Of all outputs that where the columns explain the largest share, flagged ones first."""
     each: list[_Found] = []
     for output, (group, deviation) in enumerate(zip(columns, found.deviation, strict=True)):
@@ -210,22 +212,22 @@ def _range(lags: Array, sizes: Array, band: float) -> str:
     return f"lags {lags[first]:.0f} to {lags[last]:.0f}"
 
 
-def _along_time(found: Simulations, output: int) -> Curve:
+def _along_time(found: SimulatedBlocks, output: int) -> CheckCurve:
     e = np.concatenate(found.residuals(output)) / found.deviation[output]
     t = np.concatenate([b.start + np.arange(len(b.y)) for b in found.blocks]) * found.sampling_time
     return _means(found.outputs[output], t.astype(np.float64), e)
 
 
-def _against_amplitude(found: Simulations, output: int) -> Curve:
+def _against_amplitude(found: SimulatedBlocks, output: int) -> CheckCurve:
     deviation = found.deviation[output]
     e = np.concatenate(found.residuals(output)) / deviation
     y_hat = np.concatenate([b.y_hat[:, output] for b in found.blocks]) / deviation
     return _means(found.outputs[output], y_hat, e)
 
 
-def _means(name: str, x: Array, e: Array) -> Curve:
+def _means(name: str, x: Array, e: Array) -> CheckCurve:
     """Means over parts of as many samples, in the order of x."""
     order = np.array_split(np.argsort(x, kind="stable"), min(_PARTS, len(x)))
-    return Curve(
+    return CheckCurve(
         name, np.array([x[o].mean() for o in order]), np.array([e[o].mean() for o in order])
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array
-from asia.scoring.dossier.check import Check, Curve, Verdict
+from asia.scoring.dossier.check import Check, CheckCurve, Verdict
 from asia.scoring.dossier.records import listed
 
 SMALL = 1e-3
@@ -87,12 +87,14 @@ def check_responses(
     name, axes = "poles and static gain", ("time [s]", "change for a step of 1")
     if not found:
         return Check(name, Verdict.SHOWN, "the model gave no finite answer to small steps")
-    curves: list[Curve] = []
+    curves: list[CheckCurve] = []
     words: list[str] = []
     for one in found:
         times = np.arange(len(one.impulse), dtype=np.float64) * sampling_time
         for k, output in enumerate(outputs):
-            curves.append(Curve(f"{one.input} to {output}, {one.point}", times, one.step[:, k]))
+            curves.append(
+                CheckCurve(f"{one.input} to {output}, {one.point}", times, one.step[:, k])
+            )
         gains = [
             f"{value:.3g} on {output}"
             for value, output in zip(one.step[-1].tolist(), outputs, strict=True)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array
-from asia.scoring.dossier.check import Check, Curve, Verdict
-from asia.scoring.dossier.records import Simulations, percent
+from asia.scoring.dossier.check import Check, CheckCurve, Verdict
+from asia.scoring.dossier.records import SimulatedBlocks, percent
 from asia.scoring.dossier.response import LinearResponse, frequency_response_of
 
 _LONGEST, _SHORTEST = 256, 16
@@ -67,10 +67,10 @@ def spectra(
     return Spectra(frequency, power[0], power[1], power[2], cross[0], cross[1], count)
 
 
-def check_spectrum(found: Simulations, noise: Sequence[float | None]) -> Check:
+def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Check:
     """Where the residual has its power, against the output and the noise floor: shown. noise: of
     each output over its deviation, None where it is not known."""
-    curves: list[Curve] = []
+    curves: list[CheckCurve] = []
     words: list[str] = []
     for k, name in enumerate(found.outputs):
         y, e = [b.y[:, k] for b in found.blocks], found.residuals(k)
@@ -78,8 +78,8 @@ def check_spectrum(found: Simulations, noise: Sequence[float | None]) -> Check:
         if one is None:
             continue
         curves += [
-            Curve(f"{name}, output", one.frequency, np.sqrt(one.output)),
-            Curve(f"{name}, residual", one.frequency, np.sqrt(one.residual)),
+            CheckCurve(f"{name}, output", one.frequency, np.sqrt(one.output)),
+            CheckCurve(f"{name}, residual", one.frequency, np.sqrt(one.residual)),
         ]
         above = one.frequency[one.residual > 0.5 * one.output]
         part = float(np.sqrt(one.residual.sum() / max(float(one.output.sum()), 1e-300)))
@@ -94,10 +94,10 @@ def check_spectrum(found: Simulations, noise: Sequence[float | None]) -> Check:
                  axes=("frequency [Hz]", "amplitude"))  # fmt: skip
 
 
-def check_frequency_response(found: Simulations, linear: Sequence[LinearResponse]) -> Check:
+def check_frequency_response(found: SimulatedBlocks, linear: Sequence[LinearResponse]) -> Check:
     """Gain of the data against gain of the simulation, input by input, where the coherence is high
     enough; the linearised model is drawn with them."""
-    curves: list[Curve] = []
+    curves: list[CheckCurve] = []
     worst: _Worst | None = None
     for number, name in enumerate(found.inputs):
         for k, output in enumerate(found.outputs):
@@ -115,7 +115,7 @@ def check_frequency_response(found: Simulations, linear: Sequence[LinearResponse
 
 
 def _judged(
-    worst: _Worst | None, title: str, curves: tuple[Curve, ...],
+    worst: _Worst | None, title: str, curves: tuple[CheckCurve, ...],
     axes: tuple[str, str],
 ) -> Check:  # fmt: skip
     if worst is None:
@@ -147,16 +147,18 @@ def _off(one: Spectra) -> tuple[float, str, float] | None:
 
 def _drawn(
     one: Spectra, linear: Sequence[LinearResponse], pair: str, name: str, output: int, ts: float
-) -> list[Curve]:
+) -> list[CheckCurve]:
     power = np.maximum(one.input, 1e-300)
     model = np.abs(one.output_cross - one.residual_cross) / power
     curves = [
-        Curve(f"{pair}, data", one.frequency, np.abs(one.output_cross) / power),
-        Curve(f"{pair}, simulation", one.frequency, model),
+        CheckCurve(f"{pair}, data", one.frequency, np.abs(one.output_cross) / power),
+        CheckCurve(f"{pair}, simulation", one.frequency, model),
     ]
     for response in linear:
         if response.input == name:
             omega = 2.0 * np.pi * one.frequency * ts
             gain = np.abs(frequency_response_of(response.impulse, omega)[:, output])
-            curves.append(Curve(f"{pair}, linearised at {response.point}", one.frequency, gain))
+            curves.append(
+                CheckCurve(f"{pair}, linearised at {response.point}", one.frequency, gain)
+            )
     return curves

@@ -20,7 +20,7 @@ _STARTS, _AHEAD = 24, 50
 
 
 @dataclass(frozen=True)
-class Range:
+class ProbeRange:
     """What the training records are like."""
 
     records: tuple[Trajectory, ...]
@@ -45,7 +45,7 @@ class Range:
 
 
 def linear_responses(
-    given: Range, names: Sequence[str], simulate: Simulator
+    given: ProbeRange, names: Sequence[str], simulate: Simulator
 ) -> tuple[LinearResponse, ...]:
     """Small steps up and down of each input, after the inputs were held at an operating point;
     () where the model has no finite answer."""
@@ -76,7 +76,7 @@ def linear_responses(
     return tuple(answers)
 
 
-def long_run(given: Range, horizon: int | None, simulate: Simulator) -> Array | None:
+def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Array | None:
     """Ten horizons (n, ny) with the inputs of the longest record again and again; None where the
     model has no finite answer."""
     record = max(given.records, key=len)
@@ -90,7 +90,7 @@ def long_run(given: Range, horizon: int | None, simulate: Simulator) -> Array | 
         return None
 
 
-def starts(given: Range, blocks: Sequence[Block]) -> list[Block]:
+def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     """Short blocks inside long ones, which begin from measured samples; [] where there is no past
     window, or no room."""
     past = max(given.past_inputs, given.past_outputs)

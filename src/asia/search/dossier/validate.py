@@ -31,7 +31,7 @@ from asia.scoring import region_of
 from asia.scoring.dossier import (
     Check,
     SimulatedBlock,
-    Simulations,
+    SimulatedBlocks,
     check_ahead,
     check_frequency_response,
     check_gain,
@@ -44,7 +44,7 @@ from asia.scoring.dossier import (
     summary,
 )
 from asia.search._run import LOCK, make_evaluator
-from asia.search.dossier.probes import Range, Simulator, linear_responses, long_run, starts
+from asia.search.dossier.probes import ProbeRange, Simulator, linear_responses, long_run, starts
 from asia.search.final.bands import band_basis
 from asia.search.final.members import FinalMember, final_members
 
@@ -140,12 +140,12 @@ class _Validation:
         region = region_of([(r.u, r.y) for r in self.evaluator.records])
         return (*self._of_residuals(found), check_region(found, region))
 
-    def _simulations(self, blocks: tuple[SimulatedBlock, ...]) -> Simulations:
+    def _simulations(self, blocks: tuple[SimulatedBlock, ...]) -> SimulatedBlocks:
         inputs = tuple(s.name for s in self.problem.inputs)
         outputs = tuple(s.name for s in self.problem.outputs)
-        return Simulations(blocks, inputs, outputs, self.problem.sampling_time)
+        return SimulatedBlocks(blocks, inputs, outputs, self.problem.sampling_time)
 
-    def _of_residuals(self, found: Simulations) -> tuple[Check, ...]:
+    def _of_residuals(self, found: SimulatedBlocks) -> tuple[Check, ...]:
         """What both dossiers have."""
         simulator = self._simulator(final_members(self.run.view, self.use))
         given = self._range
@@ -163,9 +163,9 @@ class _Validation:
         )
 
     @property
-    def _range(self) -> Range:
+    def _range(self) -> ProbeRange:
         rule = self.problem.protocol
-        return Range(self.evaluator.records, rule.past_inputs, rule.past_outputs)
+        return ProbeRange(self.evaluator.records, rule.past_inputs, rule.past_outputs)
 
     def _ahead(self) -> list[Check]:
         """Each fold's model from starts within what it did not fit; [] where there is no room."""
@@ -190,7 +190,7 @@ class _Validation:
         return [check_ahead(np.stack(model_errors), np.stack(hold_errors), scale)]
 
     def _simulator(self, members: Sequence[FinalMember]) -> Simulator:
-        """Simulations of a final model, in the sandbox."""
+        """SimulatedBlocks of a final model, in the sandbox."""
 
         def simulate(blocks: Sequence[Block]) -> list[Array]:
             total = [np.zeros_like(block.y) for block in blocks]

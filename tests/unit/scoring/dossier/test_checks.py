@@ -14,7 +14,7 @@ from asia.scoring.dossier import (
     Check,
     LinearResponse,
     SimulatedBlock,
-    Simulations,
+    SimulatedBlocks,
     Verdict,
     check_ahead,
     check_frequency_response,
@@ -36,13 +36,13 @@ B, A = [0.0, 0.2, 0.1], [1.0, -1.3, 0.5]
 SAMPLES = 1200
 
 
-def simulations(y_hat: Array, y: Array, u: Array) -> Simulations:
+def simulations(y_hat: Array, y: Array, u: Array) -> SimulatedBlocks:
     cut = zip(np.array_split(u, 3), np.array_split(y, 3), np.array_split(y_hat, 3), strict=True)
     blocks = tuple(
         SimulatedBlock(a[:, None], b[:, None], c[:, None], 0, 400 * k)
         for k, (a, b, c) in enumerate(cut)
     )
-    return Simulations(blocks, ("valve",), ("level",), 0.5)
+    return SimulatedBlocks(blocks, ("valve",), ("level",), 0.5)
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def flagged(checks: tuple[Check, ...]) -> set[Cause | None]:
     return {c.cause for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)}
 
 
-def all_checks(found: Simulations) -> tuple[Check, ...]:
+def all_checks(found: SimulatedBlocks) -> tuple[Check, ...]:
     return (*residual_checks(found), check_gain(found), check_frequency_response(found, ()))
 
 
