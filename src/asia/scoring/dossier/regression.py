@@ -15,6 +15,7 @@ from asia.data import Array
 
 _ORDER = 8
 _MOST_ROWS = 20_000
+_PARTS = 6
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,9 @@ class Explained:
     """Of the variance of the residual, corrected for the number of columns."""
     size: float
     """Standard deviation of what they explain, in the unit of the residual."""
+    again: float
+    """The share that they explain in each sixth of the samples with gains of the others; negative
+    where chance explains nothing again, and 0 unless nearly every sixth has a gain."""
 
 
 def explained(
@@ -46,7 +50,7 @@ def explained(
     x1 = _scaled(np.concatenate(list(added)))
     x = np.concatenate([x0, x1], axis=1)
     if x1.shape[1] == 0 or len(e) <= 2 * x.shape[1] or not np.any(e):
-        return Explained(1.0, 0.0, 0.0)
+        return Explained(1.0, 0.0, 0.0, 0.0)
     left0, left, columns = _left(e, x0)[0], *_left(e, x)
     size = float(np.std(left0 - left))
     free = max(len(e) - columns, 1)
@@ -56,13 +60,28 @@ def explained(
     white = [_filtered(v, filters, lengths) for v in (e[:, None], x0, x)]
     chance = _f_chance(white[0][:, 0], white[1], white[2])
     total = max(float(np.sum((e - e.mean()) ** 2)), 1e-300)
-    return Explained(chance, max(0.0, 1.0 - kept) * min(loss / total, 1.0), size)
+    share = max(0.0, 1.0 - kept) * min(loss / total, 1.0)
+    return Explained(chance, share, size, _again(e, x0, x))
 
 
 def _left(e: Array, x: Array) -> tuple[Array, int]:
     """What the columns leave, and their rank."""
     solution, _, rank, _ = np.linalg.lstsq(x, e, rcond=1e-9)
     return e - x @ solution, int(rank)
+
+
+def _again(e: Array, x0: Array, x: Array) -> float:
+    base, whole, total, better = 0.0, 0.0, 0.0, 0
+    for part in np.array_split(np.arange(len(e)), _PARTS):
+        losses: list[float] = []
+        for columns in (x0, x):
+            others = np.delete(columns, part, axis=0)
+            gains = np.linalg.lstsq(others, np.delete(e, part), rcond=1e-9)[0]
+            left = e[part] - columns[part] @ gains
+            losses.append(float(left @ left))
+        base, whole, better = base + losses[0], whole + losses[1], better + (losses[1] < losses[0])
+        total += float(np.sum((e[part] - e.mean()) ** 2))
+    return (base - whole) / max(total, 1e-300) if better >= _PARTS - 1 else 0.0
 
 
 def _f_chance(e: Array, x0: Array, x: Array) -> float:

@@ -20,6 +20,8 @@ Columns = Callable[[Groups], list[Array]]
 _CHANCE = 1e-4
 # Of the residual's variance, and of the output's deviation: less is not worth a flag.
 _SHARE, _SIZE = 0.05, 0.005
+# Of what is explained again and again: under strongly coloured noise a test sees little.
+_AGAIN = 0.08
 _FAIL_SHARE, _FAIL_SIZE = 0.25, 0.02
 _PARTS = 20
 
@@ -39,7 +41,8 @@ class _Found:
     def verdict(self) -> Verdict:
         """Chance and small sizes pass."""
         one = self.found
-        if one.chance > _CHANCE or one.share < _SHARE or self.size < _SIZE:
+        by_chance = one.chance > _CHANCE and one.again < _AGAIN
+        if by_chance or one.share < _SHARE or self.size < _SIZE:
             return Verdict.PASS
         grave = one.share >= _FAIL_SHARE and self.size >= _FAIL_SIZE
         return Verdict.FAIL if grave else Verdict.DOUBT

@@ -35,7 +35,7 @@ SYSTEMS = (
     Motion("light spring", (1.0, 0.6, 1.0)),
     Motion("stiff spring", (6.0, 1.5, 5.0)),
     Motion("hard spring", (1.5, 1.0, 2.0, 0.4), spring=lambda x, e: x + e * x**3, extra=1),
-    Motion("pendulum", (4.0, 0.9, 3.0), spring=lambda x, e: np.sin(x)),
+    Motion("pendulum", (4.0, 1.6, 2.0), spring=lambda x, e: np.sin(x)),
     Motion("two inputs", (2.0, 1.6, 2.0, -1.2), inputs=2),
     Motion("square drag", (1.5, 1.0, 2.0), drag=lambda v: v * (0.4 + np.abs(v))),
 )
