@@ -61,7 +61,7 @@ def test_a_new_record_that_the_model_gets_wrong(run: Path, tmp_path: Path, asia:
     *checks, end = (json.loads(line) for line in done.out.splitlines())
     verdicts = {check["check"]: check["verdict"] for check in checks}
     assert verdicts["direction of gain"] == "fail"
-    assert end["record"] == "bad"
+    assert end["record"] == "bad.csv"
     assert end["summary"].endswith("a gain has the wrong sign")
 
 
