@@ -15,6 +15,7 @@ from asia.agents.library.cost import Timing
 from asia.agents.library.evidence import overfit, plateau_share
 from asia.agents.library.move import Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.records.levels import noise_of_periods
 from asia.agents.library.records.switching import Switching
 from asia.agents.library.table import families, family
 from asia.data import Trajectory
@@ -377,3 +378,21 @@ def test_a_trace_of_switching_brings_its_elements_before_polynomials(
     smooth = titles(0.001)
     last = smooth.index("neural state-space: polynomials")
     assert "neural state-space: a trace of friction" not in smooth[:last]
+
+
+@pytest.mark.parametrize(("over", "ends"), [(1.02, True), (1.2, False)])
+def test_the_noise_between_periods_ends_the_search(over: float, ends: bool) -> None:
+    rng = np.random.default_rng(8)
+    u = np.tile(rng.standard_normal(250), 4)
+    y = lagged(u, 1) + 0.1 * rng.standard_normal(1000)
+    known = facts(u, y)
+    floor = noise_of_periods(known)
+    assert floor == pytest.approx(0.1 / y.std(), rel=0.1)
+    left = replace(CLEAN, whiteness=0.9)
+    tried = climb(known, {}, rest=0.3)[:4]
+    first = replace(tried[0], value=over * float(floor or 0.0), diagnostics=(left, left))
+    if not ends:
+        following(known, (first, *tried[1:]))
+        return
+    with pytest.raises(AgentStoppedError, match="between the periods"):
+        following(known, (first, *tried[1:]))

@@ -6,11 +6,14 @@ from statistics import NormalDist
 
 from asia.agents._view import AgentView, Trial
 from asia.agents.library.evidence import overfit, worst
+from asia.agents.library.records.levels import noise_of_periods
 
 # Further tries that all must fail, and the share of V by which one of them counts as a gain.
 _TRIES, _GAIN = 3, 0.01
 # V over the training error up to which nothing is left.
 _AT_TRAINING = 1.03
+# V over the noise that repeated periods show, likewise.
+_AT_FLOOR = 1.03
 _LAGS = 20
 _LEVEL = 0.01
 
@@ -18,7 +21,16 @@ _LEVEL = 0.01
 def reason_to_end(view: AgentView) -> str | None:
     """Why the search should end now, in a sentence; None where it should go on."""
     best = view.best
-    if best is None or _tries_since_gain(view) < _TRIES or not nothing_left(view, best):
+    if best is None or _tries_since_gain(view) < _TRIES:
+        return None
+    floor = noise_of_periods(view.facts) if view.facts.metric == "rmse" else None
+    if floor is not None and best.value is not None and best.value <= _AT_FLOOR * floor:
+        return (
+            f"V of #{best.number:02d} is {best.value:.3g}, what differs between the periods of the "
+            f"records is {floor:.3g} of the output, and {_TRIES} further experiments brought less "
+            "than 1 %: the noise floor is reached"
+        )
+    if not nothing_left(view, best):
         return None
     return (
         f"the residuals of #{best.number:02d} are white and independent of the inputs within 99 % "

@@ -9,6 +9,7 @@ import numpy as np
 from asia.agents._view import Facts
 from asia.agents.library.records.same import SameRecords
 from asia.data.frequency.periods import find_period
+from asia.data.frequency.response import frequency_response
 
 # Levels are this ratio apart, and each has at least so many records.
 _APART, _FEWEST = 1.2, 2
@@ -26,6 +27,22 @@ def several_levels(facts: Facts) -> bool:
     sizes = np.sort([np.sqrt(((r.u / scale) ** 2).mean()) for r in facts.records])
     cuts = np.flatnonzero(sizes[1:] > _APART * sizes[:-1]) + 1
     return len(cuts) > 0 and min(map(len, np.split(sizes, cuts))) >= _FEWEST
+
+
+def noise_of_periods(facts: Facts) -> float | None:
+    """What V cannot go below, from what differs between the periods of the records: the standard
+    deviation of the noise over that of the output, mean over the outputs. None without periods."""
+    return _noise(SameRecords(facts.records)) if periodic(facts) else None
+
+
+@lru_cache(maxsize=8)
+def _noise(same: SameRecords) -> float | None:
+    period = _period(same)
+    outputs = range(same.records[0].y.shape[1])
+    found = [frequency_response(same.records, k, period) for k in outputs]
+    levels = [one.levels.noise for one in found if one is not None]
+    known = [level for level in levels if level is not None]
+    return sum(known) / len(known) if len(known) == len(outputs) else None
 
 
 @lru_cache(maxsize=8)
