@@ -33,6 +33,7 @@ def ablate(
     """
     from asia.cli._output.ablation import ablation_lines
     from asia.ledger import open_run
+    from asia.report import write_report
     from asia.search import ablate as take_apart
 
     directory = run_directory(runs, run)
@@ -44,6 +45,9 @@ def ablate(
         say("ablated before: nothing was fitted again", file=sys.stderr)
     for line in ablation_lines(found, open_run(directory).view.v_name):
         say(line)
+    for picture in write_report(directory):
+        if picture.name == "ablation.png":
+            say(f"picture  {picture}")
 
 
 def _print(event: AblationFit, done: int, total: int) -> None:

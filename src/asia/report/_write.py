@@ -15,6 +15,7 @@ from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._board import read_board
 from asia.report._drawing.style import DPI, drawing
+from asia.report._pictures.ablation import draw_ablation
 from asia.report._pictures.boards import draw_boards
 from asia.report._pictures.data import draw_data
 from asia.report._pictures.dossier import draw_dossier
@@ -76,6 +77,9 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
         if problem.protocol.kind == "windows":
             yield "horizon", lambda: draw_horizon(run, problem, best, folds)
         yield "residuals", lambda: draw_residuals(run, problem, best, folds)
+    ablated = view.ablated
+    if ablated is not None:
+        yield "ablation", lambda: draw_ablation(ablated, view.started.run, view.v_name)
     if opened is None or not isinstance(opened.ensemble, TestedModel):
         return
     ensemble = opened.ensemble

@@ -21,7 +21,8 @@ from asia.report._page.audit import audit
 from asia.report._page.html import Html, fixed, join, said, table, tag
 from asia.report._page.section import Section
 from asia.report._page.subject import Subject
-from asia.scoring import ExpectedError, Interval
+from asia.report._pictures.ablation import draw_ablation
+from asia.scoring import Attribution, ExpectedError, Interval
 
 from .made_up import Outcomes, write_run
 
@@ -286,6 +287,30 @@ def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
     with Chain(directory / "ledger.jsonl") as chain:
         chain.append(replace(found, candidates=(), pairs=(), noise=None, expected=None))
     assert "None of them has a score from another seed" in page_of(open_run(directory))
+
+
+def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run]) -> None:
+    directory = make_run().directory
+    assert 'id="ablation"' not in page_of(open_run(directory))
+    parts = (
+        Interval(0.3, 0.2, 0.4),
+        Interval(0.21, 0.1, 0.3),
+        Interval(0.06, 0, 0),
+        Interval(0.03, 0, 0),
+    )
+    left_out = ledger.LeftOut(2, Interval(0.123, 0.1, 0.15)), ledger.LeftOut(4, detail="7 of 8")
+    found = ledger.Ablated(4, 1, 3, Attribution(*parts), "", left_out)
+    with Chain(directory / "ledger.jsonl") as chain:
+        chain.append(found)
+    page = page_of(open_run(directory))
+    assert 'id="ablation"' in page
+    assert "0.21" in page
+    assert "0.123" in page
+    figure = draw_ablation(found, "run", "V")
+    assert [t.get_text() for t in figure.axes[0].get_yticklabels()][-1] == "the change of #02"
+    with Chain(directory / "ledger.jsonl") as chain:
+        chain.append(replace(found, crossing=None, detail="fit of #1 does more", left_out=()))
+    assert "cannot be crossed" in page_of(open_run(directory))
 
 
 def test_a_record_may_have_a_number_in_its_name(make_run: Callable[..., Run]) -> None:

@@ -9,6 +9,7 @@ from typing import Final
 
 from asia.report._page.section import Section
 from asia.report._page.sections import (
+    ablation,
     accuracy,
     bands,
     confirmation,
@@ -33,6 +34,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     handover.SECTION,
     progress.SECTION,
     lineage.SECTION,
+    ablation.SECTION,
     experiments.SECTION,
     integrity.SECTION,
     reproduce.SECTION,

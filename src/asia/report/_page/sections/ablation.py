@@ -1,0 +1,58 @@
+"""What the gain of the winner is due to, once it was ablated."""
+
+from __future__ import annotations
+
+from asia.ledger import Ablated
+from asia.report._page.html import Html, join, said, table, tag
+from asia.report._page.section import Section
+from asia.report._page.subject import Subject
+
+_PARTS = (
+    ("its model, with the training of the baseline", "crossing.model"),
+    ("its training, with the model of the baseline", "crossing.training"),
+    ("both together, beyond what each brings alone", "crossing.interaction"),
+    ("in all", "crossing.gain"),
+)
+
+
+def _write(subject: Subject) -> Html | None:
+    found = subject.view.ablated
+    if found is None:
+        return None
+    words = tag(
+        "p",
+        "The winner was fitted again with parts taken back, each variant from up to ",
+        subject.number(found, "seeds", "count"),
+        " seeds that the evaluator chose.",
+    )
+    return join((words, _crossing(subject, found), _left_out(subject, found)))
+
+
+def _crossing(subject: Subject, found: Ablated) -> Html:
+    if found.crossing is None:
+        return tag("p", "Model and training cannot be crossed: ", said(found.detail), ".")
+    rows: list[list[str | None]] = [[words, _interval(subject, found, at)] for words, at in _PARTS]
+    head = ["what the winner has", f"{subject.view.v_name} is lower by"]
+    return table(head, rows, "What the gain over the baseline is due to")
+
+
+def _left_out(subject: Subject, found: Ablated) -> Html | None:
+    if not found.left_out:
+        return None
+    rows: list[list[str | None]] = []
+    for k, one in enumerate(found.left_out):
+        at = f"left_out.{k}"
+        loss = said(one.detail) if one.loss is None else _interval(subject, found, f"{at}.loss")
+        rows.append([subject.number(found, f"{at}.experiment", "number"), loss])
+    head = ["without the change of", f"{subject.view.v_name} is higher by"]
+    return table(head, rows, "Each change of the lineage left out")
+
+
+def _interval(subject: Subject, found: Ablated, at: str) -> Html:
+    value, low, high = (
+        subject.number(found, f"{at}.{end}", "signed_error") for end in ("value", "low", "high")
+    )
+    return join((value, " (", low, " to ", high, ")"))
+
+
+SECTION = Section("ablation", "What is the gain due to?", _write)
