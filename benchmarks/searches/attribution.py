@@ -120,7 +120,7 @@ def main() -> None:
     asked = options.parse_args()
     print("| system | improved | gain | to the model | to the training | to both together |")
     print("|---|---|---|---|---|---|")
-    least = 1.0
+    least = float("inf")
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(asked.systems):
             for factor in ("model", "training"):

@@ -15,11 +15,11 @@ from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._board import read_board
 from asia.report._drawing.style import DPI, drawing
-from asia.report._pictures.ablation import draw_ablation
 from asia.report._pictures.boards import draw_boards
 from asia.report._pictures.data import draw_data
 from asia.report._pictures.dossier import draw_dossier
 from asia.report._pictures.equations import draw_equations
+from asia.report._pictures.evidence.ablation import draw_ablation
 from asia.report._pictures.progress import draw_progress
 from asia.report._pictures.residuals import draw_residuals
 from asia.report._pictures.response import draw_responses

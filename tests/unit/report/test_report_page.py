@@ -21,7 +21,7 @@ from asia.report._page.audit import audit
 from asia.report._page.html import Html, fixed, join, said, table, tag
 from asia.report._page.section import Section
 from asia.report._page.subject import Subject
-from asia.report._pictures.ablation import draw_ablation
+from asia.report._pictures.evidence.ablation import draw_ablation
 from asia.scoring import Attribution, ExpectedError, Interval
 
 from .made_up import Outcomes, write_run
