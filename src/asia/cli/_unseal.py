@@ -16,6 +16,8 @@ from asia.cli._options.shared import DEFAULT_RUNS, Json, Keys, RunName, Runs, Ye
 from asia.cli._output.board import board_lines, board_object
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from asia.ledger import Run, SearchView, TestBands, TestedModel, Unsealed
     from asia.scoring import Failure, MeeTable
 
@@ -32,7 +34,7 @@ def unseal(
     from asia.drive import end_idle
     from asia.ledger import open_run
     from asia.problem.load import load_lock
-    from asia.report import read_board, write_page, write_report
+    from asia.report import read_board, write_report
     from asia.search import needs_consent
     from asia.search import unseal as open_seal
 
@@ -58,7 +60,7 @@ def unseal(
         answer = {**_as_object(result.record), "use": _use(result.record, view), **_settings(view)}
         answer |= board_object(board)
         say(jsonlib.dumps(answer, allow_nan=False))
-        write_page(directory)
+        _renew_page(directory)
         return
     _print_text(result.record, view, by_record=not board.unit_is_outputs)
     for line in _setting_lines(view):
@@ -68,8 +70,19 @@ def unseal(
             say(f"picture  {picture}")
     for line in board_lines(board):
         say(line)
-    # A page from before says that the test is sealed.
-    write_page(directory)
+    _renew_page(directory)
+
+
+def _renew_page(directory: Path) -> None:
+    """A page from before says that the test is sealed. A page that cannot be made takes nothing
+    from the result."""
+    from asia.errors import InternalError
+    from asia.report import write_page
+
+    try:
+        write_page(directory)
+    except InternalError as error:
+        say(f"the page was not written anew: {error}", file=sys.stderr)
 
 
 def _ask(opened: Run) -> None:

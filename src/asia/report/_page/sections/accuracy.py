@@ -35,7 +35,7 @@ def _table(subject: Subject, best: Experiment) -> Html:
     head: list[str] = [
         "fold",
         "V",
-        *([] if wide else [join((metric.label, " ", said(name))) for name in outputs]),
+        *([] if wide else [join((said(metric.label), " ", said(name))) for name in outputs]),
     ]
     head += ["lowest fit index", "error on its training data", "seconds of the fit"]
     field = metric.name if metric.name in ("rmse", "mae") else "other"

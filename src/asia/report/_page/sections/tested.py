@@ -51,7 +51,7 @@ def _table(subject: Subject, opened: Unsealed) -> Html | None:
         return note
     rows: list[list[str | None]] = []
     for k, score in enumerate(models[0][2].scores):
-        label = find_metric(score.metric).label
+        label = said(find_metric(score.metric).label)
         paths = [("mean over the outputs", "value")] if len(opened.channels) > 1 else []
         paths += [(name, f"per_channel.{c}") for c, name in enumerate(opened.channels)]
         for name, path in paths:

@@ -147,7 +147,7 @@ def _test(subject: Subject) -> Html:
         return join(("On the sealed test the model to use gives no answer.",))
     place = use if getattr(opened, use) is not None else "ensemble"
     value = subject.number(opened, f"{place}.scores.0.value", "sig4")
-    label = find_metric(model.scores[0].metric).label
+    label = said(find_metric(model.scores[0].metric).label)
     units = {s.unit for s in subject.problem.outputs} if subject.problem else set[str]()
     unit = join((" ", said(units.pop()))) if len(units) == 1 else None
     return join(
