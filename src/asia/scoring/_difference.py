@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from statistics import variance
 
-_LEVEL = 0.95
+_LEVEL = 0.9
 
 
 def student_quantile(level: float, degrees: float) -> float:
@@ -20,7 +20,7 @@ def least_significant_difference(one: Sequence[float], other: Sequence[float]) -
     """By how much the means of two candidates over their seeds must differ to be told apart.
 
     one, other: V of each from several seeds, a single value of one whose fits do not depend on the
-    seed. Half of a two-sided 95 % interval by Student's t with the pooled variance; 0 where the
+    seed. Half of a two-sided 90 % interval by Student's t with the pooled variance; 0 where the
     fits of neither depend on the seed."""
     repeated = [values for values in (one, other) if len(values) > 1]
     degrees = sum(len(values) - 1 for values in repeated)

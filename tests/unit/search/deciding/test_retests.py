@@ -145,7 +145,7 @@ def test_the_floor_is_students_interval() -> None:
     from scipy.stats import ttest_ind
 
     one, other = [1.0, 1.1, 0.9], [0.5, 0.56, 0.53]
-    interval = ttest_ind(one, other).confidence_interval(0.95)
+    interval = ttest_ind(one, other).confidence_interval(0.9)
     assert least_significant_difference(one, other) == pytest.approx(
         (interval.high - interval.low) / 2
     )
