@@ -26,6 +26,7 @@ def draw_ablation(found: Ablated, run: str, v_name: str) -> Figure:
             axes.plot([interval.low, interval.high], [place, place], color=INK, lw=1.2)
     axes.set_yticks(list(places), [name for name, _, _ in bars])
     axes.axvline(0.0, color=INK, lw=0.8)
+    axes.set_ylim(0.3, len(bars) + 0.7)
     axes.set_xlabel(f"Decrease of {plain(v_name, 40)}")
     quiet_grid(axes)
     entitle(figure, f"{plain(run, 40)}: what the gain of #{found.winner:02d} is due to")
