@@ -183,8 +183,7 @@ class SocketDesk:
 
     def submit(self, proposal: Proposal) -> Submission:
         """See `Desk.submit`."""
-        words = asdict(proposal)
-        del words["ticket"]
+        words = {n: getattr(proposal, n) for n in _SubmitCall.model_fields if n != "op"}
         return Submission(**self._ask({"op": "submit", **words}))
 
     def submission(self, ticket: str) -> Submission:

@@ -65,12 +65,11 @@ class Config:
     smooth_width: float = 0.05
     """Prior standard deviation of g."""
     prior_width: float | None = 1.0
-    """Factor on the standard deviations of priors on parameters; None ignores these priors."""
+    """Factor on the standard deviations of priors on parameters; None ignores them."""
     priors: tuple[tuple[str, float, float, str], ...] = ()
-    """Further priors: expression in parameters of the equations, its mean, standard deviation, and
-    the reason. What options add, such as limits, spilled fractions, lags and sensors, has a prior
-    of its own around no effect, which no option changes; `ridge` weighs it for the linear term,
-    offsets and delays."""
+    """Further priors: (expression in parameters, mean, standard deviation, reason). What options
+    add, such as limits, spilled fractions, lags and sensors, has a prior of its own around no
+    effect, which no option changes; `ridge` weighs it for the linear term, offsets and delays."""
     friction: tuple[str, ...] = ()
     """Velocities among the states that get dry friction. It is smooth Coulomb and Stribeck friction
     with viscous friction, each with a level of its own in the two directions."""
@@ -81,8 +80,8 @@ class Config:
     play: tuple[str, ...] = ()
     """States and inputs that act on other states behind a play (backlash). Its width is learned."""
     discover: tuple[str, ...] = ()
-    """States whose derivatives get terms that the equations lack: numbers times products of states
-    and inputs, found one by one by how much of the simulation error they explain."""
+    """States whose derivatives get terms that the equations lack. They are numbers times products
+    of signals, found one by one by how much of the simulation error they explain."""
     most_terms: int = 3
     """Greatest number of such terms."""
 

@@ -161,9 +161,19 @@ def test_the_floor_is_told_once_it_is_known() -> None:
     assert floor_to_beat(a_search(0, 1.0)) is None
 
 
+def with_retests(directory: Path) -> Path:
+    """The toy problem, in which a new best is fitted from two more seeds."""
+    problem = write_problem(directory)
+    path = problem / "problem.toml"
+    text = path.read_text("utf-8")
+    assert "[budget]\n" in text
+    path.write_text(text.replace("[budget]\n", "[budget]\nretests = 2\n"), "utf-8")
+    return problem
+
+
 def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) -> None:
     """Candidates that differ in luck alone, in a real search: a lower V is not kept."""
-    problem = write_problem(tmp_path / "toy")
+    problem = with_retests(tmp_path / "toy")
     (problem / "baseline.py").write_text(LUCKY.replace("{number}", "0"))
     agent = Scripted(tuple(LUCKY.replace("{number}", str(n)) for n in (1, 2, 3)))
     run = asia.run(problem, agent=agent, runs=tmp_path / "runs", experiments=4)
@@ -176,7 +186,7 @@ def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) ->
 
 
 def test_a_deterministic_search_repeats_each_new_best_once(tmp_path: Path) -> None:
-    problem = write_problem(tmp_path / "toy")
+    problem = with_retests(tmp_path / "toy")
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
     again = [e.result.retests for e in run.view.finished if e.result]
     assert [[r.same for r in retests] for retests in again] == [[True], [True]]
