@@ -88,7 +88,7 @@ class Trial:
     `failure` is what happened and what to do, `error` the candidate's own words for it: data, not
     to be trusted. `evidence` is in lines to read what else is known of the best and of the last
     trial, () for the others. `agent` proposed it, "" where all were
-    proposed by the one that is asked."""
+    proposed by the one that is asked; `lowest`: with retests, its own fit was the best so far."""
 
     number: int
     parent: int | None
@@ -107,6 +107,12 @@ class Trial:
     error: str = field(default="", repr=False)
     evidence: tuple[str, ...] = field(default=(), repr=False)
     agent: str = ""
+    lowest: bool = False
+
+    @property
+    def improved(self) -> bool:
+        """Whether it was the best so far: its method by more than luck, or its own fit."""
+        return self.status == "keep" or self.lowest
 
     @property
     def train_error(self) -> float | None:

@@ -64,6 +64,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "residuals": view.started.residuals,
         "validation_scores": found.validation_scores,
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
+        "incumbent": view.incumbent.number if view.incumbent else None,
         "remark": _remark(view) or None,
         "floor": floor_to_beat(view),
         "use": named.model if named else None,
@@ -147,8 +148,10 @@ def _remark(view: SearchView) -> str:
 def _print_winner(view: SearchView) -> None:
     """What is known of the best candidate beside its V."""
     from asia.cli._output.words import again_words, guard_words, use_lines
-    from asia.ledger import floor_words
+    from asia.ledger import floor_words, method_words
 
+    if words := method_words(view):
+        say(f"method  {words}")
     if words := floor_words(view):
         say(f"floor   {words}")
     if words := again_words(view):

@@ -75,7 +75,12 @@ from asia.ledger.evidence.experiment import (
 )
 from asia.ledger.evidence.findings import findings_of, put_findings
 from asia.ledger.evidence.identified_words import identified_lines, identified_object
-from asia.ledger.evidence.noise import floor_to_beat, floor_words, noise_of_repeats
+from asia.ledger.evidence.noise import (
+    floor_to_beat,
+    floor_words,
+    method_words,
+    noise_of_repeats,
+)
 from asia.ledger.evidence.parameters import (
     EstimatedModel,
     EstimatedParameter,
@@ -175,6 +180,7 @@ __all__ = [
     "in_use",
     "journal",
     "ledger_of",
+    "method_words",
     "metric_of",
     "model_to_use",
     "noise_of_repeats",

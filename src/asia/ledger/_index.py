@@ -27,12 +27,13 @@ from asia.ledger._view import SearchView, replay
 T = TypeVar("T")
 
 NAME = "index.sqlite"
-_VERSION = 1
+_VERSION = 2
 _SCHEMA = """
 DROP TABLE IF EXISTS records;
 DROP TABLE IF EXISTS covered;
 CREATE TABLE records (seq INTEGER PRIMARY KEY, offset INTEGER, length INTEGER, event TEXT,
-    experiment INTEGER, status TEXT, seconds REAL, validation_scores INTEGER);
+    experiment INTEGER, status TEXT, seconds REAL, validation_scores INTEGER,
+    lowest INTEGER);
 CREATE INDEX numbers ON records (experiment);
 CREATE TABLE covered (inode INTEGER, size INTEGER, modified INTEGER, seq INTEGER, offset INTEGER,
     head TEXT);
@@ -43,6 +44,8 @@ _LAST = """SELECT seq, experiment FROM records WHERE event = 'evaluated'
     ORDER BY seq DESC LIMIT ?"""
 _KEPT_BEFORE = """SELECT experiment FROM records WHERE status = 'keep' AND seq < ?
     ORDER BY seq DESC LIMIT 1"""
+_LOWEST_BEFORE = """SELECT experiment FROM records WHERE lowest AND seq < ?
+    ORDER BY seq DESC LIMIT 1"""
 _PENDING = "SELECT max(experiment) FROM records"
 _RECORDS = """SELECT seq, offset, length FROM records
     WHERE (experiment IS NULL AND event <> 'streamed')
@@ -51,8 +54,8 @@ _RECORDS = """SELECT seq, offset, length FROM records
 
 @dataclass(frozen=True)
 class Brief:
-    """A run at a glance. `view` has of the experiments only the last ones, the incumbent before
-    them and the last one proposed; the totals are of all."""
+    """A run at a glance. `view` has of the experiments only the last ones, the incumbent and the
+    best before them and the last one proposed; the totals are of all."""
 
     view: SearchView
     state: RunState
@@ -70,7 +73,8 @@ def brief(directory: Path, last: int = 50) -> Brief:
         shown = index.execute(_LAST, (last,)).fetchall()
         first = shown[-1][0] if shown else sys.maxsize
         chosen = [number for _, number in shown]
-        for query, values in ((_KEPT_BEFORE, (first,)), (_PENDING, ())):
+        for query in (_KEPT_BEFORE, _LOWEST_BEFORE, _PENDING):
+            values = () if query == _PENDING else (first,)
             chosen += [n for (n,) in index.execute(query, values).fetchall() if n is not None]
         places = index.execute(_RECORDS, (str(chosen),)).fetchall()
         ledger = ledger_of(directory)
@@ -124,7 +128,7 @@ def _catch_up(index: sqlite3.Connection, ledger: Path) -> None:
         for after, raw in scan(stream, str(ledger), place):
             event = decode(raw, place.seq, str(ledger)).event
             row = (place.seq, place.offset, len(raw), event.event, *_columns(event))
-            index.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
+            index.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             place = after
     index.execute("DELETE FROM covered")
     row = (*stamp, place.seq, place.offset, place.head)
@@ -155,14 +159,15 @@ def _known_place(
 
 
 def _columns(event: Event) -> tuple[int | str | float | None, ...]:
-    """experiment, status, seconds, validation scores; nothing of what is no experiment."""
+    """experiment, status, seconds, validation scores, lowest; nothing of what is no experiment."""
     match event:
         case Proposed():
-            return event.experiment, None, None, None
+            return event.experiment, None, None, None, None
         case Evaluated():
-            return event.experiment, event.status, event.seconds, event.validation_scores
+            scores, lowest = event.validation_scores, int(event.lowest)
+            return event.experiment, event.status, event.seconds, scores, lowest
         case _:
-            return None, None, None, None
+            return None, None, None, None, None
 
 
 def _events(ledger: Path, places: list[tuple[int, int, int]]) -> Iterator[Event]:

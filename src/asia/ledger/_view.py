@@ -68,8 +68,18 @@ class Experiment:
 
     @property
     def kept(self) -> bool:
-        """Whether it was a new best."""
+        """Whether it became the incumbent."""
         return self.result is not None and self.result.status == "keep"
+
+    @property
+    def lowest(self) -> bool:
+        """Whether its own fit was the best so far, whatever was decided on its method."""
+        return self.result is not None and self.result.lowest
+
+
+def _is_lower(experiment: Experiment, other: Experiment) -> bool:
+    own, theirs = experiment.score, other.score
+    return own is not None and (theirs is None or own.value < theirs.value)
 
 
 @dataclass(frozen=True)
@@ -141,10 +151,27 @@ class SearchView:
         return next((e for e in self.experiments if e.result is None), None)
 
     @property
-    def best(self) -> Experiment | None:
-        """The incumbent: the last one kept."""
+    def incumbent(self) -> Experiment | None:
+        """The last one kept: what a candidate must beat by more than luck."""
         kept = [e for e in self.finished if e.kept]
         return kept[-1] if kept else None
+
+    @property
+    def bests(self) -> tuple[Experiment, ...]:
+        """Every best so far, oldest first. Where one fit decides, those that were kept. With
+        retests, those whose own fit had the lowest V so far."""
+        found: list[Experiment] = []
+        for e in self.finished:
+            held = bool(found) and found[-1].lowest and not _is_lower(e, found[-1])
+            if e.lowest or (e.kept and not held):
+                found.append(e)
+        return tuple(found)
+
+    @property
+    def best(self) -> Experiment | None:
+        """The experiment whose models are handed over."""
+        bests = self.bests
+        return bests[-1] if bests else None
 
     @property
     def complete(self) -> bool:

@@ -24,7 +24,7 @@ class Budget:
     patience: Annotated[int, Ge(1)] = 10
     """Experiments in the refine phase without a better model before the search counts as
     saturated."""
-    retests: Annotated[int, Ge(0)] = 0
+    retests: Annotated[int, Ge(0)] = 2
     """The most fits from other seeds of a candidate about to be kept; with 0 its first fit
     decides."""
     hours: Annotated[float, Gt(0)] | None = None

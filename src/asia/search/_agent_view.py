@@ -122,6 +122,7 @@ def _trial(e: Experiment, store: Store) -> Trial:
         curves=tuple(_points(store.get(f.curve)) for f in r.folds),
         error=failure.detail if failure else "",
         agent=p.agent,
+        lowest=r.lowest,
     )
 
 

@@ -24,15 +24,15 @@ def look_at_guard(
     """Score the ensembles of the last three new bests on the guard records, in the search's metric
     over the standard deviations of all training records. Where the same ones were looked at before,
     nothing new is learned and the look is not counted again."""
-    kept = [e for e in view.finished if e.kept]
+    bests = view.bests
     last = view.looks[-1] if view.looks else None
-    wanted = [e.number for e in kept[-NEW_BESTS:]]
+    wanted = [e.number for e in bests[-NEW_BESTS:]]
     if last is not None and [score.experiment for score in last.scores] == wanted:
         return last
     blocks = whole(open_guard(problem), problem.protocol)
     y = np.concatenate([record.y for record in problem.train])
     scores: list[GuardScore] = []
-    for experiment in kept[-NEW_BESTS:]:
+    for experiment in bests[-NEW_BESTS:]:
         found = _simulated(evaluator, store, experiment, blocks)
         if not isinstance(found, Failure):
             found = _scored(blocks, found, y.std(axis=0), problem.protocol.metric)

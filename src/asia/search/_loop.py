@@ -249,6 +249,7 @@ class Loop:
             left_behind=tuple(self.evaluator.left_behind[before:]),
             retests=judged.retests,
             floor=judged.floor,
+            lowest=judged.lowest,
         )
 
     def _keep(self, fold: FoldResult) -> FoldEvidence:

@@ -49,16 +49,16 @@ def test_it_is_recorded_counted_and_marked(problem: Path, tmp_path: Path) -> Non
     view = open_run(directory).view
     assert view.started.early_stopping == "validation"
     results = [e.result for e in view.finished if e.result]
-    assert [r.validation_scores for r in results] == [0, 4, 4, 4]
+    assert [r.validation_scores for r in results] == [0, 8, 4, 4]
     assert [[f.validation_scores for f in r.folds] for r in results] == [[0, 0], [2, 2], [], [2, 2]]
-    assert view.validation_scores == 12
+    assert view.validation_scores == 16
     assert view.refitted is not None
     assert view.refitted.model is not None
     assert view.v_name == "V (validation early stopping)"
     head = results_table(view).splitlines()[0].split("\t")
     assert head[:2] == ["experiment", "val (validation early stopping)"]
     text = journal(view)
-    assert "12 times so far. V is not leak-free" in text
+    assert "16 times so far. V is not leak-free" in text
     assert text.count("V (validation early stopping) = ") == 3
     assert text.count(" V = ") == 0
 

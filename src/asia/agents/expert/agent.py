@@ -160,7 +160,7 @@ def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Opt
 
 def _failures(at: Situation, move: Move) -> int:
     title = move.title(at)
-    return sum(plain_title(t.title) == title and t.status != "keep" for t in at.view.trials)
+    return sum(plain_title(t.title) == title and not t.improved for t in at.view.trials)
 
 
 def _moved(at: Situation, move: Move) -> Proposal | None:
@@ -210,7 +210,7 @@ def _share(at: Situation) -> float:
     if at.row.extendable and ratio > NEAR and black_box:
         return 1.0
     own = (t for t in at.view.trials if t.family == at.recipe.family)
-    patience = PATIENCE ** sum(t.parent is not None and t.status != "keep" for t in own)
+    patience = PATIENCE ** sum(t.parent is not None and not t.improved for t in own)
     share = BEHIND * ratio**2
     near = NEAR if black_box else NEAR_EQUATIONS
     held_back = ratio > near and train < best.value and overfit(trial) > 2.0

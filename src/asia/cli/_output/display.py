@@ -48,6 +48,7 @@ from asia.ledger import (
     floor_to_beat,
     floor_words,
     hand_over_words,
+    method_words,
     open_run,
 )
 from asia.problem.load import Problem
@@ -191,29 +192,7 @@ class TextDisplay:
                 self._print(f"         {view.stopped.detail}")
         if view.usage is not None:
             self._print(f"usage    {usage_words(view.usage)}")
-        if best is None or best.score is None:
-            self._print("best     none: every candidate failed")
-        else:
-            folds = ", ".join(error_value(f.value) for f in best.score.folds)
-            self._print(
-                f"best     #{best.number:02d} V={error_value(best.score.value)} (folds {folds})  "
-                f"{best.proposed.title}",
-                style="bold",
-            )
-            if view.started.early_stopping == "validation":
-                self._print(f"V is     {validation_words(view.validation_scores)}")
-            if view.started.residuals == "held_out":
-                self._print("V is     with held-out residuals shown")
-            beside = control(self.prepared.directory, view.started, len(view.finished))
-            if beside is not None:
-                self._print(f"control  {control_words(beside, view.started)}")
-            for name, words in (("floor", floor_words(view)), ("again", again_words(view))):
-                if words:
-                    self._print(f"{name:<8} {words}")
-            if view.looks:
-                self._print(f"guard    {guard_words(view)}")
-            rungs = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.rungs)
-            self._print(f"rungs    {rungs}")
+        self._print_best(view)
         self._print(f"files    {self.prepared.directory}/results.tsv, search_journal.md")
         for picture in pictures:
             if picture.suffix == ".png":
@@ -231,6 +210,37 @@ class TextDisplay:
         self._print(f"next     {show:<{width}}the winner: source, folds, evidence")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
+
+    def _print_best(self, view: SearchView) -> None:
+        """The winner, and what is known of how good it really is."""
+        best = view.best
+        if best is None or best.score is None:
+            self._print("best     none: every candidate failed")
+            return
+        folds = ", ".join(error_value(f.value) for f in best.score.folds)
+        self._print(
+            f"best     #{best.number:02d} V={error_value(best.score.value)} (folds {folds})  "
+            f"{best.proposed.title}",
+            style="bold",
+        )
+        if view.started.early_stopping == "validation":
+            self._print(f"V is     {validation_words(view.validation_scores)}")
+        if view.started.residuals == "held_out":
+            self._print("V is     with held-out residuals shown")
+        beside = control(self.prepared.directory, view.started, len(view.finished))
+        if beside is not None:
+            self._print(f"control  {control_words(beside, view.started)}")
+        for name, words in (
+            ("method", method_words(view)),
+            ("floor", floor_words(view)),
+            ("again", again_words(view)),
+        ):
+            if words:
+                self._print(f"{name:<8} {words}")
+        if view.looks:
+            self._print(f"guard    {guard_words(view)}")
+        rungs = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.rungs)
+        self._print(f"rungs    {rungs}")
 
     def profile(self, directory: Path, beside: Sequence[TimeSpent]) -> None:
         """Say where the seconds went; beside: of what no ledger records."""

@@ -69,7 +69,7 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
         found = f"V={error_value(experiment.score.value)}  min fit {fit}"
     else:
         found = f"{r.outcome.reason.value if not isinstance(r.outcome, Score) else '':<24}"
-    best = incumbent_at(experiment.number, view)
+    best = best_at(experiment.number, view)
     tail = "best none"
     if best and best.score:
         tail = f"best #{best.number:02d} {error_value(best.score.value)}"
@@ -82,10 +82,10 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     )
 
 
-def incumbent_at(number: int, view: SearchView) -> Experiment | None:
+def best_at(number: int, view: SearchView) -> Experiment | None:
     """The best experiment after experiment `number`."""
-    kept = [e for e in view.finished if e.number <= number and e.kept]
-    return kept[-1] if kept else None
+    bests = [e for e in view.bests if e.number <= number]
+    return bests[-1] if bests else None
 
 
 def guard_words(view: SearchView) -> str:

@@ -212,6 +212,9 @@ class Evaluated:
     floor: float | None = None
     """How much lower than the incumbent's its mean over the seeds had to be; None without an
     incumbent, or where one fit decides."""
+    lowest: bool = False
+    """Whether V of its first fit was the lowest so far, and its model passed the checks of one that
+    is handed over; False where one fit decides, and in older ledgers."""
     event: Literal["evaluated"] = "evaluated"
 
 

@@ -150,7 +150,7 @@ def _failed_fold(experiment: Experiment, view: SearchView) -> str:
 def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScore, ...]:
     if experiment.score is None:
         return ()
-    kept = [e for e in view.finished if e.number < experiment.number and e.kept]
+    kept = [e for e in view.bests if e.number < experiment.number]
     others = [("best before", kept[-1])] if kept else []
     parent = experiment.proposed.parent
     if kept and parent == kept[-1].number:

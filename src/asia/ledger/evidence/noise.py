@@ -30,19 +30,30 @@ def floor_to_beat(view: SearchView) -> float | None:
     """By how much a candidate must be lower than the incumbent, over the seeds, to be kept, if it
     varies as much; 0 where the incumbent does not depend on the seed, None where that is not known
     or one fit decides."""
-    best = view.best
-    if best is None or best.result is None or not best.result.retests:
+    held = view.incumbent
+    if held is None or held.result is None or not held.result.retests:
         return None
-    return least_significant_difference(best.seed_values, best.seed_values)
+    return least_significant_difference(held.seed_values, held.seed_values)
+
+
+def method_words(view: SearchView) -> str:
+    """Why the experiment that is handed over is not the incumbent; "" where it is."""
+    best, held = view.best, view.incumbent
+    if best is None or held is None or best.number == held.number:
+        return ""
+    return (
+        f"#{best.number:02d} is handed over: its own fit has the lowest V; beyond the luck of the "
+        f"seeds nothing is better than #{held.number:02d}"
+    )
 
 
 def floor_words(view: SearchView) -> str:
     """`0.0031 below 0.1312, the mean of #07 over 3 seeds`; "" where it is not known."""
-    best, floor = view.best, floor_to_beat(view)
-    if best is None or floor is None:
+    held, floor = view.incumbent, floor_to_beat(view)
+    if held is None or floor is None:
         return ""
-    values = best.seed_values
+    values = held.seed_values
     if len(values) == 1:
-        return f"0: #{best.number:02d} does not depend on the seed"
+        return f"0: #{held.number:02d} does not depend on the seed"
     mean = error_value(fmean(values))
-    return f"{floor:.2g} below {mean}, the mean of #{best.number:02d} over {len(values)} seeds"
+    return f"{floor:.2g} below {mean}, the mean of #{held.number:02d} over {len(values)} seeds"

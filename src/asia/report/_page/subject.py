@@ -85,7 +85,10 @@ class Subject:
         every = self.view.experiments
         if len(every) <= most:
             return every
-        order = sorted(every, key=lambda e: (e.number not in self.lineage, not e.kept, -e.number))
+        bests = {e.number for e in self.view.bests}
+        order = sorted(
+            every, key=lambda e: (e.number not in self.lineage, e.number not in bests, -e.number)
+        )
         return tuple(sorted(order[:most], key=lambda e: e.number))
 
     def place(self, event: Event) -> int:

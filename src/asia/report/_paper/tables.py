@@ -73,7 +73,7 @@ def _experiments(view: SearchView) -> str:
 
 
 def _experiment(view: SearchView, e: Experiment) -> list[str]:
-    before = [o.score.value for o in view.finished if o.number < e.number and o.kept and o.score]
+    before = [o.score.value for o in view.bests if o.number < e.number and o.score]
     value, change = "--", "--"
     if e.score is not None:
         value = error_value(e.score.value)

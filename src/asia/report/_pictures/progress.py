@@ -106,8 +106,9 @@ def _gather(view: SearchView, beside: Control | None) -> _Points:
     if beside is not None and beside.value is not None:
         rungs = (*rungs, ("expert, same budget", beside.value))
     scored = [(e, e.score.value) for e in view.finished if e.score]
-    kept = tuple(_point(e, v) for e, v in scored if e.kept)
-    others = [_point(e, v) for e, v in scored if not e.kept]
+    bests = {e.number for e in view.bests}
+    kept = tuple(_point(e, v) for e, v in scored if e.number in bests)
+    others = [_point(e, v) for e, v in scored if e.number not in bests]
     guard = _guarded(view)
     usual = [v for _, v in rungs] + [p.value for p in kept]
     ceiling = _OFF_SCALE * max(usual, default=float("inf"))

@@ -1,7 +1,9 @@
 """Fit, score and decide on one candidate.
 
 A candidate about to become the incumbent is fitted again from other seeds. It takes the title where
-its mean over the seeds is lower than the incumbent's by the floor.
+its mean over the seeds is lower than the incumbent's by the floor. That is a statement on its
+method. Its first fit is a model by itself: where its V is the lowest so far, it is the one to hand
+over, whatever is said of the method.
 """
 
 from __future__ import annotations
@@ -45,6 +47,8 @@ class Judged:
     """Whether the machine's speed had a part in the decision."""
     validation_scores: int = 0
     """Validation scores given in all fits."""
+    lowest: bool = False
+    """Whether its own fit is the best so far, and is handed over as long as none is lower."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +63,10 @@ class _Decision:
 
 
 def judge(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
-    """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept must
-    also come back bitwise the same from its bytes, and answer like a model. With the Ladder every
-    candidate with a score must: otherwise the check, and the time it takes, would say which one is
-    kept. After an objection the folds stay."""
+    """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
+    handed over, must also come back bitwise the same from its bytes, and answer like a model. With
+    the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
+    say which one is kept. After an objection the folds stay."""
     evaluation = evaluator.evaluate(source)
     asked = evaluation.validation_scores
     if isinstance(evaluation.outcome, Failure):
@@ -73,14 +77,15 @@ def judge(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
     else:
         found = _Decision(decide(evaluation.outcome, view))
     status = found.status
-    if status == "keep" or view.started.ladder is not None:
+    lowest = view.started.retests > 0 and _is_best(evaluation.outcome, view)
+    if status == "keep" or lowest or view.started.ladder is not None:
         failure = evaluator.objection(source, evaluation.folds)
         if failure is not None:
             evaluation = replace(evaluation, outcome=failure)
-            status = failure.reason.status
+            status, lowest = failure.reason.status, False
     deadline = found.deadline or status == "timeout"
     asked += found.validation_scores
-    return Judged(evaluation, status, found.retests, found.floor, deadline, asked)
+    return Judged(evaluation, status, found.retests, found.floor, deadline, asked, lowest)
 
 
 @dataclass(frozen=True)
@@ -97,11 +102,11 @@ class _Retesting:
         """`discard` where it is not lower than the incumbent, `inconclusive` where it is, but not
         by the floor. Each as soon as it is certain enough, so most candidates cost no fit
         more."""
-        best = self.view.best
-        if best is None:
+        held = self.view.incumbent
+        if held is None:
             # Nothing to beat; its spread is the first floor.
             return replace(self._repeat(()), status="keep")
-        known = best.seed_values
+        known = held.seed_values
         floor, lead = least_significant_difference(known, known), fmean(known) - self.score.value
         if lead <= 0.0:
             return _Decision("discard", floor=floor)
@@ -135,6 +140,11 @@ class _Retesting:
                 break
         status, floor = _decision(values, known, failed=failed)
         return _Decision(status, tuple(retests), floor, timed_out, asked)
+
+
+def _is_best(score: Score, view: SearchView) -> bool:
+    best = view.best.score if view.best else None
+    return best is None or score.value < best.value
 
 
 def _decision(

@@ -37,7 +37,7 @@ def make_stack(evaluator: Evaluator, view: SearchView, store: Store, metric: str
         if view.started.ladder is not None or found.value >= view.best.score.value:
             return found  # with the Ladder all were checked; otherwise this stack is not named
         members = [view.experiment(m.experiment) for m in found.members]
-        unchecked = [e for e in members if not e.kept]
+        unchecked = [e for e in members if not (e.kept or e.lowest)]
         bad = {e.number for e in unchecked if not _answers_like_a_model(evaluator, e, store)}
         if not bad:
             return found
@@ -51,7 +51,7 @@ def _is_its_own(experiment: Experiment) -> bool:
     if result is None or score is None or result.duplicate_of is not None:
         return False
     errors = [fold.diagnostics.train_error for fold in result.folds]
-    return result.status == "keep" or consistency(score.value, errors) >= FAR_BELOW
+    return experiment.kept or experiment.lowest or consistency(score.value, errors) >= FAR_BELOW
 
 
 def _eligible(scored: Sequence[Experiment], refused: Collection[int]) -> list[Experiment]:

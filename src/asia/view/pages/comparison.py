@@ -141,7 +141,7 @@ def _curves(subjects: Sequence[Subject]) -> Html:
 
 def _best_so_far(subject: Subject) -> BestSoFar:
     finished = subject.view.finished
-    kept = tuple((e.number, e.score.value) for e in finished if e.kept and e.score is not None)
+    kept = tuple((e.number, e.score.value) for e in subject.view.bests if e.score is not None)
     return BestSoFar(subject.run.name, kept, max((e.number for e in finished), default=0))
 
 

@@ -16,12 +16,14 @@ from asia.evaluation import Evaluation, Evaluator, FoldResult
 from asia.ledger import (
     Evaluated,
     Event,
+    Experiment,
     Proposed,
     Retest,
     SearchView,
     Started,
     floor_to_beat,
     floor_words,
+    method_words,
     replay,
 )
 from asia.scoring import Failure, Score, least_significant_difference
@@ -161,19 +163,9 @@ def test_the_floor_is_told_once_it_is_known() -> None:
     assert floor_to_beat(a_search(0, 1.0)) is None
 
 
-def with_retests(directory: Path) -> Path:
-    """The toy problem, in which a new best is fitted from two more seeds."""
-    problem = write_problem(directory)
-    path = problem / "problem.toml"
-    text = path.read_text("utf-8")
-    assert "[budget]\n" in text
-    path.write_text(text.replace("[budget]\n", "[budget]\nretests = 2\n"), "utf-8")
-    return problem
-
-
 def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) -> None:
     """Candidates that differ in luck alone, in a real search: a lower V is not kept."""
-    problem = with_retests(tmp_path / "toy")
+    problem = write_problem(tmp_path / "toy")
     (problem / "baseline.py").write_text(LUCKY.replace("{number}", "0"))
     agent = Scripted(tuple(LUCKY.replace("{number}", str(n)) for n in (1, 2, 3)))
     run = asia.run(problem, agent=agent, runs=tmp_path / "runs", experiments=4)
@@ -186,9 +178,71 @@ def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) ->
 
 
 def test_a_deterministic_search_repeats_each_new_best_once(tmp_path: Path) -> None:
-    problem = with_retests(tmp_path / "toy")
+    problem = write_problem(tmp_path / "toy")
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
     again = [e.result.retests for e in run.view.finished if e.result]
     assert [[r.same for r in retests] for retests in again] == [[True], [True]]
     assert run.view.best is not None
     assert run.view.best.number == 2
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "status", "lowest"),
+    [
+        ((1.01,), "discard", False),
+        ((0.95,), "inconclusive", True),
+        ((0.80, 1.25), "discard", True),
+        ((0.60, 0.80, 0.65), "keep", True),
+    ],
+)
+def test_the_fit_with_the_lowest_v_is_the_best_whatever_is_said_of_its_method(
+    outcomes: tuple[float, ...], status: str, lowest: bool
+) -> None:
+    view = a_search(2, *NOISY)
+    found, _ = judged(view, *outcomes)
+    assert (found.status, found.lowest) == (status, lowest)
+    after = with_another(view, 2, found)
+    assert after.best is not None
+    assert after.best.number == (2 if lowest else 1)
+    assert after.incumbent is not None
+    assert after.incumbent.number == (2 if status == "keep" else 1)
+    assert bool(method_words(after)) == (after.best.number != after.incumbent.number)
+
+
+def test_a_method_that_is_kept_does_not_replace_a_better_fit() -> None:
+    view = a_search(2, *NOISY)
+    view = with_another(view, 2, judged(view, 0.50, 1.60)[0])
+    found, _ = judged(view, 0.60, 0.60)
+    assert (found.status, found.lowest) == ("keep", False)
+    after = with_another(view, 3, found)
+    assert [e.number for e in after.bests] == [1, 2]
+    assert after.incumbent is not None
+    assert after.incumbent.number == 3
+
+
+def test_a_fit_that_is_handed_over_is_checked_like_one_that_is_kept() -> None:
+    class Objecting(Fits):
+        def objection(self, source: str, folds: object) -> Failure:
+            return Failure(Reason.RESTART)
+
+    found = judge(Objecting(0.95), "", a_search(2, *NOISY))
+    assert (found.status, found.lowest) == (Reason.RESTART.status, False)
+    assert judge(Objecting(1.01), "", a_search(2, *NOISY)).status == "discard"
+
+
+def test_where_one_fit_decides_the_best_is_the_incumbent() -> None:
+    view = a_search(0, 1.0)
+    found, _ = judged(view, 0.999)
+    assert not found.lowest
+    after = with_another(view, 2, found)
+    assert after.best == after.incumbent == after.experiment(2)
+
+
+def with_another(view: SearchView, number: int, found: Judged) -> SearchView:
+    """The search after one more experiment."""
+    proposed = Proposed(number, None, "refine", "f", "t", "h", "e", "s", "d")
+    result = Evaluated(
+        number, found.status, found.evaluation.outcome, (), None, 1.0,
+        retests=found.retests, floor=found.floor, lowest=found.lowest,
+    )  # fmt: skip
+    return replace(view, experiments=(*view.experiments, Experiment(proposed, result)))

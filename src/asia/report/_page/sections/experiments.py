@@ -73,7 +73,7 @@ def _seen(subject: Subject, e: Experiment) -> Html | None:
     if e.score is None:
         return join(("no score",))
     parts: list[Html | str] = ["V = ", subject.v(e)]
-    kept = [o for o in subject.view.finished if o.number < e.number and o.kept]
+    kept = [o for o in subject.view.bests if o.number < e.number]
     others = [("the best before", kept[-1])] if kept else []
     parent = e.proposed.parent
     if parent is not None and parent != e.number and (not kept or parent != kept[-1].number):

@@ -30,7 +30,7 @@ def _write(subject: Subject) -> Html | None:
             tag(
                 "details",
                 tag("summary", "The improvements as a table"),
-                table(head, rows, "Experiments that were kept"),
+                table(head, rows, "Experiments that were the best so far"),
             ),
         )
     )
@@ -40,7 +40,8 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
     """The drawing for wide and for narrow screens, with its legend. shown: experiments with a
     result."""
     view = subject.view
-    points = [_point(subject, e) for e in shown]
+    bests = {e.number for e in view.bests}
+    points = [_point(subject, e, best=e.number in bests) for e in shown]
     levels = [
         RungLevel(r.name, r.outcome.value) for r in view.rungs if isinstance(r.outcome, Score)
     ]
@@ -50,15 +51,15 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
         for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
     ]
     kinds = [
-        ("kept", "kept"),
-        ("other", "not kept"),
+        ("kept", "new best"),
+        ("other", "no new best"),
         ("failed", "no score"),
         ("best", "best so far"),
     ]
     return tag("figure", *drawings, legend(kinds))
 
 
-def _point(subject: Subject, experiment: Experiment) -> Point:
+def _point(subject: Subject, experiment: Experiment, *, best: bool) -> Point:
     result, score = result_of(experiment), experiment.score
     return Point(
         experiment.number,
@@ -67,6 +68,7 @@ def _point(subject: Subject, experiment: Experiment) -> Point:
         experiment.proposed.title,
         f"{subject.place(result)}:outcome.value" if score else "",
         error_value(score.value) if score else "",
+        best,
     )
 
 
@@ -86,9 +88,10 @@ def _rungs(subject: Subject) -> Html | None:
 
 
 def _improvements(subject: Subject) -> list[tuple[Experiment, Experiment | None]]:
-    kept = [e for e in subject.told if e.kept]
-    before: list[Experiment | None] = [None, *kept]
-    return list(zip(kept, before, strict=False))
+    told = {e.number for e in subject.told}
+    bests = [e for e in subject.view.bests if e.number in told]
+    before: list[Experiment | None] = [None, *bests]
+    return list(zip(bests, before, strict=False))
 
 
 def _improvement(subject: Subject, e: Experiment, before: Experiment | None) -> list[str | None]:

@@ -98,7 +98,22 @@ def _found(subject: Subject, best: Experiment) -> Html:
             " candidates for ",
             said(view.started.problem),
             ".",
+            *_method(subject, best),
         )
+    )
+
+
+def _method(subject: Subject, best: Experiment) -> tuple[Html | str, ...]:
+    """What the retests say where another candidate is the incumbent."""
+    held = subject.view.incumbent
+    if held is None or held.number == best.number:
+        return ()
+    link = tag("a", subject.name(held), href=f"#e{held.number}")
+    return (
+        " Its own fit has the lowest V; beyond the luck of the seeds nothing is better than "
+        "experiment ",
+        link,
+        ".",
     )
 
 

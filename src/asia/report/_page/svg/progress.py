@@ -33,6 +33,8 @@ class Point:
     """Where V stands in the ledger; "" without one."""
     shown: str
     """V as it is written; "" without one."""
+    best: bool
+    """Whether it was the best so far."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +87,8 @@ def draw_progress(
     drawn = [draw_grid(across, up, size, axis), _levels(levels, across, up, size)]
     shown = points
     if len(points) > _MANY:
-        shown = [p for p in points if p.status == "keep"]
-        drawn += _crowd([p for p in points if p.status != "keep"], across, up)
+        shown = [p for p in points if p.best]
+        drawn += _crowd([p for p in points if not p.best], across, up)
     drawn += [_steps(points, across, up), *(_marker(p, across, up) for p in shown)]
     drawn.append(_tags(shown, across, up, size))
     box = f"0 0 {size.width:g} {size.height:g}"
@@ -99,8 +101,8 @@ def _scales(
     most = max((p.number for p in points), default=1)
     across = Scale(0.5, most + 0.5, 54, size.width - size.right)
     bottom, top = size.height - 40, 26.0
-    kept = [p.value for p in points if p.value is not None and p.status == "keep"]
-    telling = [*kept, *(x.value for x in levels)] or [1.0]
+    bests = [p.value for p in points if p.value is not None and p.best]
+    telling = [*bests, *(x.value for x in levels)] or [1.0]
     low, high = min([*values, *telling]), min(max([*values, *telling]), 1.6 * max(telling))
     log = high > _LOG_FROM * low > 0
     if log:
@@ -146,18 +148,18 @@ def _levels(levels: Sequence[RungLevel], across: Scale, up: Scale, size: Size) -
 
 
 def _steps(points: Sequence[Point], across: Scale, up: Scale) -> Html | None:
-    kept = [(p.number, p.value) for p in points if p.status == "keep" and p.value is not None]
-    if not kept:
+    bests = [(p.number, p.value) for p in points if p.best and p.value is not None]
+    if not bests:
         return None
-    first, value = kept[0]
+    first, value = bests[0]
     path = f"M{rounded(across.at(first))} {rounded(up.at(value))}"
-    for number, better in kept[1:]:
+    for number, better in bests[1:]:
         path += f"H{rounded(across.at(number))}V{rounded(up.at(better))}"
     return tag("path", d=f"{path}H{rounded(across.end)}", class_="best")
 
 
 def _crowd(points: Sequence[Point], across: Scale, up: Scale) -> list[Html]:
-    """Many that were not kept: a dot for each score, a tick at the top for each failure."""
+    """Many that were no new best: a dot for each score, a tick at the top for each failure."""
     dots = [(p.number, up.at(p.value)) for p in points if p.value is not None]
     ticks = [p.number for p in points if p.value is None]
     high = rounded(up.end - 10)
@@ -183,7 +185,7 @@ def _marker(point: Point, across: Scale, up: Scale) -> Html:
         return tag("g", words, tag("path", d=cross, class_="failed"))
     y = up.at(point.value)
     words = tag("title", f"{title}, V {point.shown}: {one_line(point.title, 80)}")
-    name = "kept" if point.status == "keep" else "other"
+    name = "kept" if point.best else "other"
     if point.value > up.high:
         mark = tag("path", d=f"M{rounded(x - 5)} {rounded(y + 4)}h10l-5 -9z", class_=name)
     else:
@@ -195,8 +197,8 @@ def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html
     """Names at the improvements, where there is room: the last one first, then the largest."""
     placed = [_around(p, across, up) for p in points if p.value is not None]
     parts: list[Html] = []
-    kept = [p for p in points if p.status == "keep" and p.value is not None]
-    for point in [*kept[-1:], *kept[:-1]][:_MOST_TAGS]:
+    bests = [p for p in points if p.best and p.value is not None]
+    for point in [*bests[-1:], *bests[:-1]][:_MOST_TAGS]:
         words = f"#{point.number:02d}"
         if size.tag > len(words):
             words = one_line(f"{words} {point.title}", size.tag)
