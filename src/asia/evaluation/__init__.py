@@ -18,6 +18,7 @@ from asia.evaluation._results import (
     consistency,
     derive_seed,
     mean_simulation,
+    same_simulations,
 )
 from asia.evaluation._rungs import LINEAR, LINEAR_RUNG, MEAN_RUNG, TRUTH, Rung, score_rungs
 
@@ -46,6 +47,7 @@ __all__ = [
     "dry_run",
     "mean_simulation",
     "rounded_score",
+    "same_simulations",
     "score_rungs",
     "search_context",
     "short_fold",

@@ -12,7 +12,7 @@ from asia._stopwatch import Activity
 from asia.data import Array
 from asia.errors import CandidateError, Reason
 from asia.evaluation._evaluator import Evaluator
-from asia.evaluation._results import FoldResult
+from asia.evaluation._results import FoldResult, same_simulations
 from asia.protocol import Block, Fold, ProtocolRule, whole
 from asia.scoring import Failure
 
@@ -121,8 +121,7 @@ def _reloaded(
         (again,) = evaluator.simulate(source, [result.model], short.fold.validation)
     except CandidateError as error:
         return Failure(Reason.NOT_REPRODUCIBLE, error.detail or error.reason.advice)
-    pairs = zip(again, result.y_hat, strict=True)
-    same = all(one.tobytes() == other.tobytes() for one, other in pairs)
+    same = same_simulations([again], [result.y_hat])
     return None if same else Failure(Reason.NOT_REPRODUCIBLE)
 
 

@@ -105,6 +105,20 @@ class Evaluation:
     validation_scores: int = 0
     """How often it asked for its score on held-out parts, in all folds, failed ones included."""
 
+    @property
+    def y_hats(self) -> list[tuple[Array, ...]]:
+        """The held-out simulations of each fold."""
+        return [fold.y_hat for fold in self.folds]
+
+
+def same_simulations(first: Sequence[Sequence[Array]], again: Sequence[Sequence[Array]]) -> bool:
+    """Whether every simulation came out bitwise the same; one sequence a fold."""
+    return all(
+        a.tobytes() == b.tobytes()
+        for one, other in zip(first, again, strict=True)
+        for a, b in zip(one, other, strict=True)
+    )
+
 
 @dataclass(frozen=True)
 class RefitModel:

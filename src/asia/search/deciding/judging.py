@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
 
-from asia.evaluation import Evaluation, Evaluator
+from asia.evaluation import Evaluation, Evaluator, same_simulations
 from asia.ledger import Retest, SearchView, Status
 from asia.scoring import Failure, Score, least_significant_difference
 from asia.search.deciding.rules import decide
@@ -128,7 +128,7 @@ class _Retesting:
                 retests.append(Retest(failed=outcome.reason.value, seconds=seconds))
                 timed_out, failed = outcome.reason.status == "timeout", True
                 break
-            same = _is_same(self.first, again)
+            same = same_simulations(self.first.y_hats, again.y_hats)
             folds = tuple(fold.value for fold in outcome.folds)
             retests.append(Retest(outcome.value, folds, same=same, seconds=seconds))
             if same:
@@ -166,12 +166,3 @@ def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
 def _is_narrow(values: Sequence[float]) -> bool:
     """Whether these seeds are enough for an incumbent: the floor that it gives is small."""
     return least_significant_difference(values, values) <= _NARROW * fmean(values)
-
-
-def _is_same(first: Evaluation, again: Evaluation) -> bool:
-    """Whether every simulation came out bitwise the same."""
-    return all(
-        a.tobytes() == b.tobytes()
-        for one, other in zip(first.folds, again.folds, strict=True)
-        for a, b in zip(one.y_hat, other.y_hat, strict=True)
-    )

@@ -190,7 +190,7 @@ class _Validation:
         return [check_ahead(np.stack(model_errors), np.stack(hold_errors), scale)]
 
     def _simulator(self, members: Sequence[FinalMember]) -> Simulator:
-        """SimulatedBlocks of a final model, in the sandbox."""
+        """Simulations by a final model, in the sandbox."""
 
         def simulate(blocks: Sequence[Block]) -> list[Array]:
             total = [np.zeros_like(block.y) for block in blocks]

@@ -15,7 +15,7 @@ import numpy as np
 
 from asia.data import Array
 from asia.errors import UserError
-from asia.evaluation import Evaluation, Evaluator
+from asia.evaluation import Evaluator, same_simulations
 from asia.ledger import (
     Chain,
     Confirmed,
@@ -138,16 +138,8 @@ class _Confirmation:
             self._blocks(fold, result.y_hat)
             for fold, result in zip(self.evaluator.folds, found.folds, strict=True)
         )
-        same = self._is_same(experiment, found)
+        same = same_simulations(self._simulations(experiment), found.y_hats)
         return Repeated(experiment.number, repeat, found.outcome, blocks, same, seconds)
-
-    def _is_same(self, experiment: Experiment, found: Evaluation) -> bool:
-        pairs = zip(self._simulations(experiment), found.folds, strict=True)
-        return all(
-            a.tobytes() == b.tobytes()
-            for first, result in pairs
-            for a, b in zip(first, result.y_hat, strict=True)
-        )
 
     def _simulations(self, experiment: Experiment) -> list[tuple[Array, ...]]:
         """Of each fold's held-out blocks, as the search made them."""
