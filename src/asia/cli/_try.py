@@ -158,7 +158,7 @@ def result_lines(
     best = "none yet"
     if progress.best is not None and progress.best_value is not None:
         best = f"#{progress.best:02d} {error_value(progress.best_value)}"
-    head = f"#{result.experiment:02d} {result.status:<8}"
+    head = f"#{result.experiment:02d} {result.status:<7} "
     tail = f"    best {best}, {progress.remaining} of {progress.budget} experiments left"
     if result.value is not None:
         folds = ", ".join(error_value(v) for v in result.folds)

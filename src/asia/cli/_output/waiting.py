@@ -53,7 +53,7 @@ class Waiting:
 
 def finished_line(result: ExperimentSummary, now: SearchProgress) -> str:
     """`#01 keep    V = 0.7984 in 12s: baseline`"""
-    head = f"#{result.experiment:02d} {result.status:<8}{now.v_name}"
+    head = f"#{result.experiment:02d} {result.status:<7} {now.v_name}"
     return f"{head} {_value(result.value)} in {duration(result.seconds)}: {result.title}"
 
 
