@@ -120,8 +120,8 @@ def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path)
             outcome = event.outcome
             value = f"V={outcome.value:.4f}" if isinstance(outcome, Score) else outcome.reason.value
             title = view.experiment(event.experiment).proposed.title
-            words = f"{event.experiment}/{count} {event.status:<12} {value:<12}{event.seconds:6.1f} s"
-            print(f"{name}  {words}  {title}", file=sys.stderr, flush=True)
+            words = f"{event.experiment}/{count} {event.status:<12} {value:<11}"
+            print(f"{name}  {words}{event.seconds:6.1f} s  {title}", file=sys.stderr, flush=True)
 
     view = search(ready, make_agent(agent), on_event, lambda view: None)
     ratio, named, use = _errors_over_noise(system, problem, ready.directory, view)
