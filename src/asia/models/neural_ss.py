@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data import Array, Signal, Trajectory
+from asia.data._transport import Transport, find_transport
 from asia.errors import UserError
 from asia.models import linear
 from asia.models._arrays import AnyArray, namespace, tree_size
@@ -99,11 +100,17 @@ class Config:
     past_fit: bool = False
     """With Levenberg-Marquardt, whether the initial state is fitted to the past window by the model
     itself, and not only read from it by the encoder."""
+    transport: int | None = None
+    """Number of an input with positive values, a flow or a speed, at whose pace all inputs are
+    carried to where they act: their delay is the longer the smaller it is. The volume on the way
+    is estimated; the input itself acts at once as well."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "hidden", "members", "channels")
         check_at_least(2, self, "degree")
-        check_at_least(0, self, "friction", "play", "integrators")
+        check_at_least(0, self, "friction", "play", "integrators", "transport")
+        still = self.transport is None or not self.symmetry
+        demand(self, "symmetry", still, "False with transport")
         placed = self.channels is None or self.nonlinearity == "state"
         demand(self, "channels", placed, "None without nonlinearity state")
 
@@ -126,6 +133,8 @@ class FittedStateSpace:
     starts: tuple[PastFit, ...] = ()
     """How the initial state of each member is fitted to the past window; () where the encoder gives
     it."""
+    transport: Transport | None = None
+    """How inputs are carried to where they act; None: at once."""
 
 
 @dataclass(frozen=True)
@@ -166,6 +175,8 @@ class NeuralStateSpace:
         (B, H, ny). Raises UserError before training."""
         if self.fitted is None:
             raise UserError("neural state-space model: not trained yet; call train first")
+        if self.fitted.transport is not None:
+            past_u, u = _carried(self.fitted.transport, past_u, u)
         simulate = partial(_simulated, self.fitted)
         if self.fitted.turns is None:
             return simulate(past_u, past_y, u)
@@ -192,6 +203,13 @@ def _simulated(f: FittedStateSpace, past_u: Array, past_y: Array, u: Array) -> A
     return f.scaling.physical(np.median(outputs, axis=0))
 
 
+def _carried(transport: Transport, past_u: Array, u: Array) -> tuple[Array, Array]:
+    """Inputs of the past window and after it, as they leave the pipe."""
+    known = np.concatenate([past_u, u], axis=1)
+    carried = np.stack([transport.carried(one) for one in known])
+    return carried[:, : past_u.shape[1]], carried[:, past_u.shape[1] :]
+
+
 def _identity(states: int) -> Encoder:
     return affine(np.eye(states), np.zeros(states))
 
@@ -214,10 +232,12 @@ def train(
     Levenberg-Marquardt suits short records and few parameters (its Jacobian takes samples x
     outputs x parameters numbers); `method.starts` initialisations are tried and the
     `config.members` with the lowest training cost are kept. Raises UserError for records too
-    short or mis-shaped.
+    short or mis-shaped, and for a transport at the pace of an input that is not positive.
     """
     check(trajectories, context)
     c = model.config
+    if c.transport is not None:
+        return _train_carried(model, trajectories, context, method, c.transport)
     if isinstance(method, Adam):
         demand(c, "pieces", not c.pieces, "False with Adam")
         demand(c, "past_fit", not c.past_fit, "False with Adam")
@@ -236,6 +256,28 @@ def train(
         other, other_cost = _train_records(replace(c, delay=0), data, context, method)
         fitted = other if other_cost < cost else fitted
     return replace(model, fitted=fitted)
+
+
+def _train_carried(
+    model: NeuralStateSpace,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt | Adam,
+    pace: int,
+) -> NeuralStateSpace:
+    """On inputs as they leave the pipe."""
+    demand(model.config, "transport", pace < context.nu, f"less than {context.nu}, the inputs")
+    try:
+        transport = find_transport(trajectories, pace).transport
+    except ValueError as error:
+        raise UserError(f"neural_ss.Config: {error}; set transport to None") from error
+    name = context.inputs[pace]
+    inputs = (*context.inputs, Signal(f"{name.name}, not carried", name.unit))
+    plain = replace(model, config=replace(model.config, transport=None))
+    carried = [replace(t, u=transport.carried(t.u)) for t in trajectories]
+    found = train(plain, carried, replace(context, inputs=inputs), method).fitted
+    assert found is not None
+    return replace(model, fitted=replace(found, transport=transport))
 
 
 def _train_records(

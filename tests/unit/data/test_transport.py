@@ -1,0 +1,62 @@
+"""Inputs that are carried at a pace, and the volume on their way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from asia.data import Trajectory
+from asia.data._transport import Transport, find_transport
+from tests.unit.models.systems.transport import belt
+
+
+@given(delay=st.integers(1, 12), pace=st.floats(0.1, 10.0), seed=st.integers(0, 1000))
+def test_a_constant_pace_is_a_constant_delay(delay: int, pace: float, seed: int) -> None:
+    u = np.column_stack([np.full(40, pace), np.random.default_rng(seed).normal(size=40)])
+    found = Transport(0, delay * pace).carried(u)
+    late = np.concatenate([np.repeat(u[:1], delay, axis=0), u])[:40]
+    assert found == pytest.approx(np.column_stack([late, u[:, 0]]), abs=1e-6)
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 1000), volume=st.floats(0.5, 8.0), cut=st.integers(1, 59))
+def test_nothing_leaves_before_it_entered_and_what_entered_leaves(
+    seed: int, volume: float, cut: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    u = np.column_stack([rng.uniform(0.2, 2.0, 60), rng.normal(size=60)])
+    changed = u.copy()
+    changed[cut:] = rng.uniform(0.2, 2.0, (60 - cut, 2))
+    transport = Transport(0, volume)
+    assert transport.carried(changed)[:cut] == pytest.approx(transport.carried(u)[:cut])
+    constant = np.column_stack([u[:, 0], np.full(60, 3.0)])
+    assert transport.carried(constant)[:, 1] == pytest.approx(3.0)
+
+
+def test_a_pace_of_zero_holds_what_is_on_the_way() -> None:
+    u = np.column_stack([np.r_[np.ones(10), np.zeros(20)], np.arange(30.0)])
+    found = Transport(0, 4.0).carried(u)[:, 1]
+    assert found[9] == pytest.approx(5.0)
+    assert np.ptp(found[11:]) < 0.1
+
+
+def test_the_volume_is_found_and_a_constant_delay_is_not_taken_for_one() -> None:
+    found = find_transport([belt(500, 0)], 0)
+    assert found.transport.volume == pytest.approx(6.0, rel=0.1)
+    assert found.ratio < 0.3
+    record = belt(500, 0)
+    late = Trajectory(np.column_stack([record.u[:, 0], np.roll(record.u[:, 1], -6)]),
+                      np.roll(record.u[:, 1:], 0), 1.0)  # fmt: skip
+    assert find_transport([late], 0).ratio > 0.8
+
+
+def test_a_record_too_short_to_tell_says_nothing() -> None:
+    assert find_transport([belt(50, 0)], 0).ratio == float("inf")
+
+
+def test_a_pace_has_to_be_positive() -> None:
+    record = belt(200, 0)
+    with pytest.raises(ValueError, match="not positive"):
+        find_transport([Trajectory(-record.u, record.y, 1.0)], 0)
