@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from asia._api import run
     from asia.candidate import Context, Model
     from asia.data import Signal, Trajectory
+    from asia.identifier import SystemIdentifier, load_run
     from asia.ledger import open_run
     from asia.problem.load import Problem, load_problem
     from asia.report import write_report
@@ -27,8 +28,10 @@ __all__ = [
     "Model",
     "Problem",
     "Signal",
+    "SystemIdentifier",
     "Trajectory",
     "load_problem",
+    "load_run",
     "open_run",
     "run",
     "simulate",
@@ -41,8 +44,10 @@ _HOMES = {
     "Model": "asia.candidate",
     "Problem": "asia.problem.load",
     "Signal": "asia.problem",
+    "SystemIdentifier": "asia.identifier",
     "Trajectory": "asia.problem",
     "load_problem": "asia.problem.load",
+    "load_run": "asia.identifier",
     "open_run": "asia.ledger",
     "run": "asia._api",
     "simulate": "asia.search",

@@ -45,6 +45,7 @@ __all__ = [
     "SimulatedCase",
     "SimulatedCases",
     "Standing",
+    "brief_html",
     "draw_all_boards",
     "draw_bench",
     "draw_cases",
@@ -83,6 +84,14 @@ def write_dossier(directory: Path, checks: Sequence[Check], title: str) -> tuple
     from asia.report._write import write_dossier
 
     return write_dossier(directory, checks, title)
+
+
+def brief_html(directory: Path) -> str:
+    """The run in `directory` for a notebook: V, the model to use, the problem's equations and the
+    simulation of held-out parts as a picture. Raises UserError when `directory` is not a run."""
+    from asia.report._brief import brief_html
+
+    return brief_html(directory)
 
 
 def write_page(directory: Path) -> Path:

@@ -129,6 +129,15 @@ def save(drawn: Iterator[Picture], directory: Path) -> tuple[Path, ...]:
     return tuple(paths)
 
 
+def png_of(run: Run, problem: Problem, name: str) -> bytes:
+    """One of the `pictures`."""
+    draw = dict(pictures(run, problem))[name]
+    with drawing():
+        stream = BytesIO()
+        draw().savefig(stream, format="png", dpi=DPI, metadata=_METADATA[0])
+        return stream.getvalue()
+
+
 def as_png(cases: SimulatedCases) -> dict[str, bytes]:
     """See `asia.report.draw_cases`."""
     drawn: dict[str, bytes] = {}

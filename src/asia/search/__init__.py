@@ -17,7 +17,7 @@ from asia.search._run import (
     with_relay_budget,
 )
 from asia.search._secrecy import check_hidden_from_workers
-from asia.search._simulate import simulate
+from asia.search._simulate import BandedSimulation, simulate, simulate_cases
 from asia.search._sinks import OpenSink, Sink, Sinks, find_sink, open_sinks
 from asia.search._steering import Steering
 from asia.search._unseal import CONSENT, UnsealResult, needs_consent, unseal
@@ -28,6 +28,7 @@ from asia.search.final.confirmation import OnRepeat, confirm
 __all__ = [
     "CONSENT",
     "LOCK",
+    "BandedSimulation",
     "Dossier",
     "OnEvent",
     "OnFit",
@@ -58,6 +59,7 @@ __all__ = [
     "replay_run",
     "search",
     "simulate",
+    "simulate_cases",
     "simulated_excerpts",
     "unseal",
     "validate",

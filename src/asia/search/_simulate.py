@@ -98,8 +98,29 @@ def simulate(
     return BandedSimulation(y_hat, found.lower, found.upper, bands, outside)
 
 
-def _block(run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array) -> Block:
-    """What is asked, as a block. Raises UserError for a wrong shape."""
+def simulate_cases(
+    directory: Path | str, cases: Sequence[tuple[Array, Array, Array]], model: Use | None = None
+) -> list[Array]:
+    """As `simulate`, of several cases (past_u, past_y, u) at once: y_hat (H, ny) of each."""
+    run = open_run(Path(directory))
+    named = _named(run, model)
+    problem = load_lock(run.directory / LOCK)
+    blocks = [_block(run, problem, *case, record=k) for k, case in enumerate(cases)]
+    evaluator = make_evaluator(problem, run.view)
+    total = [np.zeros_like(block.y) for block in blocks]
+    for member in final_members(run.view, named):
+        models = [run.store.get(one) for one in member.models]
+        replies = evaluator.simulate(run.store.text(member.source), models, blocks)
+        for k, found in enumerate(total):
+            found += member.weight * np.mean([reply[k] for reply in replies], axis=0)
+    return total
+
+
+def _block(
+    run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array, record: int = 0
+) -> Block:
+    """What is asked, as a block. record: cases of different records may be asked for at once.
+    Raises UserError for a wrong shape."""
     rule, nu, ny = problem.protocol, len(problem.inputs), len(problem.outputs)
     for name, array, shape in (
         ("past_u", past_u, (rule.past_inputs, nu)),
@@ -109,7 +130,7 @@ def _block(run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array) -
         if np.shape(array) != shape:
             raise UserError(f"{name} has shape {np.shape(array)}, expected {shape}")
     case = Case(run.name, *(np.asarray(a, np.float64) for a in (past_u, past_y, u)))
-    return Block(case, np.zeros((len(u), ny)), record=0, start=0)
+    return Block(case, np.zeros((len(u), ny)), record=record, start=0)
 
 
 def _simulated(
