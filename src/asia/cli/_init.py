@@ -1,4 +1,4 @@
-"""asia init: a problem from CSV files."""
+"""asia init: a problem from files of records."""
 
 from __future__ import annotations
 
@@ -17,30 +17,55 @@ if TYPE_CHECKING:
     from asia.problem.load import NewProblem
 
 SEAL_FRACTION = 0.2
-LISTS = ("--train", "--test", "--inputs", "--outputs")
+LISTS = ("--train", "--test", "--inputs", "--outputs", "--columns")
+
+
+Train = Annotated[list[Path], typer.Option(help="Files with training records.")]
+Step = Annotated[
+    float | None,
+    typer.Option(help="Sampling time in seconds, above 0. Left out: found from the time stamps."),
+]
+Sealed = Annotated[
+    bool | None,
+    typer.Option(
+        "--seal/--no-seal",
+        help="Move the test records into an encrypted store; without --test, the last 20 % of each "
+        "record.",
+    ),
+]
+Time = Annotated[
+    str | None, typer.Option(help='Column with the time stamps; "none": do not use any.')
+]
+TimeUnit = Annotated[
+    str | None, typer.Option(help="Unit of time stamps that are numbers: s, ms, us, ns, days.")
+]
+ColumnNames = Annotated[
+    list[str] | None, typer.Option(help="Column names of files without a header, in order.")
+]
+Experiment = Annotated[
+    str | None, typer.Option(help="Column that names the experiment: each becomes a record.")
+]
 
 
 def init(
     name: Annotated[Path, typer.Argument(help="Directory to make; its name is the problem's.")],
-    train: Annotated[list[Path], typer.Option(help="Training records, CSV with a header row.")],
+    train: Train,
     inputs: Annotated[list[str], typer.Option(help="Input columns.")],
     outputs: Annotated[list[str], typer.Option(help="Output columns.")],
-    sampling_time: Annotated[float, typer.Option(help="Sampling time in seconds, above 0.")],
+    sampling_time: Step = None,
     test: Annotated[list[Path] | None, typer.Option(help="Test records.")] = None,
-    seal: Annotated[
-        bool | None,
-        typer.Option(
-            "--seal/--no-seal",
-            help="Move the test records into an encrypted store; without --test, the last 20 % of "
-            "each record.",
-        ),
-    ] = None,
+    seal: Sealed = None,
+    time: Time = None,
+    time_unit: TimeUnit = None,
+    columns: ColumnNames = None,
+    experiment_column: Experiment = None,
     keys: Keys = None,
 ) -> None:
-    """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y ..."""
-    from asia.problem.load import init_problem, key_folder
+    """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y"""
+    from asia.problem.load import Wanted, init_problem, key_folder
 
-    if not 0 < sampling_time < inf:
+    wanted = Wanted((), (), time, time_unit, experiment_column, tuple(columns or ()))
+    if sampling_time is not None and not 0 < sampling_time < inf:
         raise UserError(
             f"--sampling-time is {sampling_time:g}: expected a number of seconds above 0"
         )
@@ -62,11 +87,14 @@ def init(
         seal_fraction=SEAL_FRACTION if seal and not test else None,
         seal=bool(seal),
         keys=keys,
+        wanted=wanted,
     )
     _print_made(made, name, has_test=bool(test))
 
 
 def _print_made(made: NewProblem, name: Path, *, has_test: bool) -> None:
+    for text in made.read:
+        say(f"read     {text}")
     say(f"wrote    {made.path}")
     if made.store is not None:
         _print_sealed(made, "the test records" if has_test else "the last 20 % of each record")

@@ -27,7 +27,7 @@ from asia.protocol._cuts import block_count, least_case
 from asia.protocol._rules import ProtocolRule
 
 _FILE = "problem.toml"
-_LEAST_BEYOND_PAST = 10
+LEAST_BEYOND_PAST = 10
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> No
     """Raises UserError when a record is too short for the folds: each held-out block must be able
     to hold a past window and some samples to train on."""
     if rule.folds.kind == "leave_one_group_out":
-        least = rule.past + max(least_case(rule), _LEAST_BEYOND_PAST)
+        least = rule.past + max(least_case(rule), LEAST_BEYOND_PAST)
         wanted = f"a past window of {rule.past}"
         advice = "a shorter past window"
     elif rule.folds.tail is not None:
@@ -194,7 +194,7 @@ def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> No
         advice = "fewer folds, a shorter tail or past window"
     else:
         count, gap = block_count(rule), rule.folds.gap or 0
-        beyond = max(least_case(rule), _LEAST_BEYOND_PAST) + gap
+        beyond = max(least_case(rule), LEAST_BEYOND_PAST) + gap
         least = rule.past + count * (rule.past + beyond)
         wanted = f"{rule.folds.count} folds with a past window of {rule.past}"
         wanted += f" and a gap of {gap}" if gap else ""

@@ -3,6 +3,7 @@ ones, and what is doubtful about them."""
 
 from asia.data._digest import data_digest
 from asia.data._store import key_folder
+from asia.data.intake.sheet import Wanted
 from asia.problem._check import CheckReport, check_problem
 from asia.problem._digest import protocol_digest
 from asia.problem._load import builtin_problems, load_lock, load_problem, read_record
@@ -18,6 +19,7 @@ __all__ = [
     "NewProblem",
     "Problem",
     "Seal",
+    "Wanted",
     "builtin_problems",
     "check_feedback",
     "check_problem",

@@ -133,3 +133,45 @@ def test_wrong_column_writes_nothing(data: tuple[str, str], asia: Asia, tmp_path
     assert done.err.startswith("asia: ")
     assert "'level'" in done.err
     assert not (tmp_path / "new").exists()
+
+
+def test_an_ugly_log_becomes_a_clean_problem(
+    asia: Asia, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = [f"{k / 10:.1f};{(k * 7 % 11) / 2};{(k * 3 % 17) / 4}" for k in range(300)]
+    text = "\n".join(["Zeit [s];Pumpe [V];Stand [m]", *lines[:140], *lines[150:]])
+    (tmp_path / "log.txt").write_text(text.replace(".", ","), encoding="utf-16")
+    words = ("init", "new", "--train", "log.txt", "--inputs", "Pumpe", "--outputs", "Stand")
+    done = asia(*words, "--no-seal")
+    assert done.code == 0, done.err
+    assert "2 training and 0 test records, sampled every 0.1 s" in done.out
+    assert "1 gap in time" in done.out
+    loaded = load_problem("new")
+    assert [(t.name, len(t)) for t in loaded.train] == [("log_1", 140), ("log_2", 150)]
+    assert [s.label for s in (*loaded.inputs, *loaded.outputs)] == ["Pumpe [V]", "Stand [m]"]
+    assert (
+        "# made by asia init from log.txt, sha256 " in (tmp_path / "new/problem.toml").read_text()
+    )
+    sealed = asia("init", "other", *words[2:], "--seal", "--keys", "keys")
+    assert sealed.code == 0, sealed.err
+    assert [len(t) for t in load_problem("other").train] == [112, 120]
+    (tmp_path / "bad.csv").write_text("t,u,y\n0,1,2\n0,1,2\n")
+    refused = asia("init", "bad", "--train", "bad.csv", "--inputs", "u", "--outputs", "y")
+    assert refused.code == 2
+    assert "the time stamp repeats" in refused.err
+
+
+def test_a_clean_log_stays_where_it_is(
+    asia: Asia, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = [f"{k / 10:.1f},{k % 7},{k % 11}" for k in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,u,y", *lines]))
+    words = ("init", "new", "--train", "log.csv", "--inputs", "u", "--outputs", "y", "--no-seal")
+    assert asia(*words).code == 0
+    assert sorted(p.name for p in (tmp_path / "new").iterdir()) == [
+        "description.md",
+        "problem.toml",
+    ]
+    assert load_problem("new").sampling_time == 0.1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ from asia.problem._problem import Problem
 from asia.problem._protocol import groups_table, protocol_table
 from asia.problem._toml import toml_text
 from asia.problem.new.directory import check_directory, write_directory
+from asia.problem.new.text import record_csv
 from asia.problem.physics.types import Physics
 from asia.problem.symmetry import Symmetry
 from asia.protocol._rules import ProtocolRule
@@ -77,21 +76,13 @@ def save_problem(given: ArrayProblem, directory: Path) -> Problem:
 
 def _files(given: ArrayProblem) -> list[tuple[str, str]]:
     records = (*given.train, *given.test)
-    files = [(f"{t.name}.csv", _csv(t, given)) for t in records]
+    names = [signal.name for signal in (*given.inputs, *given.outputs)]
+    files = [(f"{t.name}.csv", record_csv(t, names)) for t in records]
     if given.description:
         files.append(("description.md", given.description))
     if given.baseline is not None:
         files.append(("baseline.py", given.baseline))
     return [*files, ("problem.toml", toml_text(_tables(given)))]
-
-
-def _csv(record: Trajectory, given: ArrayProblem) -> str:
-    header = io.StringIO()
-    names = [signal.name for signal in (*given.inputs, *given.outputs)]
-    csv.writer(header, lineterminator="\n").writerow(names)
-    rows = zip(record.u.tolist(), record.y.tolist(), strict=True)
-    # repr gives the shortest text that reads back as the same number.
-    return header.getvalue() + "".join(",".join(map(repr, [*u, *y])) + "\n" for u, y in rows)
 
 
 def _tables(given: ArrayProblem) -> Table:

@@ -1,18 +1,20 @@
-"""A new problem directory from CSV files."""
+"""A new problem directory from files of records."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import ceil
 from pathlib import Path
 
 from asia.data._magnitudes import check_magnitudes, check_ranges
 from asia.data._store import PlainFile, key_folder
 from asia.data._trajectory import Trajectory
-from asia.data.sources.csv import read_csv, split_csv
+from asia.data.intake.sheet import Wanted
+from asia.data.sources.csv import split_csv
 from asia.errors import UserError
-from asia.problem._load import require_length
+from asia.problem._load import LEAST_BEYOND_PAST, require_length
 from asia.problem._toml import toml_value
 from asia.problem.new.directory import check_directory, write_directory
 from asia.problem.new.sealing import (
@@ -23,6 +25,9 @@ from asia.problem.new.sealing import (
     remove_plain,
     seal_files,
 )
+from asia.problem.new.taking import Taken, origins, take
+from asia.problem.new.text import record_csv
+from asia.protocol._cuts import block_count, least_case
 from asia.protocol._rules import ProtocolRule
 
 _DESCRIPTION = """\
@@ -71,6 +76,8 @@ class NewProblem:
     key: Path | None = None
     removed: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+    read: tuple[str, ...] = ()
+    """What was found in the files and done to them."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +89,8 @@ class _Plan:
     files: tuple[tuple[str, str], ...] = ()
     sealing: Sealing | None = None
     notes: tuple[str, ...] = ()
+    comments: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 def init_problem(
@@ -91,31 +100,45 @@ def init_problem(
     test: Sequence[Path],
     inputs: Sequence[str],
     outputs: Sequence[str],
-    sampling_time: float,
+    sampling_time: float | None = None,
     seal_fraction: float | None = None,
     seal: bool = False,
     keys: Path | None = None,
+    wanted: Wanted | None = None,
 ) -> NewProblem:
     """Writes problem.toml, with comments, and description.md.
 
-    sampling_time in seconds. seal: the test files are moved into an encrypted store in the
-    directory, its key into the folder `keys` (None: the person's own); they are removed last, once
-    the store was read back. Without test files and with a seal_fraction (0 to 0.5) that share at
-    the end of each record is sealed, and the rest written as CSV files into the directory.
-    Everything is checked first, nothing is overwritten, and a failure leaves nothing behind. Raises
-    UserError.
+    sampling_time in seconds; None: from the time stamps. wanted: how else the files are read, its
+    inputs and outputs apart. Files that need no change stay where they are; of others clean copies
+    are written into the directory as CSV, and problem.toml says what was done. seal: the test
+    files are moved into an encrypted store in the directory, its key into the folder `keys` (None:
+    the person's own); they are removed last, once the store was read back. Without test files and
+    with a seal_fraction (0 to 0.5) that share at the end of each record is sealed, and the rest
+    written as CSV files into the directory. Everything is checked first, nothing is overwritten,
+    and a failure leaves nothing behind. Raises UserError.
     """
     directory = directory.resolve()
     check_directory(directory)
+    if seal_fraction is not None and not 0 < seal_fraction <= 0.5:
+        raise UserError(
+            f"the share to seal is {seal_fraction:g}, expected more than 0 and at most 0.5"
+        )
+    if sampling_time is not None and not sampling_time > 0:
+        raise UserError(f"sampling_time is {sampling_time}, expected a number above 0")
     rule = ProtocolRule()
-    columns = Columns(tuple(inputs), tuple(outputs), sampling_time)
-    records = _read(train, columns)
+    wanted = replace(wanted or Wanted((), ()), inputs=tuple(inputs), outputs=tuple(outputs))
+    taken = take(train, test, wanted, sampling_time, _least(rule, seal_fraction, test))
+    columns = Columns(tuple(inputs), tuple(outputs), taken.sampling_time)
+    records = taken.train
     if test or seal_fraction is None:
-        plan = _plan(train, test, columns, directory, seal=seal and bool(test))
+        moved = seal and bool(test)
+        make = _plan if taken.plain else _copied
+        plan = make(train, test, columns, directory, taken, seal=moved)
     else:
-        plan = _split(train, columns, seal_fraction)
-        records = [r[: len(r) - round(seal_fraction * len(r))] for r in records]
-    tests = plan.sealing.records if plan.sealing else _read(test, columns)
+        split = _split if taken.plain else _split_copies
+        plan = split(train, columns, seal_fraction, taken)
+        records = tuple(r[: len(r) - round(seal_fraction * len(r))] for r in records)
+    tests = plan.sealing.records if plan.sealing else taken.test
     _check_test(tests, rule)
     check_magnitudes(records, inputs, outputs, "training")
     check_ranges(records, inputs, outputs)
@@ -126,24 +149,51 @@ def init_problem(
         ("description.md", _DESCRIPTION.format(name=directory.name)),
         ("problem.toml", _text(directory.name, columns, rule, plan)),
     )
+    return _write(directory, files, plan, records, keys, _read_lines(taken))
+
+
+def _write(
+    directory: Path,
+    files: Sequence[tuple[str, str]],
+    plan: _Plan,
+    records: Sequence[Trajectory],
+    keys: Path | None,
+    read: tuple[str, ...],
+) -> NewProblem:
     sealing = plan.sealing
     if sealing is None:
         write_directory(directory, files)
-        return NewProblem(directory / "problem.toml")
+        return NewProblem(directory / "problem.toml", notes=plan.notes, read=read)
     folder = key_folder(keys)
     check_key_folder(folder, directory)
     key = write_directory(directory, files, lambda draft: sealing.write(draft, records, folder))
     gone = remove_plain(sealing, directory / STORE, folder)
     notes = (*plan.notes, *gone.notes)
-    return NewProblem(directory / "problem.toml", directory / STORE, key, gone.removed, notes)
+    return NewProblem(directory / "problem.toml", directory / STORE, key, gone.removed, notes, read)
+
+
+def _least(
+    rule: ProtocolRule, seal_fraction: float | None, test: Sequence[Path]
+) -> tuple[int, int]:
+    """Samples that a piece of a training record, and of a test record, must have."""
+    count = block_count(rule)
+    train = rule.past + count * (rule.past + max(least_case(rule), LEAST_BEYOND_PAST))
+    if seal_fraction is not None and not test:
+        train = ceil(train / (1.0 - seal_fraction)) + 1
+    return train, rule.past + 1
+
+
+def _read_lines(taken: Taken) -> tuple[str, ...]:
+    many = f"{len(taken.train)} training and {len(taken.test)} test records"
+    return (f"{many}, sampled every {taken.sampling_time:g} s", *taken.notes)
 
 
 def _text(name: str, columns: Columns, rule: ProtocolRule, plan: _Plan) -> str:
     return _TOML.format(
         name=toml_value(name),
         sampling_time=toml_value(float(columns.sampling_time)),
-        inputs=toml_value([{"name": name, "unit": ""} for name in columns.inputs]),
-        outputs=toml_value([{"name": name, "unit": ""} for name in columns.outputs]),
+        inputs=_signals(columns.inputs, plan),
+        outputs=_signals(columns.outputs, plan),
         data=_data_lines(plan),
         folds=rule.folds.count,
         past_inputs=rule.past_inputs,
@@ -151,9 +201,8 @@ def _text(name: str, columns: Columns, rule: ProtocolRule, plan: _Plan) -> str:
     )
 
 
-def _read(paths: Sequence[Path], columns: Columns) -> list[Trajectory]:
-    wanted = columns.inputs, columns.outputs, columns.sampling_time
-    return [read_csv(path, *wanted).trajectory for path in paths]
+def _signals(names: Sequence[str], plan: _Plan) -> str:
+    return toml_value([{"name": name, "unit": plan.units.get(name, "")} for name in names])
 
 
 def _check_test(records: Sequence[Trajectory], rule: ProtocolRule) -> None:
@@ -166,19 +215,82 @@ def _check_test(records: Sequence[Trajectory], rule: ProtocolRule) -> None:
 
 
 def _plan(
-    train: Sequence[Path], test: Sequence[Path], columns: Columns, directory: Path, *, seal: bool
+    train: Sequence[Path],
+    test: Sequence[Path],
+    columns: Columns,
+    directory: Path,
+    taken: Taken,
+    *,
+    seal: bool,
 ) -> _Plan:
     """All records where they are, but for a test that is to be sealed."""
+    del taken
     kept = tuple(_written(path, directory) for path in train)
     if seal:
         return _Plan(kept, sealing=seal_files(test, train, columns))
     return _Plan(kept, tuple(_written(path, directory) for path in test))
 
 
-def _split(train: Sequence[Path], columns: Columns, share: float) -> _Plan:
+def _copied(
+    train: Sequence[Path],
+    test: Sequence[Path],
+    columns: Columns,
+    directory: Path,
+    taken: Taken,
+    *,
+    seal: bool,
+) -> _Plan:
+    """Clean copies of all records, those of the test in the store where it is to be sealed."""
+    del directory
+    names = (*columns.inputs, *columns.outputs)
+    files = tuple((f"{t.name}.csv", record_csv(t, names)) for t in taken.train)
+    tests = tuple((f"{t.name}.csv", record_csv(t, names)) for t in taken.test)
+    plan = _Plan(tuple(name for name, _ in files), comments=_comments(taken, (*train, *test)))
+    plan = replace(plan, units=taken.units)
+    if not seal:
+        tested = tuple(name for name, _ in tests)
+        return replace(plan, test=tested, files=(*files, *tests))
+    contents = tuple(PlainFile(name, text.encode()) for name, text in tests)
+    return replace(
+        plan, files=files, sealing=Sealing(columns, contents), notes=(_still_held(test),)
+    )
+
+
+def _split_copies(train: Sequence[Path], columns: Columns, share: float, taken: Taken) -> _Plan:
+    """Clean copies, the last `share` of each record to seal."""
+    names = (*columns.inputs, *columns.outputs)
+    files: list[tuple[str, str]] = []
+    sealed: list[PlainFile] = []
+    for t in taken.train:
+        keep = len(t) - round(share * len(t))
+        files.append((f"{t.name}_train.csv", record_csv(t[:keep], names)))
+        text = record_csv(t[keep:], names)
+        sealed.append(PlainFile(f"{t.name}_sealed.csv", text.encode()))
+    return _Plan(
+        tuple(name for name, _ in files),
+        files=tuple(files),
+        sealing=Sealing(columns, tuple(sealed)),
+        notes=(_still_held(train),),
+        comments=_comments(taken, train),
+        units=taken.units,
+    )
+
+
+def _comments(taken: Taken, paths: Sequence[Path]) -> tuple[str, ...]:
+    made = [f"made by asia init from {line}" for line in origins(paths)]
+    return (*made, *taken.notes)
+
+
+def _still_held(paths: Sequence[Path]) -> str:
+    return (
+        f"the rows were copied out of {', '.join(map(str, paths))}, which still hold them: keep "
+        "these files out of reach of whoever builds the models"
+    )
+
+
+def _split(train: Sequence[Path], columns: Columns, share: float, taken: Taken) -> _Plan:
     """The last `share` of each record to seal, the rest to write."""
-    if not 0 < share <= 0.5:
-        raise UserError(f"the share to seal is {share:g}, expected more than 0 and at most 0.5")
+    del taken
     stems = [path.stem for path in train]
     if len(set(stems)) < len(stems):
         raise UserError("two training files have the same name: rename one to split them")
@@ -188,11 +300,7 @@ def _split(train: Sequence[Path], columns: Columns, share: float) -> _Plan:
         PlainFile(f"{s}_sealed.csv", t[1].encode()) for s, t in zip(stems, texts, strict=True)
     )
     files = tuple((name, text[0]) for name, text in zip(kept, texts, strict=True))
-    note = (
-        f"the rows were copied out of {', '.join(map(str, train))}, which still hold them: keep "
-        "these files out of reach of whoever builds the models"
-    )
-    return _Plan(kept, (), files, Sealing(columns, tuple(sealed)), (note,))
+    return _Plan(kept, (), files, Sealing(columns, tuple(sealed)), (_still_held(train),))
 
 
 def _written(path: Path, directory: Path) -> str:
@@ -204,9 +312,14 @@ def _written(path: Path, directory: Path) -> str:
 
 
 def _data_lines(plan: _Plan) -> str:
-    lines = f"train = {toml_value(plan.train)}\n"
+    done = "".join(f"# {_one_line(text)}\n" for text in plan.comments)
+    lines = f"{done}train = {toml_value(plan.train)}\n"
     if plan.sealing is not None:
         return lines + plan.sealing.toml()
     if plan.test:
         return lines + f"test = {toml_value(plan.test)}\n"
     return lines + '# test = ["run2.csv"]             # opened once, at the end\n'
+
+
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in text)

@@ -1,0 +1,29 @@
+"""Which format reads which file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from asia.data.intake.formats.text import Text
+from asia.data.intake.sheet import FileFormat, Sheet, Wanted
+from asia.errors import UserError
+
+FORMATS: tuple[type[FileFormat], ...] = (Text,)
+
+
+def file_format(path: Path) -> FileFormat:
+    """The format of a file, by the end of its name. Raises UserError."""
+    if not path.exists():
+        raise UserError(f"no such file: {path}")
+    suffix = "/" if path.is_dir() else path.suffix.lower()
+    found = next((f for f in FORMATS if suffix in f.suffixes), None)
+    if found is None:
+        known = ", ".join(s for f in FORMATS for s in f.suffixes if s != "/")
+        what = "a folder" if suffix == "/" else f"a file of the kind '{suffix}'"
+        raise UserError(f"{path} is {what}, which ASIA does not read: expected one of {known}")
+    return found()
+
+
+def read_sheets(path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
+    """What the file holds. Raises UserError."""
+    return file_format(path).read(path, wanted)

@@ -1,0 +1,214 @@
+"""CSV and other tables of text."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from asia._files import read_file
+from asia.data.intake.numbers import number
+from asia.data.intake.sheet import Column, FileFormat, Sheet, Wanted, as_objects, split_unit
+from asia.errors import UserError
+
+_SAMPLE = 400
+_COMMENTS = ("#", "%", "//", "!")
+_STAMP = re.compile(r"^[\dT:.,+\-/ Zampm]*\d[:/\-.]\d[\dT:.,+\-/ Zampm]*$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the rows of a text are cut. heads: rows of names and units; above: cells of the line over
+    the data, where it is no such row."""
+
+    delimiter: str | None
+    cells: int
+    first: int
+    heads: tuple[tuple[str, ...], ...]
+    above: int = 0
+
+
+class Text(FileFormat):
+    """Tables of text: CSV with any usual separator, number and encoding."""
+
+    name = "CSV"
+    suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat", ".asc")
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
+        """As `FileFormat.read`."""
+        lines = decode(path).split("\n")
+        layout = _layout(path, lines, wanted)
+        names, units = _names(path, layout, wanted)
+        rows = _rows(path, lines, layout)
+        columns = {
+            name: Column(as_objects(cells), units[k])
+            for k, (name, cells) in enumerate(zip(names, zip(*rows, strict=True), strict=True))
+            if name
+        }
+        return (Sheet(path.stem, columns, None, str(path), layout.first + 1),)
+
+
+def decode(path: Path) -> str:
+    """The file as text. Raises UserError."""
+    raw = read_file(path, "name a CSV file")
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        text = raw.decode("utf-16", errors="replace")
+    elif b"\0" in raw[:4000] and raw[1:4000:2].count(0) > len(raw[1:4000:2]) * 0.9:
+        text = raw.decode("utf-16-le", errors="replace")
+    else:
+        try:
+            text = raw.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = raw.decode("cp1252", errors="replace")
+    if "\0" in text:
+        raise UserError(f"{path} is not a text file: expected CSV, or name it after its format")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if text.startswith("version https://git-lfs.github.com"):
+        raise UserError(f"{path} is a pointer of git-lfs, not the data: run git lfs pull there")
+    return text
+
+
+def _cut(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return line.split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return [cell.strip() for cell in row]
+
+
+def _is_value(cell: str, delimiter: str | None) -> bool:
+    if delimiter == "," and "," in cell and " " in cell:
+        return False
+    return number(cell) is not None or bool(_STAMP.match(cell))
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(_COMMENTS)
+
+
+def _layout(path: Path, lines: Sequence[str], wanted: Wanted) -> _Layout:
+    filled = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
+    if not filled:
+        raise UserError(f"{path} is empty: expected a header row with column names, then numbers")
+    ranked: list[tuple[tuple[float, float, int], _Layout]] = []
+    for delimiter in (",", ";", "\t", "|", None):
+        found = _with_delimiter(lines, filled, delimiter)
+        if found is None:
+            continue
+        share, layout = found
+        names = {split_unit(c)[0] for row in layout.heads for c in row} if layout.heads else set()
+        rank = (
+            sum(name in names for name in wanted.names) + (layout.cells == len(wanted.columns)),
+            share,
+            layout.cells,
+        )
+        ranked.append((rank, layout))
+    if not ranked:
+        raise UserError(
+            f"{path} has a header row and no data below it: expected rows of numbers there"
+        )
+    # The first of equals: max keeps it.
+    return max(ranked, key=lambda found: found[0])[1]
+
+
+def _with_delimiter(
+    lines: Sequence[str], filled: Sequence[int], delimiter: str | None
+) -> tuple[float, _Layout] | None:
+    """The layout with this delimiter, and the share of its cells that are values."""
+    sample = [(k, _cut(lines[k], delimiter)) for k in filled[:_SAMPLE]]
+    data = [(k, row) for k, row in sample if _is_data(row, delimiter)]
+    if not data:
+        return None
+    widths = Counter(len(row) for _, row in data)
+    cells = max(widths, key=lambda w: (widths[w], w))
+    first = next(k for k, row in data if len(row) == cells)
+    total = sum(len(row) for k, row in sample if k >= first)
+    values = sum(_is_value(c, delimiter) for k, row in sample if k >= first for c in row)
+    heads = _heads(lines, first, cells, delimiter)
+    above = [line for line in lines[:first] if line.strip()][-1:]
+    wide = len(_cut(above[0], delimiter)) if above and not heads else 0
+    return values / max(total, 1), _Layout(delimiter, cells, first, heads, wide)
+
+
+def _is_data(row: Sequence[str], delimiter: str | None) -> bool:
+    values = [bool(cell) and _is_value(cell, delimiter) for cell in row]
+    return sum(values) > 0 and sum(values) * 2 >= sum(bool(cell) for cell in row)
+
+
+def _heads(
+    lines: Sequence[str], first: int, cells: int, delimiter: str | None
+) -> tuple[tuple[str, ...], ...]:
+    """Rows of names and units above the data, the lowest last."""
+    found: list[tuple[str, ...]] = []
+    for line in reversed(lines[:first]):
+        if not line.strip():
+            continue
+        bare = line.lstrip().lstrip("#%/!").strip() if _is_comment(line) else line
+        row = _cut(bare, delimiter)
+        while len(row) > cells and not row[-1]:
+            row.pop()
+        if len(row) not in (cells, cells - 1) or _is_data(row, delimiter):
+            if found:
+                break
+            continue
+        found.insert(0, (*row, *[""] * (cells - len(row))))
+        if len(found) == 2:
+            break
+    return tuple(found)
+
+
+def _names(path: Path, layout: _Layout, wanted: Wanted) -> tuple[list[str], list[str]]:
+    heads = layout.heads
+    if wanted.columns:
+        if len(wanted.columns) != layout.cells:
+            raise UserError(
+                f"{path} has {layout.cells} columns, but --columns names {len(wanted.columns)}: "
+                "name every column, in the order of the file"
+            )
+        return list(wanted.columns), [""] * layout.cells
+    if not heads and layout.above:
+        raise UserError(
+            f"{path}: the header has {layout.above} cells, the rows below it {layout.cells} cells "
+            "each: write decimal points, not commas, in a comma-separated file"
+        )
+    if not heads:
+        raise UserError(
+            f"{path}: the first row holds numbers: add a header row with the column names, or "
+            "give --columns"
+        )
+    wished = set(wanted.names)
+    hits = [sum(split_unit(c)[0] in wished or c in wished for c in row) for row in heads]
+    top = 0 if len(heads) == 1 or hits[0] >= hits[1] else 1
+    labels = list(heads[top])
+    under = heads[1] if len(heads) == 2 and top == 0 else ("",) * layout.cells
+    units = [u.strip("[]() ") or split_unit(n)[1] for n, u in zip(labels, under, strict=True)]
+    for name, count in Counter(label for label in labels if label).items():
+        if count > 1 and name in wished:
+            raise UserError(f"{path}: {count} columns are named '{name}', rename all but one")
+    return labels, units
+
+
+def _rows(path: Path, lines: Sequence[str], layout: _Layout) -> list[list[str]]:
+    rows: list[list[str]] = []
+    for k in range(layout.first, len(lines)):
+        line = lines[k]
+        if not line.strip() or _is_comment(line):
+            continue
+        row = _cut(line, layout.delimiter)
+        while len(row) > layout.cells and not row[-1]:
+            row.pop()
+        if len(row) == layout.cells:
+            if any(row):
+                rows.append(row)
+        elif any(_is_value(cell, layout.delimiter) for cell in row if cell):
+            raise UserError(
+                f"{path}, line {k + 1}: {len(row)} cells where the rows above have "
+                f"{layout.cells}; write decimal points, not commas, in a comma-separated file and "
+                "give every row every cell"
+            )
+    return rows

@@ -1,0 +1,114 @@
+"""Samples on one grid of time: sampling time, jitter and gaps."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from math import floor, log10
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data._trajectory import Array
+from asia.errors import UserError
+
+Rows = NDArray[np.int64]
+"""Numbers of rows, or of places on a grid."""
+
+JITTER = 0.01
+"""Share of the sampling time by which stamps may lie off the grid and still count as on it."""
+_RESOLUTIONS = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What the stamps of a record tell. step: sampling time, s; jitter: distance from the grid that
+    99 % of the stamps keep, as a share of it; coarse: whether the stamps are rounded and lie where
+    they would on the grid."""
+
+    step: float
+    jitter: float
+    coarse: bool = False
+
+    @property
+    def regular(self) -> bool:
+        """Whether the samples count as taken on the grid."""
+        return self.jitter < JITTER or self.coarse
+
+
+def runs(stamps: Array, where: str, first_line: int) -> list[slice]:
+    """Stretches in which time goes on. Raises UserError for stamps that repeat."""
+    back = np.flatnonzero(np.diff(stamps) < 0) + 1
+    edges = [0, *back.tolist(), len(stamps)]
+    found = [slice(a, b) for a, b in itertools.pairwise(edges)]
+    same = np.flatnonzero(np.diff(stamps) == 0)
+    if same.size:
+        raise UserError(
+            f"{where}, line {first_line + int(same[0]) + 1}: the time stamp repeats the one before "
+            f"({same.size} such rows): write stamps with more digits, or give --time none and "
+            "--sampling-time"
+        )
+    return found
+
+
+def clock(stamps: Array) -> Clock | None:
+    """Of stamps that increase, gaps among them; None for fewer than three."""
+    if len(stamps) < 3:
+        return None
+    typical = float(np.median(np.diff(stamps)))
+    count = _count(stamps, typical)
+    step, offset = typical, 0.0
+    for _ in range(3):
+        step, offset = (float(v) for v in np.polyfit(count, stamps, 1))
+        count = _count(stamps, step)
+    off = np.abs(stamps - (offset + step * count))
+    resolution = next(
+        (r for r in _RESOLUTIONS if np.abs(stamps / r - np.round(stamps / r)).max() < 1e-3), 0.0
+    )
+    # So much the slope of a line may be off, through stamps that are off by so much at worst.
+    doubt = 2.0 * float(np.quantile(off, 0.99)) / float(stamps[-1] - stamps[0])
+    step = _round(step, max(min(doubt * step, JITTER * step), 1e-9 * step))
+    jitter = float(np.quantile(off, 0.99)) / step
+    coarse = resolution > 0 and resolution < 0.5 * step and float(off.max()) <= 0.75 * resolution
+    return Clock(step, jitter, coarse)
+
+
+def _count(stamps: Array, step: float) -> Array:
+    """Number of grid steps from the first stamp to each."""
+    return np.concatenate([[0.0], np.cumsum(np.maximum(np.round(np.diff(stamps) / step), 1.0))])
+
+
+def _round(step: float, tolerance: float) -> float:
+    """The roundest number, or rate, within the tolerance."""
+    for digits in range(1, 8):
+        for value in (_digits(step, digits), 1.0 / _digits(1.0 / step, digits)):
+            if abs(value - step) <= tolerance:
+                return value
+    return step
+
+
+def _digits(value: float, count: int) -> float:
+    return round(value, count - 1 - floor(log10(abs(value))))
+
+
+def places(stamps: Array, step: float) -> Rows:
+    """The grid index of each stamp, from 0, for stamps near the grid."""
+    return _count(stamps, step).astype(np.int64)
+
+
+def pieces(index: Rows) -> list[slice]:
+    """Stretches of samples that follow one another on the grid."""
+    breaks = np.flatnonzero(np.diff(index) != 1) + 1
+    edges = [0, *breaks.tolist(), len(index)]
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]
+
+
+def held(stamps: Array, values: Array, at: Array) -> Array:
+    """The last value at or before each time, as a zero-order hold gives it: (T, n) to (K, n)."""
+    last = np.searchsorted(stamps, at + 1e-9, side="right") - 1
+    return values[np.maximum(last, 0)]
+
+
+def between(stamps: Array, values: Array, at: Array) -> Array:
+    """Straight lines between neighbours; NaN where a neighbour is missing: (T, n) to (K, n)."""
+    return np.stack([np.interp(at, stamps, column) for column in values.T], axis=1)

@@ -1,0 +1,126 @@
+"""The wanted channels of a sheet as numbers, one part an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asia.data._trajectory import Array
+from asia.data.intake.grid import JITTER, Rows, held
+from asia.data.intake.numbers import to_numbers
+from asia.data.intake.sheet import Sheet, Wanted, find_column, require_column
+from asia.data.intake.stamps import seconds, time_column
+
+
+@dataclass(frozen=True)
+class SheetPart:
+    """u (T, nu) and y (T, ny), NaN where a value is missing; stamps (T,) in s, None without."""
+
+    name: str
+    u: Array
+    y: Array
+    stamps: Array | None
+    sampling_time: float | None
+    where: str
+    first_line: int
+
+
+def parts(sheet: Sheet, wanted: Wanted) -> list[SheetPart]:
+    """Raises UserError where a column is missing or holds no numbers."""
+    for name in wanted.names:
+        require_column(sheet, name)
+    own = [require_column(sheet, n).seconds for n in (*wanted.inputs, *wanted.outputs)]
+    whole = _one_clock(sheet, wanted) if all(s is None for s in own) else _merged(sheet, wanted)
+    if wanted.experiment is None:
+        return [whole]
+    labels = [_label(c) for c in require_column(sheet, wanted.experiment).cells]
+    return [
+        replace(
+            whole,
+            name=label if label.isprintable() and "/" not in label else label.replace("/", "_"),
+            u=whole.u[rows],
+            y=whole.y[rows],
+            stamps=None if whole.stamps is None else whole.stamps[rows],
+            where=f"{whole.where}, experiment {label}",
+        )
+        for label, rows in _experiments(labels)
+    ]
+
+
+def units(sheet: Sheet, names: Sequence[str]) -> dict[str, str]:
+    """Units that the file gives."""
+    found = {n: find_column(list(sheet.columns), n) for n in names}
+    return {n: sheet.columns[c].unit for n, c in found.items() if c and sheet.columns[c].unit}
+
+
+def _numbers(sheet: Sheet, names: Sequence[str]) -> list[Array]:
+    return [
+        to_numbers(require_column(sheet, n).cells, f"{sheet.where}, column '{n}'", sheet.first_line)
+        for n in names
+    ]
+
+
+def _one_clock(sheet: Sheet, wanted: Wanted) -> SheetPart:
+    u = np.stack(_numbers(sheet, wanted.inputs), axis=1)
+    y = np.stack(_numbers(sheet, wanted.outputs), axis=1)
+    time = time_column(sheet, wanted)
+    stamps = None if time is None else seconds(sheet, time, wanted)
+    part = SheetPart(sheet.name, u, y, stamps, sheet.sampling_time, sheet.where, sheet.first_line)
+    if stamps is None or np.isfinite(stamps).all():
+        return part
+    rows = np.isfinite(stamps)
+    return replace(part, u=u[rows], y=y[rows], stamps=stamps[rows])
+
+
+def _merged(sheet: Sheet, wanted: Wanted) -> SheetPart:
+    """Channels with times of their own on those of the fastest: inputs held, outputs where they
+    were measured."""
+    names = (*wanted.inputs, *wanted.outputs)
+    values = dict(zip(names, _numbers(sheet, names), strict=True))
+    times = {n: require_column(sheet, n).seconds for n in names}
+    axes = {n: t for n, t in times.items() if t is not None and len(t)}
+    base = min(axes.values(), key=lambda t: float(np.median(np.diff(t))) if len(t) > 1 else np.inf)
+    first = max(float(t[0]) for n, t in axes.items() if n in wanted.inputs)
+    last = min(float(t[-1]) for t in axes.values())
+    base = base[(base >= first - 1e-9) & (base <= max(last, first) + 1e-9)]
+    step = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
+    u = [held(axes[n], values[n][:, None], base)[:, 0] for n in wanted.inputs]
+    y = [_placed(axes[n], values[n], base, step) for n in wanted.outputs]
+    stamps = np.round(base - base[0], 9) if len(base) else base
+    return SheetPart(
+        sheet.name,
+        np.stack(u, axis=1),
+        np.stack(y, axis=1),
+        stamps,
+        sheet.sampling_time,
+        sheet.where,
+        1,
+    )
+
+
+def _placed(stamps: Array, values: Array, at: Array, step: float) -> Array:
+    """The values at the times where they were measured, NaN elsewhere."""
+    if not len(at):
+        return np.zeros(0)
+    near = np.clip(np.searchsorted(stamps, at), 1, max(len(stamps) - 1, 1))
+    near -= (at - stamps[near - 1]) < (stamps[np.minimum(near, len(stamps) - 1)] - at)
+    near = np.clip(near, 0, len(stamps) - 1)
+    return np.where(np.abs(stamps[near] - at) <= JITTER * step, values[near], np.nan)
+
+
+def _label(cell: object) -> str:
+    if isinstance(cell, float | np.floating) and float(cell).is_integer():
+        return str(int(cell))
+    return "" if cell is None else str(cell).strip()
+
+
+def _experiments(labels: Sequence[str]) -> list[tuple[str, Rows]]:
+    """Labels in the order in which they come up, and their rows. Rows without one are left out."""
+    values = np.array(labels, dtype=object)
+    return [
+        (name, np.flatnonzero(values == name).astype(np.int64))
+        for name in dict.fromkeys(labels)
+        if name
+    ]

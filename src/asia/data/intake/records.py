@@ -1,0 +1,231 @@
+"""Records from files of a laboratory, and what was done to make them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from asia.data._trajectory import Array, Trajectory
+from asia.data.intake.formats.table import read_sheets
+from asia.data.intake.grid import (
+    Clock,
+    between,
+    clock,
+    held,
+    pieces,
+    places,
+    runs,
+)
+from asia.data.intake.part import SheetPart, parts, units
+from asia.data.intake.sheet import Wanted
+from asia.data.sources.source import unique_names
+from asia.errors import UserError
+
+Use = Literal["train", "test"]
+_SAME = 1e-3
+_GAP = 2.5
+
+
+@dataclass(frozen=True)
+class Intake:
+    """The records; units that the files give by channel; notes: what was found and done, in
+    plain words."""
+
+    records: tuple[Trajectory, ...]
+    units: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Timed:
+    """A stretch in which time goes on. clock: None where the file has no usable stamps."""
+
+    part: SheetPart
+    clock: Clock | None
+
+
+def take_in(
+    paths: Sequence[Path],
+    wanted: Wanted,
+    use: Use,
+    sampling_time: float | None = None,
+    least: int = 1,
+) -> Intake:
+    """Records of `paths` with one sampling time: `sampling_time` (s), or the slowest that the files
+    tell. least: pieces of fewer samples are left out. Outputs of a test are never interpolated.
+    Raises UserError."""
+    timed: list[_Timed] = []
+    found_units: dict[str, str] = {}
+    for path in paths:
+        for sheet in read_sheets(path, wanted):
+            found_units = units(sheet, (*wanted.inputs, *wanted.outputs)) | found_units
+            for part in parts(sheet, wanted):
+                timed += _stretches(part)
+    step = _slowest(timed, paths) if sampling_time is None else sampling_time
+    notes: list[str] = []
+    made: list[Trajectory] = []
+    for one in timed:
+        made += _pieces(one, step, use, least, notes)
+    if not made:
+        raise UserError(
+            f"no piece of {', '.join(map(str, paths))} has {least} samples in a row: "
+            + ("; ".join(notes) or "bring longer records")
+        )
+    names = unique_names([t.name for t in made])
+    records = tuple(
+        Trajectory(t.u, t.y, t.sampling_time, n) for t, n in zip(made, names, strict=True)
+    )
+    return Intake(records, found_units, tuple(notes))
+
+
+def _stretches(part: SheetPart) -> list[_Timed]:
+    if part.stamps is None:
+        return [_Timed(part, None)]
+    found = runs(part.stamps, part.where, part.first_line)
+    return [_Timed(cut, clock(_stamps(cut))) for cut in (_cut(part, rows) for rows in found)]
+
+
+def _cut(part: SheetPart, rows: slice) -> SheetPart:
+    stamps = None if part.stamps is None else part.stamps[rows]
+    line = part.first_line + rows.start
+    return SheetPart(
+        part.name, part.u[rows], part.y[rows], stamps, part.sampling_time, part.where, line
+    )
+
+
+def _stamps(part: SheetPart) -> Array:
+    return np.zeros(0) if part.stamps is None else part.stamps
+
+
+def _own_step(one: _Timed) -> float | None:
+    return one.part.sampling_time if one.clock is None else one.clock.step
+
+
+def _slowest(timed: Sequence[_Timed], paths: Sequence[Path]) -> float:
+    known = [step for step in map(_own_step, timed) if step is not None]
+    if not known:
+        raise UserError(
+            f"{', '.join(map(str, paths))}: no column with time stamps was found: give "
+            "--sampling-time in seconds, or name the column with --time"
+        )
+    slowest = max(known)
+    # Clocks of several records differ by what a quartz drifts: they are one sampling time.
+    alike = [s for s in known if abs(s - slowest) <= _SAME * slowest]
+    return min(alike, key=lambda s: (len(f"{s:.12g}"), s))
+
+
+def _pieces(one: _Timed, step: float, use: Use, least: int, notes: list[str]) -> list[Trajectory]:
+    on_grid = _on_grid(one, step, use, notes)
+    cuts = [whole for whole in on_grid for whole in _without_missing(whole, notes)]
+    long = [cut for cut in cuts if len(cut.u) >= least]
+    if len(long) < len(cuts):
+        lost = sum(len(cut.u) for cut in cuts if len(cut.u) < least)
+        notes.append(
+            f"{one.part.where}: {_many(len(cuts) - len(long), 'piece')} shorter than {least} "
+            f"samples left out ({lost} samples)"
+        )
+    if len(long) > 1:
+        notes.append(f"{one.part.where}: cut into {len(long)} records")
+    name = one.part.name
+    return [
+        Trajectory(cut.u, cut.y, step, name if len(long) == 1 else f"{name}_{k}")
+        for k, cut in enumerate(long, 1)
+    ]
+
+
+def _on_grid(one: _Timed, step: float, use: Use, notes: list[str]) -> list[SheetPart]:
+    """The stretch with the sampling time `step`, cut at its gaps."""
+    part = one.part
+    own = _own_step(one) or step
+    if one.clock is not None and not one.clock.regular:
+        return _resampled(part, one.clock, step, use, notes)
+    if one.clock is None:
+        whole = [part]
+    else:
+        if one.clock.coarse:
+            notes.append(f"{part.where}: stamps rounded to coarse steps lie on a grid")
+        cuts = pieces(places(_stamps(part), own))
+        if len(cuts) > 1:
+            notes.append(f"{part.where}: {_many(len(cuts) - 1, 'gap')} in time")
+        whole = [_cut(part, rows) for rows in cuts]
+    if abs(own - step) <= _SAME * step:
+        return whole
+    return _other_rate(whole, own, step, use, notes)
+
+
+def _other_rate(
+    whole: Sequence[SheetPart], own: float, step: float, use: Use, notes: list[str]
+) -> list[SheetPart]:
+    ratio = step / own
+    where = whole[0].where
+    if abs(ratio - round(ratio)) < _SAME * ratio and ratio > 1:
+        count = round(ratio)
+        notes.append(
+            f"{where}: sampled every {own:g} s, every {count}th output is kept and the inputs are "
+            "averaged in between"
+        )
+        return [_decimated(part, count) for part in whole if len(part.u) >= count]
+    made: list[SheetPart] = []
+    for part in whole:
+        stamps = np.arange(len(part.u), dtype=np.float64) * own
+        timed = SheetPart(part.name, part.u, part.y, stamps, own, part.where, part.first_line)
+        made += _resampled(timed, Clock(own, 0.0), step, use, notes)
+    return made
+
+
+def _decimated(part: SheetPart, count: int) -> SheetPart:
+    rows = len(part.u) // count
+    u = part.u[: rows * count].reshape(rows, count, -1).mean(axis=1)
+    return SheetPart(
+        part.name, u, part.y[: rows * count : count], None, None, part.where, part.first_line
+    )
+
+
+def _resampled(
+    part: SheetPart, found: Clock, step: float, use: Use, notes: list[str]
+) -> list[SheetPart]:
+    jitter = f"stamps lie {found.jitter:.1%} of a sample off the grid"
+    reason = jitter if found.jitter > 0 else f"sampled every {found.step:g} s"
+    if use == "test":
+        raise UserError(
+            f"{part.where}: {reason}, and outputs of a test are never interpolated: bring a test "
+            f"record sampled every {step:g} s, or give --time none where the stamps are wrong"
+        )
+    notes.append(
+        f"{part.where}: {reason}; resampled to {step:g} s: inputs held, outputs on straight lines "
+        "between their neighbours"
+    )
+    stamps = _stamps(part)
+    breaks = (np.flatnonzero(np.diff(stamps) > _GAP * max(found.step, step)) + 1).tolist()
+    if breaks:
+        notes.append(f"{part.where}: {_many(len(breaks), 'gap')} in time")
+    made: list[SheetPart] = []
+    for a, b in zip([0, *breaks], [*breaks, len(stamps)], strict=True):
+        own = stamps[a:b]
+        at = own[0] + step * np.arange(int((own[-1] - own[0]) / step + 1e-9) + 1)
+        u, y = held(own, part.u[a:b], at), between(own, part.y[a:b], at)
+        made.append(SheetPart(part.name, u, y, None, None, part.where, part.first_line + a))
+    return made
+
+
+def _without_missing(part: SheetPart, notes: list[str]) -> list[SheetPart]:
+    """The stretches in which every value was measured."""
+    good = np.isfinite(part.u).all(axis=1) & np.isfinite(part.y).all(axis=1)
+    if good.all():
+        return [part]
+    notes.append(f"{part.where}: cut where values are missing ({int((~good).sum())} samples)")
+    rows = np.flatnonzero(good).astype(np.int64)
+    if not rows.size:
+        return []
+    return [
+        _cut(part, slice(int(rows[a]), int(rows[b - 1]) + 1))
+        for a, b in ((s.start, s.stop) for s in pieces(rows))
+    ]
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}" + ("s" if count != 1 else "")

@@ -1,0 +1,216 @@
+"""Columns of time as seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, date, datetime, time, timedelta
+
+import numpy as np
+
+from asia.data._trajectory import Array
+from asia.data.intake.numbers import to_numbers
+from asia.data.intake.sheet import Sheet, Wanted, find_column, require_column, split_unit
+from asia.errors import UserError
+
+TIME_UNITS = {
+    "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9,
+    "min": 60.0, "h": 3600.0, "d": 86400.0, "days": 86400.0,
+}  # fmt: skip
+_NAMES = (
+    "t", "time", "timestamp", "time stamp", "datetime", "date time", "date/time", "date", "zeit",
+    "zeitstempel", "datum", "temps", "elapsed", "elapsed time", "clock", "__index_level_0__",
+    "index",
+)  # fmt: skip
+_ENDINGS = {"_s": "s", "_sec": "s", "_ms": "ms", "_us": "us", "_ns": "ns"}
+_PATTERNS = (
+    "%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%Y/%m/%d %H:%M:%S.%f",
+    "%Y/%m/%d %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f", "%d-%b-%Y %H:%M:%S", "%d %b %Y %H:%M:%S.%f",
+    "%d %b %Y %H:%M:%S",
+)  # fmt: skip
+_SLASHED = tuple(
+    f"{day} %H:%M:%S{part}{half}"
+    for day in ("%m/%d/%Y", "%d/%m/%Y")
+    for part in (".%f", "")
+    for half in ("", " %p")
+)
+_DAY = 86400.0
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_EXCEL = (20_000, 80_000)
+_MATLAB = (700_000, 800_000)
+
+
+def time_column(sheet: Sheet, wanted: Wanted) -> str | None:
+    """Which column has the sample times; None without one. Raises UserError."""
+    if wanted.time == "none":
+        return None
+    if wanted.time is not None:
+        require_column(sheet, wanted.time)
+        return find_column(list(sheet.columns), wanted.time)
+    named = {split_unit(name)[0].casefold(): name for name in reversed(list(sheet.columns))}
+    taken = {find_column(list(sheet.columns), n) for n in wanted.names}
+    for candidate in [*_NAMES, *(f"{n}{e}" for n in ("t", "time", "timestamp") for e in _ENDINGS)]:
+        if candidate in named and named[candidate] not in taken:
+            return named[candidate]
+    return next((n for n, c in sheet.columns.items() if c.cells.dtype.kind == "M"), None)
+
+
+def seconds(sheet: Sheet, name: str, wanted: Wanted) -> Array:
+    """The sample times in s after the first, to the nanosecond; NaN where a stamp is missing.
+    Raises UserError."""
+    column = sheet.columns[name]
+    where = f"{sheet.where}, column '{name}'"
+    cells = column.cells
+    if cells.dtype.kind == "M":
+        stamps = cells.astype("datetime64[ns]")
+        first = stamps[~np.isnat(stamps)][:1]
+        if not first.size:
+            raise UserError(f"{where}: no time stamp at all")
+        found = (stamps - first[0]).astype(np.float64) * 1e-9
+        found[np.isnat(stamps)] = np.nan
+        return np.round(found, 9)
+    filled = [c for c in cells[:50] if c is not None and str(c).strip()]
+    if cells.dtype.kind not in "fiu" and filled and _is_dated(filled[0]):
+        found = _dated(sheet, name, where)
+    else:
+        numbers = to_numbers(cells, where, sheet.first_line)
+        found = numbers * _factor(numbers, name, column.unit, wanted)
+    known = np.flatnonzero(np.isfinite(found))
+    if not known.size:
+        raise UserError(f"{where}: no time stamp at all")
+    return np.round(found - found[known[0]], 9)
+
+
+def _factor(numbers: Array, name: str, unit: str, wanted: Wanted) -> float:
+    """s in one unit of the column."""
+    bare, bracketed = split_unit(name)
+    given = wanted.time_unit or unit or bracketed
+    if not given:
+        given = next((u for e, u in _ENDINGS.items() if bare.casefold().endswith(e)), "")
+    if wanted.time_unit and given not in TIME_UNITS:
+        raise UserError(f"--time-unit is {given}: expected one of {', '.join(TIME_UNITS)}")
+    if given.casefold() in TIME_UNITS:
+        return TIME_UNITS[given.casefold()]
+    known = numbers[np.isfinite(numbers)]
+    if not known.size:
+        return 1.0
+    low, high = float(known.min()), float(known.max())
+    for least, factor in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)):
+        if low > least:
+            return factor
+    dated = any(word in bare.casefold() for word in ("date", "stamp", "datum", "excel"))
+    if dated and any(a < low and high < b for a, b in (_EXCEL, _MATLAB)):
+        return _DAY
+    return 1.0
+
+
+def _is_dated(cell: object) -> bool:
+    if isinstance(cell, datetime | date | time | timedelta):
+        return True
+    text = str(cell).strip()
+    return ":" in text or (text.count("-") == 2 and text[0] != "-") or text.count("/") == 2
+
+
+def _dated(sheet: Sheet, name: str, where: str) -> Array:
+    """Stamps in s after the first. In between they are µs, which a double holds exactly."""
+    cells = sheet.columns[name].cells
+    days = _days(sheet, name)
+    pattern: list[str] = []
+    found = np.array(
+        [
+            np.nan
+            if cell is None or not str(cell).strip()
+            else _stamp(cell, pattern, f"{where}, line {sheet.first_line + k}")
+            for k, cell in enumerate(cells)
+        ]
+    )
+    if days is not None:
+        found = found + days
+    elif np.nanmax(found) < _DAY * 1e6:
+        # A clock without a date begins anew at midnight.
+        steps = np.diff(found, prepend=found[:1])
+        found = found + _DAY * 1e6 * np.cumsum(steps < -_DAY / 2 * 1e6)
+    return (found - found[np.isfinite(found)][0]) * 1e-6
+
+
+def _days(sheet: Sheet, name: str) -> Array | None:
+    """Days, in µs, of a date column beside a column with the time of the day; None without both."""
+    first = next((c for c in sheet.columns[name].cells if c is not None and str(c).strip()), "")
+    if isinstance(first, datetime) or any(mark in str(first) for mark in "-/T"):
+        return None
+    other = find_column(list(sheet.columns), "date") or find_column(list(sheet.columns), "Datum")
+    if other is None or other == name:
+        return None
+    pattern: list[str] = []
+    where = f"{sheet.where}, column '{other}'"
+    return np.array([_day(cell, pattern, where) for cell in sheet.columns[other].cells])
+
+
+def _day(cell: object, pattern: list[str], where: str) -> float:
+    if isinstance(cell, datetime):
+        return _since_epoch(cell)
+    if isinstance(cell, date):
+        return _since_epoch(datetime(cell.year, cell.month, cell.day))
+    text = str(cell).strip()
+    return _stamp(text if ":" in text else f"{text} 00:00:00", pattern, where)
+
+
+def _stamp(cell: object, pattern: list[str], where: str) -> float:
+    """One stamp in µs. pattern: the one that the column was found to have, once it is known."""
+    if isinstance(cell, datetime):
+        return _since_epoch(cell)
+    if isinstance(cell, timedelta):
+        return cell / timedelta(microseconds=1)
+    if isinstance(cell, time):
+        return (cell.hour * 3600 + cell.minute * 60 + cell.second) * 1e6 + cell.microsecond
+    text = str(cell).strip().replace(",", ".")
+    clock = _clock(text)
+    if clock is not None:
+        return clock
+    if not pattern or pattern == ["iso"]:
+        try:
+            stamp = _since_epoch(datetime.fromisoformat(_microseconds(text)))
+        except ValueError:
+            pass
+        else:
+            pattern[:] = ["iso"]
+            return stamp + _beyond_microseconds(text)
+    for shape in pattern or [*_PATTERNS, *_SLASHED]:
+        try:
+            stamp = _since_epoch(datetime.strptime(text, shape))
+        except ValueError:
+            continue
+        pattern[:] = [shape]
+        return stamp
+    raise UserError(
+        f"{where}: '{cell}' is not a time stamp like the others: write 2026-01-31T12:00:00.250"
+    )
+
+
+def _clock(text: str) -> float | None:
+    """`12:30:01.5` and `30:01.5` as µs."""
+    parts: Sequence[str] = text.split(":")
+    if not 2 <= len(parts) <= 3:
+        return None
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        return None
+    return round(1e6 * sum(v * 60.0**k for k, v in enumerate(reversed(values))), 3)
+
+
+def _microseconds(text: str) -> str:
+    head, point, tail = text.partition(".")
+    digits = len(tail) - len(tail.lstrip("0123456789"))
+    return text if digits <= 6 else f"{head}{point}{tail[:6]}{tail[digits:]}"
+
+
+def _beyond_microseconds(text: str) -> float:
+    tail = text.partition(".")[2]
+    digits = tail[: len(tail) - len(tail.lstrip("0123456789"))]
+    return float(f"0.{digits[6:]}") if len(digits) > 6 else 0.0
+
+
+def _since_epoch(stamp: datetime) -> float:
+    if stamp.tzinfo is None:
+        stamp = stamp.replace(tzinfo=UTC)
+    return float((stamp - _EPOCH) // timedelta(microseconds=1))
