@@ -100,7 +100,7 @@ NOISY = 1.0, 1.1, 0.9
         ((1.01,), "discard", 1),
         ((0.95,), "inconclusive", 1),
         ((0.80, 0.95, 0.93), "inconclusive", 3),
-        ((0.80, 1.25), "discard", 2),
+        ((0.80, 1.25), "inconclusive", 2),
         ((0.60, 0.80, 0.65), "keep", 3),
         ((0.200, 0.201), "keep", 2),
         ((0.20, 0.25, 0.22), "keep", 3),
@@ -191,7 +191,7 @@ def test_a_deterministic_search_repeats_each_new_best_once(tmp_path: Path) -> No
     [
         ((1.01,), "discard", False),
         ((0.95,), "inconclusive", True),
-        ((0.80, 1.25), "discard", True),
+        ((0.80, 1.25), "inconclusive", True),
         ((0.60, 0.80, 0.65), "keep", True),
     ],
 )
