@@ -79,7 +79,7 @@ def judge(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
     status = found.status
     lowest = view.started.retests > 0 and _is_best(evaluation.outcome, view)
     if lowest and status == "discard":
-        # From other seeds its method is no better, and its own fit is: neither is said of the other.
+        # From other seeds its method is no better. Its own fit is.
         status = "inconclusive"
     if status == "keep" or lowest or view.started.ladder is not None:
         failure = evaluator.objection(source, evaluation.folds)
