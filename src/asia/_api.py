@@ -35,6 +35,7 @@ def run(
     executor: Executor | str = "local",
     sinks: Sequence[str | OpenSink] = (),
     lessons: Sequence[Lesson] | None = None,
+    parallel: int = 1,
 ) -> Run:
     """Search for a model; the finished run, with its view and artifacts.
 
@@ -45,7 +46,7 @@ def run(
     evaluations, one of `executor_names()` or one of your own. sinks: where events go as they come,
     by the name of an installed one, `module:Name`, or what opens one; see `asia.search.Sink`.
     lessons: of earlier searches, such as `asia.agents.lessons.kept_lessons()`; None for a search
-    without. Raises UserError for anything the caller can mend.
+    without. parallel: experiments in flight. Raises UserError for anything the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
@@ -69,6 +70,7 @@ def run(
         agent_settings=chosen.settings,
         lessons=lessons,
         legs=legs,
+        parallel=parallel,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:

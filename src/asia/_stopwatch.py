@@ -97,7 +97,7 @@ class _Open:
 
 
 @dataclass
-class _Lane:
+class Lane:
     """What one thread spent."""
 
     spent: Seconds = field(default_factory=dict[Activity, tuple[float, float]])
@@ -111,7 +111,7 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self._lanes = threading.local()
-        self._main = self._lanes.now = _Lane()
+        self._main = self._lanes.now = Lane()
         self._begin = time.monotonic()
 
     @contextmanager
@@ -150,7 +150,7 @@ class Stopwatch:
         self, run: Callable[[Sequence[Callable[[], T]]], list[T]], jobs: Sequence[Callable[[], T]]
     ) -> list[T]:
         """`run(jobs)`. Of jobs in several threads the wall seconds of the last one to end count."""
-        lanes: dict[int, _Lane] = {}
+        lanes: dict[int, Lane] = {}
         begin = time.thread_time()
         try:
             return run([lambda job=job: self._in_lane(lanes, job) for job in jobs])
@@ -161,6 +161,24 @@ class Stopwatch:
                     self.add(activity, wall if lane is longest else 0.0, processor)
             if self._lane is not None and self._lane.under_way:
                 self._lane.under_way[-1].processor += time.thread_time() - begin
+
+    @contextmanager
+    def aside(self) -> Generator[Lane]:
+        """Count what this thread does by itself, for whoever waits for it."""
+        before, own = self._lane, Lane()
+        self._lanes.now = own
+        try:
+            yield own
+        finally:
+            self._lanes.now = before
+
+    def waited(self, lane: Lane, seconds: float) -> None:
+        """Count what was spent aside. Wall seconds are only those of the wait for it, in the shares
+        that its activities have."""
+        total = sum(wall for wall, _ in lane.spent.values())
+        share = seconds / total if total > 0 else 0.0
+        for activity, (wall, processor) in list(lane.spent.items()):
+            self.add(activity, wall * share, processor)
 
     def take(self) -> tuple[TimeSpent, ...]:
         """All since the last call, without what took no time."""
@@ -181,13 +199,13 @@ class Stopwatch:
         return tuple(one for one in self.take() if one.activity in wanted)
 
     @property
-    def _lane(self) -> _Lane | None:
+    def _lane(self) -> Lane | None:
         """This thread's; None in one that runs no job of ours."""
         return getattr(self._lanes, "now", None)
 
-    def _in_lane(self, lanes: dict[int, _Lane], job: Callable[[], T]) -> T:
+    def _in_lane(self, lanes: dict[int, Lane], job: Callable[[], T]) -> T:
         before = self._lane
-        lane = self._lanes.now = lanes.setdefault(threading.get_ident(), _Lane())
+        lane = self._lanes.now = lanes.setdefault(threading.get_ident(), Lane())
         try:
             return job()
         finally:

@@ -12,6 +12,7 @@ from asia.agents._driving import (
     DivergedError,
     InterruptedWaitError,
     Journal,
+    proposes_ahead,
     settings_of,
 )
 from asia.agents._relay import (
@@ -40,7 +41,7 @@ from asia.agents._table import (
     recorded_agent,
     recorded_agents,
 )
-from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Trial
+from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Running, Trial
 from asia.agents.controls.bayes import BayesAgent
 from asia.agents.controls.random import SPACES, RandomAgent, SpaceName
 from asia.agents.expert.agent import ExpertAgent
@@ -83,6 +84,7 @@ __all__ = [
     "RandomAgent",
     "RelayAgent",
     "Runner",
+    "Running",
     "SpaceName",
     "SubmittedAgent",
     "Trial",
@@ -101,6 +103,7 @@ __all__ = [
     "make_agent",
     "make_runner",
     "packages_of",
+    "proposes_ahead",
     "recorded_agent",
     "recorded_agents",
     "relay_budget",

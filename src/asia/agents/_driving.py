@@ -57,6 +57,20 @@ class Journal(Protocol):
 
 
 @runtime_checkable
+class ProposesAhead(Protocol):
+    """An agent that may be asked before earlier proposals have their results: it reads
+    `view.running`, and proposes nothing that stands there."""
+
+    proposes_ahead: bool
+    """Whether it does."""
+
+
+def proposes_ahead(agent: object) -> bool:
+    """Whether an agent may be asked while others of its proposals run."""
+    return isinstance(agent, ProposesAhead) and agent.proposes_ahead
+
+
+@runtime_checkable
 class Configured(Protocol):
     """An agent whose settings shape what it proposes."""
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from asia.agents._driving import settings_of
+from asia.agents._driving import proposes_ahead, settings_of
 from asia.agents._view import Agent, AgentView, Proposal
 from asia.errors import UserError
 from asia.ledger import Leg
@@ -52,6 +52,11 @@ class RelayAgent:
     def legs(self) -> tuple[Leg, ...]:
         """For the ledger."""
         return tuple(runner.leg for runner in self.runners)
+
+    @property
+    def proposes_ahead(self) -> bool:
+        """Whether all of them may be asked while their proposals run."""
+        return all(proposes_ahead(runner.agent) for runner in self.runners)
 
     def propose(self, view: AgentView) -> Proposal | None:
         """What the agent of the view's leg proposes."""

@@ -123,13 +123,28 @@ class Trial:
 
 
 @dataclass(frozen=True)
+class Running:
+    """An experiment that was proposed and has no result yet, as a `Trial` names its parts."""
+
+    number: int
+    parent: int | None
+    family: str
+    title: str
+    hypothesis: str
+    expected: str
+    source: str = field(repr=False)
+    agent: str = ""
+
+
+@dataclass(frozen=True)
 class AgentView:
     """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
     normalised source was tried; `notes` are what a person said meanwhile, oldest first; `linear` is
     V of the best linear model and `mean` V of the mean of the training outputs, None where they are
     not known; `lessons` are of earlier searches.
     `remaining` are the experiments left to the agent that is asked; `leg` is its place in a relay,
-    1-based, 0 where it is alone."""
+    1-based, 0 where it is alone; `running` are the experiments in flight, oldest first: () unless
+    several are proposed ahead of their results."""
 
     facts: Facts
     seed: int
@@ -142,12 +157,18 @@ class AgentView:
     lessons: tuple[Lesson, ...] = ()
     leg: int = 0
     mean: float | None = None
+    running: tuple[Running, ...] = ()
+
+    @property
+    def proposed(self) -> tuple[Trial | Running, ...]:
+        """All that was proposed so far, in order."""
+        return (*self.trials, *self.running)
 
     @property
     def experiments(self) -> int:
         """The whole budget of the agent that is asked, as it stands now, with all that was done
         before its turn."""
-        return len(self.trials) + self.remaining
+        return len(self.proposed) + self.remaining
 
     @property
     def ranked(self) -> tuple[Trial, ...]:

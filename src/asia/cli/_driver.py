@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from asia.agents import Agent, LegPlan, NamedAgent
+    from asia.executor import Executor
     from asia.ledger import Leg, SearchView
     from asia.search import OnEvent, Prepared
 
@@ -28,7 +29,11 @@ class Driver:
     """The legs of a relay, the last one with the number that was asked for."""
 
     def search(
-        self, ready: Prepared, on_event: OnEvent, on_start: Callable[[SearchView], None]
+        self,
+        ready: Prepared,
+        on_event: OnEvent,
+        on_start: Callable[[SearchView], None],
+        executor: Executor,
     ) -> SearchView:
         """Run the search; what the agent has started is ended afterwards."""
         from asia.agents import RelayAgent
@@ -37,7 +42,7 @@ class Driver:
         agent = self.make(ready, 0)
         agents = [r.agent for r in agent.runners] if isinstance(agent, RelayAgent) else [agent]
         processes = [each for each in agents if isinstance(each, CommandAgent)]
-        return search_beside(ready, agent, processes, on_event, on_start)
+        return search_beside(ready, agent, processes, on_event, on_start, executor)
 
 
 def named_agent(name: str, space: str | None) -> NamedAgent:

@@ -17,6 +17,7 @@ from asia.cli._driver import (
 )
 from asia.cli._lessons import chosen_lessons
 from asia.cli._options.command import PREFIX, CommandOptions
+from asia.cli._options.engine import EngineOptions
 from asia.cli._options.groups import given
 from asia.cli._options.llm import LlmOptions, ModelOptions
 from asia.cli._options.search import SearchOptions
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from asia._stopwatch import Stopwatch
     from asia.cli._driver import Driver
+    from asia.executor import Executor
     from asia.ledger import SearchView
     from asia.problem.load import Problem
     from asia.search import Prepared
@@ -62,6 +64,7 @@ def run(
     ] = "expert",
     space: Space = None,
     options: SearchOptions,
+    engine: EngineOptions,
     sink: Sinks = None,
     lessons: Lessons = None,
     runs: Runs = DEFAULT_RUNS,
@@ -97,8 +100,10 @@ def run(
             agent_settings=driver.settings,
             legs=driver.legs,
             lessons=chosen_lessons(lessons, agent),
+            parallel=engine.parallel,
         )
-    view = _search(driver, loaded, ready, sink or (), watch, profile=profile, json=json)
+        runs_on = engine.chosen()
+    view = _search(driver, loaded, ready, sink or (), watch, runs_on, profile=profile, json=json)
     if view.best is None:
         raise typer.Exit(NOTHING_FOUND)
 
@@ -109,6 +114,7 @@ def _search(
     ready: Prepared,
     sink: Sequence[str],
     watch: Stopwatch,
+    runs_on: Executor,
     *,
     profile: bool,
     json: bool,
@@ -124,7 +130,10 @@ def _search(
         for line in driver.words:
             say(line, file=sys.stderr)
         view = driver.search(
-            ready, sinks.after_event(display.on_event), sinks.after_start(display.on_start)
+            ready,
+            sinks.after_event(display.on_event),
+            sinks.after_start(display.on_start),
+            runs_on,
         )
         with watch.activity(Activity.PICTURES):
             pictures = write_report(ready.directory)

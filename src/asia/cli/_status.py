@@ -59,6 +59,8 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "budget": view.budget,
         "isolation": view.started.isolation,
         "isolation_strict": view.started.isolation_strict,
+        "parallel": view.started.parallel,
+        "running": [e.number for e in view.running] if found.state == "running" else [],
         "metric": metric_of(directory),
         "early_stopping": view.started.early_stopping,
         "residuals": view.started.residuals,
@@ -93,6 +95,7 @@ def _print(directory: Path, found: Brief) -> None:
     from asia.cli._output.words import (
         duration,
         experiment_line,
+        running_words,
         stop_words,
         usage_words,
         validation_words,
@@ -111,6 +114,8 @@ def _print(directory: Path, found: Brief) -> None:
         f"{_state_words(found)}: {found.finished} of {view.budget} experiments in "
         f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
     )
+    for words in running_words(view) if found.state == "running" else ():
+        say(f"running {words}")
     for event in view.handed_over:
         say(f"relay   {hand_over_words(event)}")
     if view.stopped is not None:

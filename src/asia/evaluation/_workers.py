@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -31,7 +32,8 @@ class WorkerRunner:
         # Processes that the kernel does not let die, by pid: they keep their core and memory.
         self.left_behind: list[int] = []
         self._open: set[Worker] = set()
-        self._interrupted = False
+        self._interrupted = self._aborted = False
+        self._runs, self._counting = 0, threading.Lock()
         self._ready: ReadyWorkers | None = None
         self.stopwatch = Stopwatch()
 
@@ -46,15 +48,30 @@ class WorkerRunner:
 
     def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results of the jobs; one whose worker fails for no fault of the candidate is tried once
-        more. Raises CandidateError when somebody ended the worker both times. Workers still open
-        at the end are those of an interrupted run."""
+        more. Raises CandidateError when somebody ended the worker both times. Several threads may
+        run jobs; workers still open when the last of them ends are those of an interrupted run."""
+        with self._counting:
+            self._runs += 1
         try:
             tries = [partial(self._with_one_retry, job) for job in jobs]
             return self.stopwatch.run(self._executor.run, tries)
         finally:
-            self._interrupted = bool(self._open)
-            for worker in list(self._open):
-                worker.abort()
+            with self._counting:
+                self._runs -= 1
+                last = self._runs == 0
+            if last:
+                self._interrupted = self._aborted or bool(self._open)
+                self._abort_open()
+
+    def abort(self) -> None:
+        """End all workers, for good, from another thread than those that run jobs: these end with
+        an error."""
+        self._interrupted = self._aborted = True
+        self._abort_open()
+
+    def _abort_open(self) -> None:
+        for worker in list(self._open):
+            worker.abort()
 
     def _with_one_retry(self, job: Callable[[], T]) -> T:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -28,7 +29,8 @@ T = TypeVar("T")
 
 class Executor(Protocol):
     """Runs independent jobs; an exception of a job is raised after all have ended. An interrupt
-    is raised at once: whoever gave the jobs ends what they started."""
+    is raised at once: whoever gave the jobs ends what they started. Several threads may give it
+    jobs at the same time."""
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
@@ -36,22 +38,28 @@ class Executor(Protocol):
 
 
 class LocalExecutor:
-    """Jobs on the local cores. Threads suffice: the work is done in sandboxed processes."""
+    """Jobs on the local cores, no more at once than there are workers, whoever gives them. Threads
+    suffice: the work is done in sandboxed processes."""
 
     def __init__(self, workers: int | None = None) -> None:
         self._workers = workers or _cores()
+        self._free = threading.BoundedSemaphore(self._workers)
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
         if len(jobs) == 1:
-            return [jobs[0]()]
+            return [self._when_free(jobs[0])]
         pool = ThreadPoolExecutor(max_workers=self._workers)
         try:
-            futures = [pool.submit(job) for job in jobs]
+            futures = [pool.submit(self._when_free, job) for job in jobs]
             wait(futures)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
         return [future.result() for future in futures]
+
+    def _when_free(self, job: Callable[[], T]) -> T:
+        with self._free:
+            return job()
 
 
 @dataclass(frozen=True)
@@ -75,8 +83,16 @@ class SequentialExecutor:
         return results
 
 
-EXECUTORS: dict[str, Callable[[], Executor]] = {"local": LocalExecutor}
-"""The built-in executors by name."""
+def _local(setting: str) -> LocalExecutor:
+    if setting and not (setting.isdecimal() and int(setting) > 0):
+        raise UserError(
+            f"--executor local:{setting}: expected a number of workers, such as local:4"
+        )
+    return LocalExecutor(int(setting) if setting else None)
+
+
+EXECUTORS: dict[str, Callable[[str], Executor]] = {"local": _local}
+"""The built-in executors by name; what stands behind the name and a colon is given to them."""
 
 
 def executor_names() -> tuple[str, ...]:
@@ -85,10 +101,11 @@ def executor_names() -> tuple[str, ...]:
 
 
 def make_executor(name: str) -> Executor:
-    """The executor of that name, with its own settings. Raises UserError when there is none, or an
-    installed package brings something else by that name."""
-    if name in EXECUTORS:
-        return EXECUTORS[name]()
+    """The executor of that name, with its own settings; `local:N` with N workers. Raises UserError
+    when there is none, or an installed package brings something else by that name."""
+    built_in, _, setting = name.partition(":")
+    if built_in in EXECUTORS:
+        return EXECUTORS[built_in](setting)
     for part in parts_of(_GROUP):
         if part.name == name:
             return _made(part)

@@ -20,6 +20,7 @@ from asia.ledger._events import (
     GuardScore,
     HandedOver,
     HandOverReason,
+    Landed,
     LeftOut,
     Leg,
     Phase,
@@ -73,7 +74,7 @@ from asia.ledger.evidence.experiment import (
     evidence_of,
     settings_of_run,
 )
-from asia.ledger.evidence.findings import findings_of, put_findings
+from asia.ledger.evidence.findings import findings_of, get_findings, put_findings
 from asia.ledger.evidence.identified_words import identified_lines, identified_object
 from asia.ledger.evidence.noise import (
     floor_to_beat,
@@ -123,6 +124,7 @@ __all__ = [
     "HandedOver",
     "IdentifiedModel",
     "IdentifiedParameter",
+    "Landed",
     "LeftOut",
     "Leg",
     "Line",
@@ -173,6 +175,7 @@ __all__ = [
     "floor_to_beat",
     "floor_words",
     "get_estimates",
+    "get_findings",
     "hand_over_words",
     "identified",
     "identified_lines",

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 from asia.errors import UserError
 from asia.ledger._chain import in_use, ledger_of
-from asia.ledger._events import Evaluated, Event, Proposed
+from asia.ledger._events import Evaluated, Event, Landed, Proposed
 from asia.ledger._lines import BEGIN, Position, decode, scan
 from asia.ledger._run import RunState, state_of
 from asia.ledger._view import SearchView, replay
@@ -27,7 +27,7 @@ from asia.ledger._view import SearchView, replay
 T = TypeVar("T")
 
 NAME = "index.sqlite"
-_VERSION = 2
+_VERSION = 3
 _SCHEMA = """
 DROP TABLE IF EXISTS records;
 DROP TABLE IF EXISTS covered;
@@ -46,7 +46,9 @@ _KEPT_BEFORE = """SELECT experiment FROM records WHERE status = 'keep' AND seq <
     ORDER BY seq DESC LIMIT 1"""
 _LOWEST_BEFORE = """SELECT experiment FROM records WHERE lowest AND seq < ?
     ORDER BY seq DESC LIMIT 1"""
-_PENDING = "SELECT max(experiment) FROM records"
+_LAST_PROPOSED = "SELECT max(experiment) FROM records"
+_RUNNING = """SELECT DISTINCT experiment FROM records WHERE experiment >
+    (SELECT coalesce(max(experiment), 0) FROM records WHERE event = 'evaluated')"""
 _RECORDS = """SELECT seq, offset, length FROM records
     WHERE (experiment IS NULL AND event <> 'streamed')
     OR experiment IN (SELECT value FROM json_each(?)) ORDER BY seq"""
@@ -55,7 +57,7 @@ _RECORDS = """SELECT seq, offset, length FROM records
 @dataclass(frozen=True)
 class Brief:
     """A run at a glance. `view` has of the experiments only the last ones, the incumbent and the
-    best before them and the last one proposed; the totals are of all."""
+    best before them, the last one proposed and those that run; the totals are of all."""
 
     view: SearchView
     state: RunState
@@ -73,8 +75,8 @@ def brief(directory: Path, last: int = 50) -> Brief:
         shown = index.execute(_LAST, (last,)).fetchall()
         first = shown[-1][0] if shown else sys.maxsize
         chosen = [number for _, number in shown]
-        for query in (_KEPT_BEFORE, _LOWEST_BEFORE, _PENDING):
-            values = () if query == _PENDING else (first,)
+        for query in (_KEPT_BEFORE, _LOWEST_BEFORE, _LAST_PROPOSED, _RUNNING):
+            values = (first,) if "?" in query else ()
             chosen += [n for (n,) in index.execute(query, values).fetchall() if n is not None]
         places = index.execute(_RECORDS, (str(chosen),)).fetchall()
         ledger = ledger_of(directory)
@@ -161,11 +163,12 @@ def _known_place(
 def _columns(event: Event) -> tuple[int | str | float | None, ...]:
     """experiment, status, seconds, validation scores, lowest; nothing of what is no experiment."""
     match event:
-        case Proposed():
+        case Proposed() | Landed():
             return event.experiment, None, None, None, None
         case Evaluated():
             scores, lowest = event.validation_scores, int(event.lowest)
-            return event.experiment, event.status, event.seconds, scores, lowest
+            spent = event.seconds if event.elapsed is None else event.elapsed
+            return event.experiment, event.status, spent, scores, lowest
         case _:
             return None, None, None, None, None
 

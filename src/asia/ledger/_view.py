@@ -16,6 +16,7 @@ from asia.ledger._events import (
     Extended,
     GuardLooked,
     HandedOver,
+    Landed,
     Proposed,
     Refitted,
     Repeated,
@@ -39,6 +40,8 @@ class Experiment:
 
     proposed: Proposed
     result: Evaluated | None = None
+    landed: Landed | None = None
+    """Its first fit, where that ended before its turn; None once it has a result."""
 
     @property
     def number(self) -> int:
@@ -146,8 +149,13 @@ class SearchView:
         return tuple(e for e in self.experiments if e.result is not None)
 
     @property
+    def running(self) -> tuple[Experiment, ...]:
+        """Experiments that were proposed and have no result yet, the oldest first."""
+        return tuple(e for e in self.experiments if e.result is None)
+
+    @property
     def pending(self) -> Experiment | None:
-        """The experiment that was proposed and not yet evaluated."""
+        """The oldest of those without a result."""
         return next((e for e in self.experiments if e.result is None), None)
 
     @property
@@ -189,8 +197,10 @@ class SearchView:
 
     @property
     def seconds(self) -> float:
-        """Time spent on evaluations."""
-        return sum(e.result.seconds for e in self.finished if e.result)
+        """Time spent on evaluations, by the clock on the wall: what ran at the same time counts
+        once."""
+        results = (e.result for e in self.finished if e.result)
+        return sum(r.seconds if r.elapsed is None else r.elapsed for r in results)
 
     @property
     def v_name(self) -> str:
@@ -282,6 +292,8 @@ class Replay:
                 self._propose(event)
             case Evaluated():
                 self._judge(event)
+            case Landed():
+                self._land(event)
             case Steered():
                 self._notes.append(event)
             case Repeated():
@@ -311,7 +323,16 @@ class Replay:
                 f"the ledger has two results of experiment {event.experiment}, or a result "
                 "before its proposal"
             )
-        self._experiments[event.experiment] = replace(known, result=event)
+        self._experiments[event.experiment] = Experiment(known.proposed, event)
+
+    def _land(self, event: Landed) -> None:
+        known = self._experiments.get(event.experiment)
+        if known is None or known.result is not None or known.landed is not None:
+            raise UserError(
+                f"the ledger has two first fits of experiment {event.experiment}, or one before "
+                "its proposal or after its result"
+            )
+        self._experiments[event.experiment] = replace(known, landed=event)
 
     def _repeat(self, event: Repeated) -> None:
         place = event.experiment, event.repeat

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from asia.agents import AgentView, Effort, Facts, Trial
+from asia.agents import AgentView, Effort, Facts, Running, Trial
 from asia.agents.lessons import decode_lessons
 from asia.candidate import source_digest
 from asia.errors import CandidateError
 from asia.evaluation import LINEAR_RUNG, MEAN_RUNG
 from asia.ledger import (
     Experiment,
+    Proposed,
     RunSettings,
     SearchView,
     Store,
@@ -77,6 +78,20 @@ def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
         lessons=() if lessons is None else decode_lessons(store.get(lessons), "the ledger"),
         leg=view.leg,
         mean=_rung(view, MEAN_RUNG),
+        running=tuple(_running(e.proposed, store) for e in view.running),
+    )
+
+
+def _running(p: Proposed, store: Store) -> Running:
+    return Running(
+        p.experiment,
+        p.parent,
+        p.family,
+        p.title,
+        p.hypothesis,
+        p.expected,
+        store.text(p.source),
+        p.agent,
     )
 
 

@@ -1,5 +1,9 @@
 """Propose, evaluate, keep or discard, each step written to the ledger, until a stop rule holds.
 
+With `parallel` experiments in flight, each is proposed once all but the last `parallel` - 1 before
+it have their results, and results are decided and recorded in the order of proposal. So the course
+of a search does not depend on which fit ends first.
+
 All the loop knows is in the ledger: killed anywhere, the same call goes on from there.
 """
 
@@ -9,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from asia._stopwatch import Activity, Stopwatch
@@ -21,15 +26,15 @@ from asia.agents import (
     Proposal,
     agent_of_leg,
 )
-from asia.evaluation import Evaluator, FoldResult, score_rungs
+from asia.evaluation import Evaluator, score_rungs
 from asia.ledger import (
     Chain,
     Evaluated,
     Event,
     Exchanged,
     Experiment,
-    FoldEvidence,
     GuardLooked,
+    Landed,
     Phase,
     Proposed,
     Refitted,
@@ -39,9 +44,7 @@ from asia.ledger import (
     SessionStarted,
     Steered,
     Stopped,
-    StopReason,
     Store,
-    put_findings,
     refresh,
     write_exports,
 )
@@ -49,6 +52,8 @@ from asia.problem.load import Problem
 from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
 from asia.search._guard import look_at_guard
 from asia.search._steering import Steering
+from asia.search.ahead.flights import Flights
+from asia.search.ahead.landed import keep_folds, keep_output
 from asia.search.deciding.judging import judge
 from asia.search.deciding.rules import next_leg, stop_reason
 from asia.search.final.ending import refit_winner
@@ -93,7 +98,13 @@ class Loop:
     @property
     def view(self) -> SearchView:
         """The ledger replayed."""
-        return self.chain.view
+        with self._lock:
+            return self.chain.view
+
+    @cached_property
+    def flights(self) -> Flights:
+        """The first fits under way."""
+        return Flights(self.view.started.parallel, self.evaluator, self.store, self._landed)
 
     def run(self) -> SearchView:
         """Rungs, search, refit of the winner, a look at the guard. What the ledger already holds is
@@ -104,6 +115,7 @@ class Loop:
         try:
             self._search()
         finally:
+            self.flights.close()
             if isinstance(self._proposer, Closing):
                 self._proposer.leaving()
         return self.view
@@ -162,18 +174,16 @@ class Loop:
             self.record(Steered(text))
             path.unlink()
         if self.steering.take_stop():
+            self._settle_begun()
             return Stopped("user")
         if self.steering.paused:
             with self.watch.activity(Activity.IDLE):
                 time.sleep(_PAUSE_POLL)
             return None
         try:
-            reason = self._step()
+            return self._step()
         except InterruptedWaitError:
             return None
-        except AgentStoppedError as end:
-            return Stopped(end.reason, end.detail)
-        return None if reason is None else Stopped(reason)
 
     def _score_rungs(self) -> None:
         names = {rung.name for rung in self.view.rungs}
@@ -182,22 +192,60 @@ class Loop:
             for rung in score_rungs(self.evaluator, problem.protocol.metric, problem.truth, names):
                 self.record(RungScored(rung.name, rung.outcome))
 
-    def _step(self) -> StopReason | None:
-        """One experiment; a reason when the search is over."""
+    def _step(self) -> Stopped | None:
+        """A proposal while there is room for one more experiment, else the result of the oldest.
+        Why the search is over, once there is neither: with results outstanding, whoever proposes
+        is asked again after each of them."""
+        self.flights.launch(self.view)
+        if self._has_room:
+            ended = self._ask()
+            if ended is None:
+                self.flights.launch(self.view)
+                if self._has_room:
+                    return None
+            elif self.view.pending is None:
+                return ended
+        self._settle()
+        return None
+
+    @property
+    def _has_room(self) -> bool:
         view = self.view
-        pending = view.pending
-        if pending is None:
-            reason = stop_reason(view, self.problem.budget)
-            if reason is not None:
-                return reason
+        return len(view.running) < view.started.parallel
+
+    def _ask(self) -> Stopped | None:
+        """Propose one experiment; why there is none."""
+        view = self.view
+        reason = stop_reason(view, self.problem.budget)
+        if reason is not None:
+            return Stopped(reason)
+        try:
             with self.watch.activity(Activity.AGENT):
                 proposed = self._propose(view)
-            if proposed is None:
-                return "exhausted"
-            self.record(proposed)
-            pending = Experiment(proposed)
-        self.record(self._evaluate(pending))
+        except AgentStoppedError as end:
+            return Stopped(end.reason, end.detail)
+        if proposed is None:
+            return Stopped("exhausted")
+        self.record(proposed)
         return None
+
+    def _settle(self) -> None:
+        """The result of the oldest experiment without one."""
+        pending = self.view.pending
+        assert pending is not None
+        self.record(self._evaluate(pending))
+
+    def _settle_begun(self) -> None:
+        """The results of all that was begun, so that nothing is lost when a person stops."""
+        while self.flights.any:
+            self._settle()
+
+    def _landed(self, landed: Landed) -> None:
+        """Write down a first fit whose turn has not come; the oldest will have its result now."""
+        with self._lock:
+            oldest = self.view.pending
+            if oldest is not None and oldest.number != landed.experiment:
+                self.record(landed)
 
     def _propose(self, view: SearchView) -> Proposed | None:
         if not view.experiments:
@@ -232,17 +280,24 @@ class Loop:
             if settled and twin.proposed.digest == experiment.proposed.digest:
                 return _outcome_of_twin(experiment, twin)
         start, before = time.monotonic(), len(self.evaluator.left_behind)
-        judged = judge(self.evaluator, self.store.text(experiment.proposed.source), view)
+        flown = self.flights.take(experiment)
+        begin = time.monotonic()
+        if flown is not None:
+            self.watch.waited(flown.lane, begin - start)
+        first = None if flown is None else flown.evaluation
+        judged = judge(self.evaluator, self.store.text(experiment.proposed.source), view, first)
         evaluation = judged.evaluation
         with self.watch.activity(Activity.LEDGER):
-            folds = tuple(self._keep(fold) for fold in evaluation.folds)
+            folds = keep_folds(self.store, evaluation.folds)
+            output = keep_output(self.store, evaluation.output)
+        now = time.monotonic()
         return Evaluated(
             experiment=experiment.number,
             status=judged.status,
             outcome=evaluation.outcome,
             folds=folds,
-            output=self.store.put(evaluation.output.encode()) if evaluation.output else None,
-            seconds=time.monotonic() - start,
+            output=output,
+            seconds=now - begin + (0.0 if flown is None else flown.seconds),
             deadline=judged.deadline,
             validation_scores=judged.validation_scores,
             isolation=self.evaluator.isolation.value,
@@ -250,17 +305,7 @@ class Loop:
             retests=judged.retests,
             floor=judged.floor,
             lowest=judged.lowest,
-        )
-
-    def _keep(self, fold: FoldResult) -> FoldEvidence:
-        return FoldEvidence(
-            model=self.store.put(fold.model),
-            y_hat=self.store.put_arrays(fold.y_hat),
-            curve=self.store.put_arrays([fold.curve]),
-            diagnostics=fold.diagnostics,
-            fit_seconds=fold.seconds,
-            validation_scores=fold.validation_scores,
-            findings=put_findings(self.store, fold.findings) if fold.findings else None,
+            elapsed=None if view.started.parallel == 1 else now - start,
         )
 
     def _refit(self) -> None:

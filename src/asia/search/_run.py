@@ -49,6 +49,7 @@ from asia.seal._guard import guard_digest
 from asia.seal._test import seal
 from asia.search._loop import Loop, OnEvent
 from asia.search._secrecy import check_run_is_hidden
+from asia.search.ahead.check import check_ahead, check_parallel
 
 LOCK = "problem.lock.toml"
 PACKAGES = ("cloudpickle", "asia-sysid")
@@ -84,18 +85,21 @@ def prepare(
     agent_settings: Mapping[str, str] | None = None,
     lessons: Sequence[Lesson] | None = None,
     legs: Sequence[Leg] = (),
+    parallel: int = 1,
 ) -> Prepared:
     """Check everything a search needs and compare with what is on disk. Writes nothing.
 
     isolation_strict: the folds of a candidate run one after the other. agent_settings: what shapes
     the agent's proposals beside its name. lessons: of earlier searches, None for a
     search without; a run that exists keeps those that it began with.
-    legs: those of a relay, `legs_of` its agent.
+    legs: those of a relay, `legs_of` its agent. parallel: experiments in flight.
 
     Raises UserError when the folds cannot be made, the test does not fit, the legs do not fit into
-    the budget, or the run exists with other settings.
+    the budget, the run exists with other settings, or several experiments are to be in flight while
+    folds are fitted one by one.
     """
     folds = _check(problem, legs)
+    check_parallel(parallel, strict=isolation_strict)
     sealed = replace(seal(problem), guard=guard_digest(problem))
     directory = runs / (name or _default_name(problem, agent_name, seed))
     found = _probe(isolation)
@@ -128,6 +132,7 @@ def prepare(
         folds=fold_names(folds, problem.protocol),
         legs=_recorded_legs(legs),
         retests=_retests(problem),
+        parallel=parallel,
     )
     resumes = _resumes(problem, sealed, directory)
     return Prepared(problem, directory, lock, started, resumes, taught)
@@ -158,6 +163,7 @@ def search(
     when the run is in use, belongs to another agent or seed, or was unsealed.
     """
     directory, problem = prepared.directory, prepared.problem
+    check_ahead(prepared.started.parallel, agent)
     with Chain(directory / "ledger.jsonl") as chain:
         if not chain.lines:
             write_whole(directory / LOCK, prepared.lock.encode())
@@ -343,6 +349,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("seed", start.seed, wanted.seed),
         ("isolation", start.isolation_words, wanted.isolation_words),
         ("lessons", *("on" if s.lessons else "off" for s in (start, wanted))),
+        ("--parallel", start.parallel, wanted.parallel),
     ):
         if there != now:
             raise UserError(

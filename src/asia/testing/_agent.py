@@ -8,13 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from asia.agents import Agent, AgentView, Facts, Proposal, Trial
+from asia.agents import Agent, AgentView, Facts, Proposal, Running, Trial, proposes_ahead
 from asia.candidate import check_source, source_digest
 from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics
 from asia.problem import ParameterRange, Physics, Prior
 
 EXPERIMENTS = 20
+_AHEAD = 3
 _FAILED = 1 / 6
 
 
@@ -24,11 +25,14 @@ def check_agent(make: Callable[[], Agent]) -> None:
 
     Checked: proposals are a function of the view (a second agent gives the same, and the view may
     be presented again), candidates pass the static checks, none is proposed twice, hypothesis and
-    expectation are there, titles fit on a line, parents exist.
+    expectation are there, titles fit on a line, parents exist. An agent that may be asked ahead of
+    results is also driven with several experiments in flight.
     """
     for facts in _problems():
         for luck in ("mixed", "failing"):
             _drive(make, facts, luck)
+        if proposes_ahead(make()):
+            _drive_ahead(make, facts)
 
 
 def _drive(make: Callable[[], Agent], facts: Facts, luck: str) -> None:
@@ -41,6 +45,23 @@ def _drive(make: Callable[[], Agent], facts: Facts, luck: str) -> None:
             return
         _check_proposal(first, view)
         trials = (*trials, _outcome(first, len(trials) + 1, luck))
+
+
+def _drive_ahead(make: Callable[[], Agent], facts: Facts) -> None:
+    """Proposals while the last ones have no result, the first with no result at all."""
+    trials: tuple[Trial, ...] = ()
+    running: tuple[Proposal, ...] = (_start(),)
+    while len(trials) < EXPERIMENTS // 2:
+        view = _view(facts, trials, running)
+        first, second = make().propose(view), make().propose(view)
+        assert first == second, "the proposal is not a function of the view"
+        if first is None:
+            return
+        _check_proposal(first, view)
+        running = (*running, first)
+        if len(running) == _AHEAD:
+            trials = (*trials, _outcome(running[0], len(trials) + 1, "mixed"))
+            running = running[1:]
 
 
 def _check_proposal(proposal: Proposal, view: AgentView) -> None:
@@ -56,14 +77,21 @@ def _check_proposal(proposal: Proposal, view: AgentView) -> None:
     assert proposal.parent is None or proposal.parent in known, "the parent does not exist"
 
 
-def _view(facts: Facts, trials: tuple[Trial, ...]) -> AgentView:
-    tried = {source_digest(t.source) for t in trials}
+def _view(
+    facts: Facts, trials: tuple[Trial, ...], proposals: tuple[Proposal, ...] = ()
+) -> AgentView:
+    running = tuple(
+        Running(n, p.parent, p.family, p.title, p.hypothesis, p.expected, p.source)
+        for n, p in enumerate(proposals, len(trials) + 1)
+    )
+    tried = {source_digest(t.source) for t in (*trials, *running)}
     return AgentView(
         facts=facts,
         seed=0,
-        phase="explore" if len(trials) < EXPERIMENTS // 3 else "refine",
+        phase="explore" if len(trials) + len(running) < EXPERIMENTS // 3 else "refine",
         trials=trials,
-        remaining=EXPERIMENTS + 1 - len(trials),
+        running=running,
+        remaining=EXPERIMENTS + 1 - len(trials) - len(running),
         is_known=lambda source: source_digest(source) in tried,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +19,8 @@ def check_executor(make: Callable[[], Executor]) -> None:
 
     Checked: results come in the order of the jobs, whichever ends first, for none, one and many;
     an executor can be used again; when jobs raise, the first of these exceptions is raised as it
-    is, after all the others have ended.
+    is, after all the others have ended; several threads may give it jobs at the same time, and each
+    gets its own results.
     """
     executor = make()
     assert executor.run(list[Callable[[], int]]()) == [], "no jobs must give no results"
@@ -27,6 +29,7 @@ def check_executor(make: Callable[[], Executor]) -> None:
     for _ in range(2):
         assert executor.run(jobs) == list(range(_JOBS)), "results must come in the order of jobs"
     _check_exceptions(make())
+    _check_several_threads(make())
 
 
 def _check_exceptions(executor: Executor) -> None:
@@ -39,6 +42,14 @@ def _check_exceptions(executor: Executor) -> None:
         missing = [file.name for file in files if not file.exists()]
         assert not missing, f"{len(missing)} jobs had not ended when another's exception was raised"
     assert executor.run([partial(_after, 0.0, 1)]) == [1], "an exception left it unusable"
+
+
+def _check_several_threads(executor: Executor) -> None:
+    given = [[partial(_after, 0.01, 100 * batch + n) for n in range(3)] for batch in range(4)]
+    with ThreadPoolExecutor(len(given)) as threads:
+        found = list(threads.map(executor.run, given))
+    expected = [[100 * batch + n for n in range(3)] for batch in range(4)]
+    assert found == expected, "jobs that several threads give must not mix"
 
 
 def _raised(executor: Executor, jobs: list[partial[None]]) -> LookupError | None:

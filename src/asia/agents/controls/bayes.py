@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from asia.agents._view import AgentView, Facts, Proposal, Trial
+from asia.agents._view import AgentView, Facts, Proposal, Running, Trial
 from asia.agents.library.family import Family
 from asia.agents.library.protocol import is_new, under_protocol
 from asia.agents.library.recipe import Recipe, Value, read_recipe
@@ -34,9 +34,12 @@ Pick: TypeAlias = "Callable[[str, BaseDistribution], Number]"
 
 
 class BayesAgent:
-    """Proposes where the estimator expects most."""
+    """Proposes where the estimator expects most. What runs counts as a trial as bad as the worst so
+    far, which keeps the estimator away from it: the constant liar of Ginsbourger, Le Riche and
+    Carraro (Computational Intelligence in Expensive Optimization Problems, 2010)."""
 
     name = "bayes"
+    proposes_ahead = True
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The estimator's choice; None when `_TRIES` of them in a row were known already."""
@@ -74,7 +77,7 @@ def _record_of_others(view: AgentView, rows: Sequence[Family]) -> str:
     return used + (f"; not in its space: {', '.join(strange)}." if strange else ".")
 
 
-def _by_other(trial: Trial) -> bool:
+def _by_other(trial: Trial | Running) -> bool:
     return trial.agent not in ("", BayesAgent.name)
 
 
@@ -82,15 +85,17 @@ def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> Study:
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    word = f"bayes:{view.seed}:{len(view.trials)}:{attempt}"
+    word = f"bayes:{view.seed}:{len(view.proposed)}:{attempt}"
     seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:4], "big")
     sampler = optuna.samplers.TPESampler(n_startup_trials=_STARTUP, seed=seed)
     study = optuna.create_study(sampler=sampler)
     worst = max((t.value for t in view.trials if t.value is not None), default=1.0)
-    for trial in view.trials:
+    for trial in view.proposed:
         asked = _as_asked(trial, view.facts, rows)
         if asked is not None:
-            value = trial.value if trial.value is not None else _FAILED * worst
+            value = worst
+            if isinstance(trial, Trial):
+                value = trial.value if trial.value is not None else _FAILED * worst
             study.add_trial(
                 optuna.trial.create_trial(
                     params=asked.params, distributions=asked.distributions, value=value
@@ -127,7 +132,7 @@ class _Asked:
     """How many settings of another agent's trial have a value that it does not vary them over."""
 
 
-def _as_asked(trial: Trial, facts: Facts, rows: Sequence[Family]) -> _Asked | None:
+def _as_asked(trial: Trial | Running, facts: Facts, rows: Sequence[Family]) -> _Asked | None:
     """An earlier trial as the estimator would have asked for it; None for a source that is no
     recipe of the library, or lies outside what may be varied. Of another agent's trial all that
     lies inside is taken: the estimator looks at each setting on its own."""

@@ -26,6 +26,8 @@ class RandomAgent:
     """Draws a family, then its training method and settings, all with equal chance; never the same
     candidate twice."""
 
+    proposes_ahead = True
+
     def __init__(self, space: SpaceName = "library") -> None:
         self._space: SpaceName = space
 
@@ -35,9 +37,9 @@ class RandomAgent:
         return "random" if self._space == "library" else f"random-{self._space}"
 
     def propose(self, view: AgentView) -> Proposal | None:
-        """A draw fixed by the search seed and the number of trials; None when `_TRIES` draws in
+        """A draw fixed by the search seed and the number of proposals; None when `_TRIES` draws in
         a row were known already."""
-        word = f"{self.name}:{view.seed}:{len(view.trials)}"
+        word = f"{self.name}:{view.seed}:{len(view.proposed)}"
         seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:8], "big")
         rng = np.random.default_rng(seed)
         facts = view.facts

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from asia.agents._driving import AgentStoppedError
-from asia.agents._view import AgentView, Proposal, Trial
+from asia.agents._view import AgentView, Proposal, Running, Trial
 from asia.agents.expert.course import beats_nothing, keeps_course, why_nothing_helps
 from asia.agents.expert.ending import reason_to_end
 from asia.agents.expert.moves import all_moves
@@ -62,9 +62,11 @@ class _Option:
 
 class ExpertAgent:
     """Ladder of families, then refinement by moves chosen from training-side evidence. Where the
-    view has lessons of earlier searches, they are a prior over both."""
+    view has lessons of earlier searches, they are a prior over both. What runs counts as tried,
+    and its move as one that has not helped yet."""
 
     name = "expert"
+    proposes_ahead = True
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The next rung of the ladder, or the move with the most weight; None when all known.
@@ -106,8 +108,8 @@ def _usual_seconds(view: AgentView) -> float:
 
 
 def _untried(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]:
-    """First configurations of families that no trial has used, the most apt first."""
-    used, lost = {t.family for t in view.trials}, beats_nothing(view)
+    """First configurations of families that nothing proposed has used, the most apt first."""
+    used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     untried = (row for row in families(view.facts) if row.name not in used)
     for place, row in enumerate(untried):
         weight = UNTRIED_LOST if lost else UNTRIED
@@ -160,7 +162,8 @@ def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Opt
 
 def _failures(at: Situation, move: Move) -> int:
     title = move.title(at)
-    return sum(plain_title(t.title) == title and not t.improved for t in at.view.trials)
+    made = (t for t in at.view.proposed if plain_title(t.title) == title)
+    return sum(isinstance(t, Running) or not t.improved for t in made)
 
 
 def _moved(at: Situation, move: Move) -> Proposal | None:

@@ -13,10 +13,10 @@ _SUFFIX = re.compile(r" \([^()]*\)$")
 
 
 def title_of(at: Situation, move: Move, recipe: Recipe) -> str:
-    """The move's own title; where a trial has it already, with the settings that change, from what
-    to what: `neural state-space: one state more (order 3 to 4)`."""
+    """The move's own title; where another one has it already, with the settings that change, from
+    what to what: `neural state-space: one state more (order 3 to 4)`."""
     plain = move.title(at)
-    used = {trial.title for trial in at.view.trials}
+    used = {known.title for known in at.view.proposed}
     if plain not in used:
         return plain
     return _unused(plain, _changes(at.recipe, recipe), at.trial.number, used)

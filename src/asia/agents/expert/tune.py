@@ -35,7 +35,7 @@ _EFFORT = frozenset({"steps", "iterations", "starts", "members", "truncation"})
 def may_tune(at: Situation) -> bool:
     """Whether the leading recipe has numbers to tune and the tuned experiments, at most a fifth of
     the budget, are not used up."""
-    used = sum(plain_title(trial.title).endswith(f": {TUNED}") for trial in at.view.trials)
+    used = sum(plain_title(trial.title).endswith(f": {TUNED}") for trial in at.view.proposed)
     return used < _SHARE * at.view.experiments and bool(_spans(at))
 
 
@@ -104,5 +104,5 @@ def _range(at: Situation, span: Span) -> tuple[float, float]:
 
 
 def _seed(at: Situation) -> int:
-    word = f"tune:{at.view.seed}:{len(at.view.trials)}"
+    word = f"tune:{at.view.seed}:{len(at.view.proposed)}"
     return int.from_bytes(hashlib.sha256(word.encode()).digest()[:4], "big")

@@ -24,9 +24,9 @@ def under_protocol(recipe: Recipe, row: Family, facts: Facts) -> Recipe:
 
 
 def is_new(view: AgentView, row: Family, recipe: Recipe) -> bool:
-    """Whether no trial has the configuration, in whatever order its settings stand."""
+    """Whether nothing proposed has the configuration, in whatever order its settings stand."""
     recipe = under_protocol(recipe, row, view.facts)
-    tried = (read_recipe(trial.source) for trial in view.trials)
+    tried = (read_recipe(known.source) for known in view.proposed)
     if any(other is not None and other.key == recipe.key for other in tried):
         return False
     return not view.is_known(recipe.source(""))

@@ -32,6 +32,7 @@ class LlmAgent:
     """
 
     name = "llm"
+    proposes_ahead = True
 
     def __init__(self, settings: LlmSettings, *, network: bool = True) -> None:
         if importlib.util.find_spec("openai") is None:

@@ -50,14 +50,16 @@ class Task:
 
 
 def task_of(view: AgentView, repairs: int) -> Task:
-    """Repair what failed last, at most `repairs` times in a row; else what the phase asks for."""
+    """Repair what failed last, at most `repairs` times in a row, unless that runs already; else
+    what the phase asks for."""
     failed: list[Trial] = []
     for trial in reversed(view.trials):
         if trial.value is not None or (failed and failed[-1].parent != trial.number):
             break
         failed.append(trial)
     last = failed[0] if failed else None
-    if last is not None and last.family != NO_CANDIDATE and len(failed) <= repairs:
+    mended = last is not None and any(known.parent == last.number for known in view.running)
+    if last is not None and last.family != NO_CANDIDATE and len(failed) <= repairs and not mended:
         return Task("repair", last.number)
     if view.phase == "explore":
         return Task("explore")
@@ -72,6 +74,8 @@ def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str
         "# Experiments\n" + "\n".join(_lines(view)),
         "# Families tried\n" + "\n".join(_families(view)),
     ]
+    if view.running:
+        parts.insert(2, "# Running now, without a result yet\n" + "\n".join(_running(view)))
     if view.best is not None:
         parts.append("# Best so far\n" + "\n".join(shown.best(view.best)))
     last = view.trials[-1] if view.trials else None
@@ -85,7 +89,7 @@ def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str
     if view.notes:
         said = "\n".join(f"- {bounded(note, _NOTE)}" for note in view.notes[-_NOTES:])
         parts.append(f"# Notes of the person who runs this search\n{said}")
-    parts.append(f"# Task\n{_ask(view, task)}")
+    parts.append(f"# Task\n{_ask(view, task)}{_apart(view)}")
     return "\n\n".join(parts)
 
 
@@ -104,6 +108,15 @@ def _lines(view: AgentView) -> Iterator[str]:
                 f"    hypothesis {quoted(trial.hypothesis, _SAID)}, expected "
                 f"{quoted(trial.expected, _SAID)}"
             )
+
+
+def _running(view: AgentView) -> Iterator[str]:
+    for known in view.running:
+        origin = f" from #{known.parent}" if known.parent is not None else ""
+        yield (
+            f"#{known.number}{origin} {quoted(known.family, 40)} {quoted(known.title, _TITLE)}: "
+            f"hypothesis {quoted(known.hypothesis, _SAID)}"
+        )
 
 
 def _line(trial: Trial) -> str:
@@ -182,6 +195,15 @@ def _evidence(trial: Trial) -> Iterator[str]:
 def _numbers(diagnostics: Diagnostics) -> str:
     values = zip(fields(diagnostics), astuple(diagnostics), strict=True)
     return ", ".join(f"{field.name} {value:.4g}" for field, value in values)
+
+
+def _apart(view: AgentView) -> str:
+    if not view.running:
+        return ""
+    return (
+        " Do not wait for what is running, and do not repeat it: take another direction, so that "
+        "the results say different things."
+    )
 
 
 def _ask(view: AgentView, task: Task) -> str:

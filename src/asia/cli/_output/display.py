@@ -27,6 +27,7 @@ from asia.cli._output.words import (
     experiment_line,
     guard_words,
     last_line,
+    running_words,
     stop_words,
     usage_words,
     use_lines,
@@ -136,8 +137,10 @@ class TextDisplay:
             f"Ts={problem.sampling_time:g} s  isolation {start.isolation_words}"
         )
         sealed = f"sealed sha256:{start.test_digest[:8]}" if start.test_digest else "none"
+        at_once = f"{start.parallel} in flight  " if start.parallel > 1 else ""
+        folds = problem.protocol.folds.count
         self._print(
-            f"agent {start.agent}  seed {start.seed}  {problem.protocol.folds.count} folds  "
+            f"agent {start.agent}  seed {start.seed}  {at_once}{folds} folds  "
             f"{view.v_name} = {find_metric(problem.protocol.metric).summary}  "
             f"test {sealed}"
         )
@@ -277,9 +280,8 @@ class TextDisplay:
         doing = "scoring the rungs"
         if view.stopped is not None:
             doing = "refitting the winner on all training data"
-        elif view.pending is not None:
-            p = view.pending.proposed
-            doing = f"#{p.experiment:02d} {p.phase}: {p.title}"
+        elif view.running:
+            doing = " · ".join(running_words(view))
         done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"
         floor = floor_to_beat(view)
         if floor is not None:

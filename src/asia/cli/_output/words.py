@@ -82,6 +82,16 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     )
 
 
+def running_words(view: SearchView) -> list[str]:
+    """`#05 refine: linear, one state more`, one for each experiment in flight; of one that waits
+    for those before it, that its fit has ended."""
+    return [
+        f"#{e.number:02d} {e.proposed.phase}: {e.proposed.title}"
+        + (" (fitted, waits for its turn)" if e.landed is not None else "")
+        for e in view.running
+    ]
+
+
 def best_at(number: int, view: SearchView) -> Experiment | None:
     """The best experiment after experiment `number`."""
     bests = [e for e in view.bests if e.number <= number]

@@ -33,6 +33,7 @@ from asia.drive.command.rules import (
 from asia.drive.command.session import Session
 from asia.drive.command.stream import Stream
 from asia.errors import UserError
+from asia.executor import Executor
 from asia.ledger import (
     Evaluated,
     Event,
@@ -356,6 +357,7 @@ def search_beside(
     processes: Sequence[CommandAgent],
     on_event: OnEvent,
     on_start: Callable[[SearchView], None],
+    executor: Executor | None = None,
 ) -> SearchView:
     """As `search`; the coding agents among those who propose hear of every event, and are closed
     afterwards."""
@@ -372,7 +374,7 @@ def search_beside(
         on_start(view)
 
     try:
-        return search(prepared, agent, both, begun)
+        return search(prepared, agent, both, begun, executor)
     finally:
         for process in processes:
             process.close()

@@ -29,6 +29,7 @@ from asia.ledger._events.search import (
     FoldEvidence,
     HandedOver,
     HandOverReason,
+    Landed,
     Leg,
     Phase,
     Proposed,
@@ -68,6 +69,7 @@ __all__ = [
     "GuardScore",
     "HandOverReason",
     "HandedOver",
+    "Landed",
     "LeftOut",
     "Leg",
     "Phase",
@@ -99,7 +101,7 @@ __all__ = [
 ]
 
 Event = (
-    Started | RungScored | Proposed | Evaluated | HandedOver | Extended | Stopped | Resumed
+    Started | RungScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped | Resumed
     | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked
     | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated
 )  # fmt: skip

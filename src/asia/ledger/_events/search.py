@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from asia._stopwatch import TimeSpent
 from asia.ledger._events.final import RefitCheck, Stack, Use
@@ -18,6 +20,9 @@ StopReason = Literal[
 HandOverReason = Literal[
     "planned", "saturated", "exhausted", "stuck", "tokens", "cost", "time", "agent"
 ]
+# Left out of the record where one experiment runs at a time.
+_AtOnce = Annotated[int, Field(exclude_if=lambda value: value == 1)]
+_Elapsed = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
 
@@ -91,6 +96,9 @@ class Started:
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
     the floor; 0 where one fit decides, as in older ledgers."""
+    parallel: _AtOnce = 1
+    """How many experiments may be in flight: each is proposed once all but the last `parallel` - 1
+    before it have their results."""
     event: Literal["started"] = "started"
 
     @property
@@ -215,7 +223,30 @@ class Evaluated:
     lowest: bool = False
     """Whether V of its first fit was the lowest so far, and its model passed the checks of one that
     is handed over; False where one fit decides, and in older ledgers."""
+    elapsed: _Elapsed = None
+    """Seconds that the search waited for it, decision included; None where one experiment runs at
+    a time, which takes `seconds`."""
     event: Literal["evaluated"] = "evaluated"
+
+
+@dataclass(frozen=True)
+class Landed:
+    """The first fit of an experiment that ended before those proposed earlier had their results. It
+    waits for its turn; a search that is killed meanwhile takes it up from here."""
+
+    experiment: int
+    """1-based."""
+    outcome: Outcome
+    """Its score, or why there is none; nothing is decided yet."""
+    folds: tuple[FoldEvidence, ...]
+    """Evidence of each fold; () for a failure."""
+    output: str | None
+    """Artifact of what it printed; None where it printed nothing."""
+    seconds: float
+    """Duration of the fit and its simulations."""
+    validation_scores: int = 0
+    """Validation scores given in all folds, failed ones too."""
+    event: Literal["landed"] = "landed"
 
 
 @dataclass(frozen=True)

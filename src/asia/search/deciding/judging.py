@@ -62,12 +62,16 @@ class _Decision:
     validation_scores: int = 0
 
 
-def judge(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
+def judge(
+    evaluator: Evaluator, source: str, view: SearchView, evaluation: Evaluation | None = None
+) -> Judged:
     """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
     handed over, must also come back bitwise the same from its bytes, and answer like a model. With
     the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
-    say which one is kept. After an objection the folds stay."""
-    evaluation = evaluator.evaluate(source)
+    say which one is kept. After an objection the folds stay. evaluation: where its first fit was
+    made before."""
+    if evaluation is None:
+        evaluation = evaluator.evaluate(source)
     asked = evaluation.validation_scores
     if isinstance(evaluation.outcome, Failure):
         status = evaluation.outcome.reason.status

@@ -23,7 +23,7 @@ def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
     `saturated`: the last `budget.patience` experiments of the refine phase kept nothing; those
     before the budget was extended, or before the leg of a relay began, do not count.
     """
-    if len(view.finished) >= view.leg_end:
+    if len(view.experiments) >= view.leg_end:
         return "budget"
     if view.hours is not None and view.seconds >= view.hours * 3600.0:
         return "hours"

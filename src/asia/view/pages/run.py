@@ -55,10 +55,10 @@ def now_panel(snapshot: Snapshot) -> Html:
     best = view.best
     done = subject.over("evaluated", "experiment", "count", "count")
     budget = tag("span", f" of {view.budget}", class_="fixed")
-    pending = view.pending
     doing = None
-    if pending is not None and snapshot.run.state == "running":
-        doing = join((subject.name(pending), " ", said(pending.proposed.title, 60)))
+    if view.running and snapshot.run.state == "running":
+        each = [join((subject.name(e), " ", said(e.proposed.title, 60))) for e in view.running]
+        doing = join(each, ", ")
     tiles: list[tuple[str, Html | None]] = [
         ("state", state_mark(snapshot.run.state, paused=snapshot.paused)),
         ("experiments", join((done, budget))),

@@ -44,7 +44,9 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
     """Every candidate has the folds of one fit, and a V that its source decides."""
     known: list[Evaluation] = []
 
-    def judge(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
+    def judge(
+        evaluator: Evaluator, source: str, view: SearchView, first: Evaluation | None = None
+    ) -> Judged:
         best = view.best
         if not known:
             known.append(evaluator.evaluate(arx(2)))

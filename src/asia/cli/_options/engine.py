@@ -1,0 +1,34 @@
+"""Options of where evaluations run, and of how many experiments run at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from asia.executor import Executor
+
+
+@dataclass(frozen=True)
+class EngineOptions:
+    """Options of a command that evaluates many candidates."""
+
+    parallel: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Experiments in flight: each is proposed before the results of the last N - 1.",
+        ),
+    ] = 1
+    executor: Annotated[
+        str,
+        typer.Option(help="Where folds run: local, local:N for N at once, or an installed one."),
+    ] = "local"
+
+    def chosen(self) -> Executor:
+        """The executor. Raises UserError where there is none of that name."""
+        from asia.executor import make_executor
+
+        return make_executor(self.executor)

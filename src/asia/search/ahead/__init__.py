@@ -1,0 +1,1 @@
+"""Several experiments at a time: proposed ahead of results, recorded in the order of proposal."""

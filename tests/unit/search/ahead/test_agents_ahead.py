@@ -1,0 +1,90 @@
+"""The agents of a search with several experiments in flight: its course replays."""
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from asia.agents import Agent, RelayAgent, legs_of, make_agent, make_runner
+from asia.errors import CandidateError, Reason
+from asia.evaluation import Evaluation, Evaluator
+from asia.ledger import Evaluated, Proposed, SearchView, open_run
+from asia.problem.load import load_problem
+from asia.scoring import Score
+from asia.search import prepare, replay_run, search
+from tests.unit.search.toy import arx, write_problem
+
+
+@pytest.fixture(scope="module")
+def quick() -> Iterator[None]:
+    """Every candidate has the folds of one fit, and a V that its source decides."""
+    known: list[Evaluation] = []
+    real: Callable[..., Evaluation] = Evaluator.evaluate
+
+    def evaluate(self: Evaluator, source: str, start: int = 0) -> Evaluation:
+        if not known:
+            known.append(real(self, arx(2)))
+        outcome = known[0].outcome
+        assert isinstance(outcome, Score)
+        number = int.from_bytes(hashlib.sha256(source.encode()).digest()[:4], "big")
+        return replace(known[0], outcome=replace(outcome, value=0.1 + number / 2**32))
+
+    def refit(self: Evaluator, source: str) -> None:
+        raise CandidateError(Reason.CRASH, "made up")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Evaluator, "evaluate", evaluate)
+        patch.setattr(Evaluator, "objection", lambda self, source, folds: None)
+        patch.setattr(Evaluator, "refit", refit)
+        yield
+
+
+def go(root: Path, agent: Agent, parallel: int) -> tuple[SearchView, Path]:
+    if not (root / "toy").is_dir():
+        write_problem(root / "toy", experiments=8)
+    problem = load_problem(root / "toy")
+    problem = replace(problem, budget=replace(problem.budget, retests=0, patience=99))
+    runs = root / f"runs{parallel}"
+    ready = prepare(problem, agent.name, seed=0, runs=runs, parallel=parallel, legs=legs_of(agent))
+    return search(ready, agent, lambda event, view: None, lambda view: None), ready.directory
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("name", ["expert", "random", "bayes"])
+def test_a_search_with_experiments_in_flight_replays(name: str, tmp_path: Path) -> None:
+    view, directory = go(tmp_path, make_agent(name), 3)
+    assert len({e.proposed.digest for e in view.finished}) == 8
+    report = replay_run(directory, lambda item: None)
+    assert report.agrees
+    assert sum(item.proposal == "same" for item in report.items) >= 8
+    lines = open_run(directory).lines
+    ahead = [line.event for line in lines[:8] if isinstance(line.event, Proposed)]
+    assert len(ahead) >= 3
+
+
+@pytest.mark.usefixtures("quick")
+def test_random_proposes_what_it_does_one_at_a_time(tmp_path: Path) -> None:
+    serial, _ = go(tmp_path, make_agent("random"), 1)
+    ahead, _ = go(tmp_path, make_agent("random"), 3)
+    for one, other in zip(serial.finished, ahead.finished, strict=True):
+        assert one.proposed == other.proposed
+        assert one.result is not None
+        assert other.result is not None
+        assert one.result.outcome == other.result.outcome
+        assert one.result.status == other.result.status
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_leg_of_a_relay_ends_with_its_last_result(tmp_path: Path) -> None:
+    legs = [(make_agent("random"), 4), (make_agent("expert"), None)]
+    relay = RelayAgent([make_runner(agent, count) for agent, count in legs])
+    view, directory = go(tmp_path, relay, 3)
+    (handed,) = view.handed_over
+    assert handed.after == 4
+    events = [line.event for line in open_run(directory).lines]
+    before = events[: events.index(handed)]
+    assert sum(isinstance(e, Evaluated) for e in before) == 4
+    assert sum(isinstance(e, Proposed) for e in before) == 4
+    assert replay_run(directory, lambda item: None).agrees
