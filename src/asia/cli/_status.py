@@ -95,13 +95,12 @@ def _print(directory: Path, found: Brief) -> None:
     from asia.cli._output.words import (
         duration,
         experiment_line,
-        running_words,
         stop_words,
         usage_words,
         validation_words,
         value_words,
     )
-    from asia.ledger import control, control_words, hand_over_words, metric_of
+    from asia.ledger import control, control_words, metric_of
     from asia.protocol import metric_label
 
     view = found.view
@@ -114,10 +113,7 @@ def _print(directory: Path, found: Brief) -> None:
         f"{_state_words(found)}: {found.finished} of {view.budget} experiments in "
         f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
     )
-    for words in running_words(view) if found.state == "running" else ():
-        say(f"running {words}")
-    for event in view.handed_over:
-        say(f"relay   {hand_over_words(event)}")
+    _print_course(view, running=found.state == "running")
     if view.stopped is not None:
         words = stop_words(view.stopped.reason, view)
         say(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))
@@ -148,6 +144,17 @@ def _print(directory: Path, found: Brief) -> None:
 def _remark(view: SearchView) -> str:
     """What the agent made of the search when it was last asked."""
     return view.experiments[-1].proposed.remark if view.experiments else ""
+
+
+def _print_course(view: SearchView, *, running: bool) -> None:
+    """What is in flight, and who took over from whom."""
+    from asia.cli._output.words import running_words
+    from asia.ledger import hand_over_words
+
+    for words in running_words(view) if running else ():
+        say(f"running {words}")
+    for event in view.handed_over:
+        say(f"relay   {hand_over_words(event)}")
 
 
 def _print_winner(view: SearchView) -> None:

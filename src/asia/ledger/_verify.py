@@ -15,6 +15,7 @@ from asia.ledger._events import (
     Evaluated,
     Event,
     Exchanged,
+    Landed,
     Proposed,
     Refitted,
     Repeated,
@@ -124,7 +125,7 @@ def _artifacts(event: Event) -> Iterator[str]:
             yield lessons
         case Proposed() | AblationFit():
             yield event.source
-        case Evaluated():
+        case Evaluated() | Landed():
             for fold in event.folds:
                 yield from (fold.model, fold.y_hat, fold.curve)
                 if fold.findings:

@@ -2,6 +2,7 @@
 
 from asia.search._agent_view import agent_view, problem_facts
 from asia.search._dry_run import dry_run
+from asia.search._environment import environment_changes
 from asia.search._excerpts import simulated_excerpts
 from asia.search._lessons import RunLessons, learn_from_run, learn_from_runs
 from asia.search._loop import OnEvent
@@ -10,7 +11,6 @@ from asia.search._run import (
     LOCK,
     Prepared,
     check_baseline,
-    environment_changes,
     prepare,
     search,
     with_early_stopping,

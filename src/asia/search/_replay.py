@@ -44,7 +44,8 @@ from asia.problem.load import Problem, load_lock
 from asia.sandbox import LEVELS, Isolation, probe
 from asia.scoring import Failure, Outcome, Score
 from asia.search._agent_view import agent_view, as_bytes, problem_facts
-from asia.search._run import LOCK, environment, environment_changes, make_evaluator
+from asia.search._environment import environment, environment_changes
+from asia.search._run import LOCK, make_evaluator
 from asia.search.deciding.judging import judge
 from asia.search.deciding.rules import stop_reason
 

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import math
-import platform
 import secrets
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import get_args
 
-from asia._plugins import parts
-from asia.agents import Agent, check_relay_budget, packages_of, relay_budget
+from asia.agents import Agent, check_relay_budget, relay_budget
 from asia.agents.lessons import Lesson, encode_lessons
-from asia.candidate import check_source, installed_libraries
+from asia.candidate import check_source
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, SuspicionKind, derive_seed, search_context
 from asia.executor import Executor, LocalExecutor, SequentialExecutor
@@ -47,12 +43,12 @@ from asia.protocol import EarlyStopping, Fold, fold_names, make_folds
 from asia.sandbox import Isolation, Probe, probe
 from asia.seal._guard import guard_digest
 from asia.seal._test import seal
+from asia.search._environment import environment
 from asia.search._loop import Loop, OnEvent
 from asia.search._secrecy import check_run_is_hidden
 from asia.search.ahead.check import check_ahead, check_parallel
 
 LOCK = "problem.lock.toml"
-PACKAGES = ("cloudpickle", "asia-sysid")
 
 
 @dataclass(frozen=True)
@@ -104,8 +100,7 @@ def prepare(
     directory = runs / (name or _default_name(problem, agent_name, seed))
     found = _probe(isolation)
     check_run_is_hidden(problem, directory, found.level)
-    lock = lock_text(problem, sealed)
-    taught = b"" if lessons is None else encode_lessons(lessons)
+    lock, taught = lock_text(problem, sealed), _taught(lessons)
     started = Started(
         run=directory.name,
         problem=problem.name,
@@ -134,8 +129,11 @@ def prepare(
         retests=_retests(problem),
         parallel=parallel,
     )
-    resumes = _resumes(problem, sealed, directory)
-    return Prepared(problem, directory, lock, started, resumes, taught)
+    return Prepared(problem, directory, lock, started, _resumes(problem, sealed, directory), taught)
+
+
+def _taught(lessons: Sequence[Lesson] | None) -> bytes:
+    return b"" if lessons is None else encode_lessons(lessons)
 
 
 def _retests(problem: Problem) -> int:
@@ -285,44 +283,6 @@ def _probe(wanted: Isolation | None) -> Probe:
         return probe(wanted)
     except SandboxError as error:
         raise UserError(f"{error}; leave --isolation out for the strongest that works") from None
-
-
-def environment(*agents: str) -> dict[str, str]:
-    """Python, platform and the versions of the packages that outcomes or prompts may depend on,
-    those that bring parts included, and the digest of the model library, which may change between
-    two versions. Raises UserError as `asia._plugins.parts` does."""
-    names = (
-        *installed_libraries(),
-        *PACKAGES,
-        *(package for name in agents for package in packages_of(name)),
-    )
-    versions = {name: importlib.metadata.version(name) for name in names}
-    plugged = {part.package: part.version for part in parts()}
-    python = {"python": platform.python_version(), "platform": platform.platform()}
-    return {**python, **plugged, **versions, "asia.models": _library_digest()}
-
-
-@cache
-def _library_digest() -> str:
-    """12 hexadecimal digits of the sources of `asia.models`."""
-    digest = hashlib.sha256()
-    root = Path(__file__).parents[1] / "models"
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def environment_changes(there: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...]:
-    """What differs between the environment in a ledger and the one here, one sentence each."""
-    return tuple(
-        f"{name} {here.get(name, 'missing')} here, {there.get(name, _absent(name))} then"
-        for name in sorted({**there, **here})
-        if here.get(name) != there.get(name)
-    )
-
-
-def _absent(name: str) -> str:
-    return "not recorded" if name == "asia.models" else "missing"
 
 
 def _resumes(problem: Problem, sealed: Seal, directory: Path) -> bool:

@@ -11,9 +11,9 @@ from asia.errors import UserError
 from asia.sandbox import Isolation, Layer, _level, machine, probe, survey
 from asia.sandbox.levels import namespace
 from asia.sandbox.walls import own_layers, surroundings
-from asia.search import _run as search_run
+from asia.search import _environment as search_environment
 from asia.search import environment_changes
-from asia.search._run import environment
+from asia.search._environment import environment
 
 
 def doctor(*words: str) -> str:
@@ -78,7 +78,7 @@ def test_nothing_plugged_in_and_a_clash_are_said(monkeypatch):
 def test_the_ledger_names_packages_that_bring_parts(monkeypatch):
     before = environment("expert")
     part = Part("asia.metrics", "good", "json:dumps", "asia-extra", "1.2")
-    monkeypatch.setattr(search_run, "parts", lambda: (part,))
+    monkeypatch.setattr(search_environment, "parts", lambda: (part,))
     after = environment("expert")
     assert after == {**before, "asia-extra": "1.2"}
     assert environment_changes(before, after) == ("asia-extra 1.2 here, missing then",)
