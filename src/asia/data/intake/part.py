@@ -12,6 +12,7 @@ from asia.data.intake.grid import JITTER, Rows, held
 from asia.data.intake.numbers import to_numbers
 from asia.data.intake.sheet import Sheet, Wanted, find_column, require_column
 from asia.data.intake.stamps import seconds, time_column
+from asia.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ def parts(sheet: Sheet, wanted: Wanted) -> list[SheetPart]:
     for name in wanted.names:
         require_column(sheet, name)
     own = [require_column(sheet, n).seconds for n in (*wanted.inputs, *wanted.outputs)]
-    whole = _one_clock(sheet, wanted) if all(s is None for s in own) else _merged(sheet, wanted)
+    whole = _one_clock(sheet, wanted) if any(s is None for s in own) else _merged(sheet, wanted)
     if wanted.experiment is None:
         return [whole]
     labels = [_label(c) for c in require_column(sheet, wanted.experiment).cells]
@@ -63,6 +64,10 @@ def _numbers(sheet: Sheet, names: Sequence[str]) -> list[Array]:
 
 
 def _one_clock(sheet: Sheet, wanted: Wanted) -> SheetPart:
+    lengths = {n: len(require_column(sheet, n).cells) for n in (*wanted.inputs, *wanted.outputs)}
+    if len(set(lengths.values())) > 1:
+        many = ", ".join(f"{n} {count}" for n, count in lengths.items())
+        raise UserError(f"{sheet.where}: channels of unequal lengths and without times ({many})")
     u = np.stack(_numbers(sheet, wanted.inputs), axis=1)
     y = np.stack(_numbers(sheet, wanted.outputs), axis=1)
     time = time_column(sheet, wanted)
@@ -81,10 +86,17 @@ def _merged(sheet: Sheet, wanted: Wanted) -> SheetPart:
     values = dict(zip(names, _numbers(sheet, names), strict=True))
     times = {n: require_column(sheet, n).seconds for n in names}
     axes = {n: t for n, t in times.items() if t is not None and len(t)}
-    base = min(axes.values(), key=lambda t: float(np.median(np.diff(t))) if len(t) > 1 else np.inf)
-    first = max(float(t[0]) for n, t in axes.items() if n in wanted.inputs)
-    last = min(float(t[-1]) for t in axes.values())
-    base = base[(base >= first - 1e-9) & (base <= max(last, first) + 1e-9)]
+    for name in names:
+        if name not in axes:
+            raise UserError(f"{sheet.where}: channel '{name}' has no samples")
+    steps = {n: float(np.median(np.diff(t))) if len(t) > 1 else np.inf for n, t in axes.items()}
+    quick = min(steps.values())
+    # Inputs are held between stamps, outputs are not: an output's stamps serve best.
+    leader = next(n for n in (*wanted.outputs, *wanted.inputs) if steps[n] <= quick * 1.01)
+    first = max(float(axes[n][0]) for n in wanted.inputs)
+    ends = [float(axes[n][-1]) + (steps[n] if n in wanted.inputs else 0.0) for n in axes]
+    base = axes[leader]
+    base = base[(base >= first - 1e-9) & (base <= min(ends) + 1e-9)]
     step = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
     u = [held(axes[n], values[n][:, None], base)[:, 0] for n in wanted.inputs]
     y = [_placed(axes[n], values[n], base, step) for n in wanted.outputs]

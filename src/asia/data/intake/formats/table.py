@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from asia.data.intake.formats.arrays import Hdf5, Matlab, NumpyFile
+from asia.data.intake.formats.arrow import Arrow
+from asia.data.intake.formats.excel import Excel
+from asia.data.intake.formats.loggers import Mdf, Tdms
+from asia.data.intake.formats.rosbag import Rosbag
 from asia.data.intake.formats.text import Text
 from asia.data.intake.sheet import FileFormat, Sheet, Wanted
 from asia.errors import UserError
 
-FORMATS: tuple[type[FileFormat], ...] = (Text,)
+FORMATS: tuple[type[FileFormat], ...] = (
+    Text, Matlab, Hdf5, Arrow, NumpyFile, Excel, Tdms, Mdf, Rosbag,
+)  # fmt: skip
 
 
 def file_format(path: Path) -> FileFormat:
