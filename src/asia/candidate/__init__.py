@@ -5,6 +5,7 @@ from asia.candidate._estimates import ParameterEstimate, ParameterEstimates
 from asia.candidate._imports import imported_libraries
 from asia.candidate._libraries import installed_libraries
 from asia.candidate._source import check_source, executed_source, source_digest
+from asia.candidate._steps import Steps
 
 __all__ = [
     "VALIDATION_SCORES",
@@ -13,6 +14,7 @@ __all__ = [
     "Model",
     "ParameterEstimate",
     "ParameterEstimates",
+    "Steps",
     "check_source",
     "executed_source",
     "imported_libraries",

@@ -41,6 +41,7 @@ from asia.evaluation._results import (
 )
 from asia.evaluation._workers import WorkerRunner
 from asia.executor import Executor
+from asia.lowering import LoweredModel
 from asia.problem import Budget
 from asia.protocol import Block, Fold, ProtocolRule, whole
 from asia.sandbox import (
@@ -267,6 +268,17 @@ class Evaluator(WorkerRunner):
         on what it must not."""
         jobs = [partial(self._simulate_checked, source, model, blocks) for model in models]
         return self._run(jobs)
+
+    def lowered(self, source: str, models: Sequence[bytes]) -> list[LoweredModel | str]:
+        """Stored models as programs that can be printed, each traced in a fresh worker; for one
+        that cannot be lowered, why. Raises CandidateError."""
+        return self._run([partial(self._lowered, source, model) for model in models])
+
+    def _lowered(self, source: str, model: bytes) -> LoweredModel | str:
+        context = self._fold_context("load")
+        with self._worker(imported_libraries(source, fitting=False)) as worker:
+            worker.load(executed_source(source), model, context)
+            return worker.lowered(context)
 
     def _fold_context(self, fold: object, start: int = 0) -> Context:
         return replace(

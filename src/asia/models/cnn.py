@@ -87,6 +87,28 @@ class ConvolutionStack(Driven[Config]):
             x = x + (xp.tanh(value) * sigmoid(gate)) @ p["w2"] + p["b2"]
         return xp.concatenate([x, memory], axis=-1)
 
+    def begin(self, params: Any, window: AnyArray) -> Any:
+        """The memory before the first sample, and of each block the inputs that its taps read."""
+        xp, c = namespace(window), self.config
+        rows = [(c.kernel - 1) * dilation for dilation in c.dilations]
+        taps = [xp.zeros((len(window), n, c.width), window.dtype) for n in rows]
+        return mlp(params["encoder"], window), taps
+
+    def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """One sample: what is read of a block's past lies in a line that moves on."""
+        xp, (memory, lines) = namespace(u), state
+        memory = memory * xp.exp(-xp.exp(-params["log_tau"]))
+        x = mlp(params["in"], xp.concatenate([self.drive(u), memory], axis=-1))
+        after: list[AnyArray] = []
+        for p, dilation, line in zip(params["blocks"], self.config.dilations, lines, strict=True):
+            known = xp.concatenate([line, x[:, None]], axis=1)
+            last = known.shape[1] - 1
+            taps = [known[:, last - dilation * i] for i in range(self.config.kernel)]
+            value, gate = split(xp.concatenate(taps, -1) @ p["taps"] + p["b1"], 2)
+            x = x + (xp.tanh(value) * sigmoid(gate)) @ p["w2"] + p["b2"]
+            after.append(known[:, 1:])
+        return (memory, after), xp.concatenate([x, memory], axis=-1)
+
 
 def _delayed(x: AnyArray, samples: int) -> AnyArray:
     """x (B, T, channels) delayed, zero before the first sample."""

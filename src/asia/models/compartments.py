@@ -16,7 +16,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import Context, Steps
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import greybox
@@ -82,6 +82,10 @@ class Compartments:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
         (B, H, ny). Raises UserError before training."""
         return self._trained().simulate(past_u, past_y, u)
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises UserError before training."""
+        return self._trained().as_steps()
 
     def parameters(self) -> dict[str, float]:
         """Run-offs, gains and zeros."""

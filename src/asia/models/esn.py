@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import Context, Steps
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._config import check_at_least, demand
@@ -128,6 +128,14 @@ class EchoState:
         past = window(f.scaling.inputs(past_u), f.scaling.outputs(past_y))
         inputs = f.scaling.inputs(u)
         return f.scaling.physical(np.mean([m(past, inputs) for m in f.members], axis=0))
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises UserError before training."""
+        from asia.models._steps.free_run import reservoir_steps
+
+        if self.fitted is None:
+            raise UserError("echo state network: not trained yet; call train before as_steps")
+        return reservoir_steps(self.fitted)
 
 
 def build(config: Config, context: Context) -> EchoState:

@@ -21,6 +21,7 @@ from scipy.optimize import minimize
 
 from asia.candidate import Context
 from asia.data import Array, Trajectory
+from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, check_choice
 from asia.models._data.cuts import spread
 from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history, regressors
@@ -83,9 +84,9 @@ class OutputProcess:
     weights: Array
     """(N,), with the kernel's variance in them."""
 
-    def __call__(self, z: Array) -> Array:
+    def __call__(self, z: AnyArray) -> AnyArray:
         """Predictive mean, (B, d) -> (B,)."""
-        return np.exp(-0.5 * _distances(z / self.lengths, self.scaled)) @ self.weights
+        return namespace(z).exp(-0.5 * _distances(z / self.lengths, self.scaled)) @ self.weights
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,10 @@ class GaussianPredictor:
     processes: tuple[OutputProcess, ...]
     """One an output."""
 
-    def __call__(self, z: Array) -> Array:
+    def __call__(self, z: AnyArray) -> AnyArray:
         """(B, d) -> (B, ny)."""
         line = self.mean[0] + z @ self.mean[1:]
-        return line + np.stack([p(z) for p in self.processes], axis=1)
+        return line + namespace(z).stack([p(z) for p in self.processes], axis=1)
 
 
 def build(config: Config, context: Context) -> FreeRunModel[Config]:
@@ -191,10 +192,10 @@ def _mean(config: Config, records: ScaledData, lags: Lags, context: Context) -> 
     return linear_run(records, lags, context, _MEAN_RIDGE, config.margin).one_step.theta
 
 
-def _distances(a: Array, b: Array) -> Array:
+def _distances(a: AnyArray, b: Array) -> AnyArray:
     """Squared distances (len(a), len(b))."""
     squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
-    return np.maximum(squares, 0.0)
+    return namespace(a).maximum(squares, 0.0)
 
 
 def _hyper(x: Array, y: Array, method: MarginalLikelihood) -> tuple[Array, float]:

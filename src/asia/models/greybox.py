@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asia.candidate import Context, ParameterEstimates
+from asia.candidate import Context, ParameterEstimates, Steps
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._equations.added.extend import extended
@@ -55,6 +55,12 @@ class GreyBox:
             )
         cases = past_u, past_y, u
         return simulate_cases(self.structure, fitted.scales, fitted.prior, fitted.z, cases)
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises ValueError before training."""
+        from asia.models._steps.greybox import greybox_steps
+
+        return greybox_steps(self.structure, self._trained())
 
     def parameters(self) -> dict[str, float]:
         """Physical parameters, and those of the additions that have a physical meaning: limits

@@ -30,6 +30,7 @@ from asia.models._networks.layers import (
     mlp,
     mlp_params,
     poles,
+    turned_pole,
     zeros,
 )
 from asia.models._networks.network import NetworkModel
@@ -94,6 +95,29 @@ class KoopmanMap(Driven[Config]):
             previous = xp.concatenate([start[:, None], z[:, :-1]], axis=1)
             before = xp.concatenate([before, previous], axis=-1)
         return below
+
+    def begin(self, params: Any, window: AnyArray) -> Any:
+        """z of each level before the first sample, real parts and then imaginary ones."""
+        return split(mlp(params["encoder"], window), self.config.levels)
+
+    def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """One sample, in real numbers."""
+        u, xp = self.drive(u), namespace(u)
+        v = xp.concatenate([u, mlp(params["lift"], u)], axis=-1)
+        after = list[AnyArray]()
+        for level, (p, z) in enumerate(zip(params["levels"], state, strict=True)):
+            pole, gain = poles(p["log_rate"], p["angle"])
+            drive = v @ p["b"]
+            if level:
+                before = xp.concatenate(state[:level], axis=-1)
+                drive = drive + (before @ p["left"]) * (v @ p["right"] + p["shift"])
+            real, imaginary = split(drive, 2)
+            before_real, before_imaginary = split(z, 2)
+            moved = turned_pole(
+                pole, before_real, before_imaginary, (gain * real, gain * imaginary)
+            )
+            after.append(xp.concatenate(moved, axis=-1))
+        return after, xp.concatenate(after, axis=-1)
 
 
 def _level(p: Any, v: AnyArray, before: AnyArray, start: AnyArray) -> AnyArray:

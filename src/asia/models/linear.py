@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asia.candidate import Context, ParameterEstimate, ParameterEstimates
+from asia.candidate import Context, ParameterEstimate, ParameterEstimates, Steps
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._config import check_at_least, demand
@@ -137,6 +137,16 @@ class LinearStateSpace:
         if self.fitted is None:
             raise UserError("linear model: not trained yet; call linear.train before simulate")
         return _simulated(self.fitted, past_u, past_y, u)
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises UserError before training."""
+        from asia.models._steps.linear import level_steps, linear_steps
+
+        if self.by_level is not None:
+            return level_steps(self.by_level)
+        if self.fitted is None:
+            raise UserError("linear model: not trained yet; call linear.train before as_steps")
+        return linear_steps(self.fitted)
 
     def parameters(self) -> dict[str, float]:
         """Static gains in physical units, delay and slowest time constants in samples: what folds

@@ -27,6 +27,7 @@ from asia.models._networks.layers import (
     mlp,
     mlp_params,
     poles,
+    turned_pole,
     zeros,
 )
 from asia.models._networks.network import NetworkModel
@@ -85,12 +86,32 @@ class LRUStack(Driven[Config]):
             x = x + _layer(p, x, complex_number(starts[2 * i], starts[2 * i + 1]))
         return x
 
+    def begin(self, params: Any, window: AnyArray) -> Any:
+        """Real and imaginary parts of each layer's states."""
+        starts = split(mlp(params["encoder"], window), 2 * self.config.layers)
+        return [(starts[2 * i], starts[2 * i + 1]) for i in range(self.config.layers)]
+
+    def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """One sample, in real numbers."""
+        x, after = mlp(params["in"], self.drive(u)), list[Any]()
+        for p, (real, imaginary) in zip(params["layers"], state, strict=True):
+            pole, gain = poles(p["log_rate"], p["angle"])
+            drive = gain * (x @ p["b_re"]), gain * (x @ p["b_im"])
+            real, imaginary = turned_pole(pole, real, imaginary, drive)
+            after.append((real, imaginary))
+            x = x + _read(p, x, real, imaginary)
+        return after, x
+
 
 def _layer(p: Any, v: AnyArray, start: AnyArray) -> AnyArray:
     pole, gain = poles(p["log_rate"], p["angle"])
     drive = complex_number(gain * (v @ p["b_re"]), gain * (v @ p["b_im"]))
     x = diagonal_states(pole, drive, start)
-    y = x.real @ p["c_re"] - x.imag @ p["c_im"] + v * p["d"]
+    return _read(p, v, x.real, x.imag)
+
+
+def _read(p: Any, v: AnyArray, real: AnyArray, imaginary: AnyArray) -> AnyArray:
+    y = real @ p["c_re"] - imaginary @ p["c_im"] + v * p["d"]
     return gated(gelu(y), p["gate_w"], p["gate_b"])
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import Context, Steps
 from asia.data import Array, Signal, Trajectory
 from asia.data._transport import Transport, find_transport
 from asia.errors import UserError
@@ -181,6 +181,18 @@ class NeuralStateSpace:
         if self.fitted.turns is None:
             return simulate(past_u, past_y, u)
         return self.fitted.turns.averaged(simulate, past_u, past_y, u)
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises UserError before training."""
+        from asia.models._steps.state_space import state_space_steps
+
+        if self.fitted is None:
+            raise UserError("neural state-space model: not trained yet; call train first")
+        if self.fitted.transport is not None:
+            raise UserError(
+                "a transport at the pace of an input cannot be exported; set it to None"
+            )
+        return state_space_steps(self.fitted)
 
 
 def _simulated(f: FittedStateSpace, past_u: Array, past_y: Array, u: Array) -> Array:

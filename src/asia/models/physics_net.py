@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from asia.candidate import VALIDATION_SCORES, Context
+from asia.candidate import VALIDATION_SCORES, Context, Steps
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
@@ -118,6 +118,10 @@ class PhysicsNet:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
         (B, H, ny) float64. Raises UserError before training."""
         return self.network.simulate(past_u, past_y, u)
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises UserError before training."""
+        return self.network.as_steps()
 
     def parameters(self) -> dict[str, float]:
         """Those of the equations in their physical units, of the first member where there are

@@ -86,6 +86,43 @@ class Transformer(Driven[Config]):
             x = x + inner @ p["w2"] + p["b2"]
         return x[:, 1 : samples + 1]
 
+    def begin(self, params: Any, window: AnyArray) -> Any:
+        """Keys, values and whether there are any, of the tokens before the first sample."""
+        xp, c, batch = namespace(window), self.config, len(window)
+        blank = xp.zeros((batch, c.span - 1, c.width), window.dtype)
+        unseen = xp.zeros((batch, c.span - 1), window.dtype)
+        nothing = [(blank, blank, unseen) for _ in range(c.layers)]
+        return self._token(params, nothing, mlp(params["encoder"], window))[0]
+
+    def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """One token more."""
+        return self._token(params, state, mlp(params["in"], self.drive(u)))
+
+    def _token(self, params: Any, state: Any, x: AnyArray) -> tuple[Any, AnyArray]:
+        after = list[Any]()
+        for p, held in zip(params["layers"], state, strict=True):
+            held, seen = _attended(p, normalised(x, p["gain1"]), held, self.config.heads)
+            after.append(held)
+            x = x + seen @ p["merge"]
+            inner = gelu(normalised(x, p["gain2"]) @ p["w1"] + p["b1"])
+            x = x + inner @ p["w2"] + p["b2"]
+        return after, x
+
+
+def _attended(p: Any, x: AnyArray, held: Any, heads: int) -> tuple[Any, AnyArray]:
+    """`banded_attention` of one token x (B, width) to itself and to those held before it."""
+    xp, (batch, width) = namespace(x), x.shape
+    query, key, value = split(x @ p["qkv"], 3)
+    news = key[:, None], value[:, None], xp.ones((batch, 1), x.dtype)
+    keys, values, known = (xp.concatenate(p, axis=1) for p in zip(held, news, strict=True))
+    span, size = keys.shape[1], width // heads
+    shape = (batch, span, heads, size)
+    scores = (query.reshape(batch, 1, heads, size) / sqrt(size) * keys.reshape(shape)).sum(axis=-1)
+    bias = p["bias"][:, ::-1].T + _UNSEEN * (1.0 - known)[..., None]
+    weights = softmax((scores + bias).swapaxes(1, 2)).swapaxes(1, 2)
+    seen = (weights[..., None] * values.reshape(shape)).sum(axis=1).reshape(batch, width)
+    return (keys[:, 1:], values[:, 1:], known[:, 1:]), seen
+
 
 def banded_attention(p: Any, x: AnyArray, heads: int, span: int) -> AnyArray:
     """x (B, T, width), T a multiple of span -> (B, T, width). Each block of `span` tokens looks

@@ -11,25 +11,28 @@ from asia.search._run import (
     LOCK,
     Prepared,
     check_baseline,
+    make_evaluator,
     prepare,
     search,
     with_early_stopping,
     with_relay_budget,
 )
 from asia.search._secrecy import check_hidden_from_workers
-from asia.search._simulate import BandedSimulation, simulate, simulate_cases
+from asia.search._simulate import BandedSimulation, simulate, simulate_cases, simulate_members
 from asia.search._sinks import OpenSink, Sink, Sinks, find_sink, open_sinks
 from asia.search._steering import Steering
 from asia.search._unseal import CONSENT, UnsealResult, needs_consent, unseal
 from asia.search.ablation.ablate import OnFit, ablate
 from asia.search.dossier import Dossier, validate
 from asia.search.final.confirmation import OnRepeat, confirm
+from asia.search.final.members import FinalMember, final_members, fold_models
 
 __all__ = [
     "CONSENT",
     "LOCK",
     "BandedSimulation",
     "Dossier",
+    "FinalMember",
     "OnEvent",
     "OnFit",
     "OnRepeat",
@@ -49,9 +52,12 @@ __all__ = [
     "confirm",
     "dry_run",
     "environment_changes",
+    "final_members",
     "find_sink",
+    "fold_models",
     "learn_from_run",
     "learn_from_runs",
+    "make_evaluator",
     "needs_consent",
     "open_sinks",
     "prepare",
@@ -60,6 +66,7 @@ __all__ = [
     "search",
     "simulate",
     "simulate_cases",
+    "simulate_members",
     "simulated_excerpts",
     "unseal",
     "validate",

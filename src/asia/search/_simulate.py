@@ -107,13 +107,8 @@ def simulate_cases(
     problem = load_lock(run.directory / LOCK)
     blocks = [_block(run, problem, *case, record=k) for k, case in enumerate(cases)]
     evaluator = make_evaluator(problem, run.view)
-    total = [np.zeros_like(block.y) for block in blocks]
-    for member in final_members(run.view, named):
-        models = [run.store.get(one) for one in member.models]
-        replies = evaluator.simulate(run.store.text(member.source), models, blocks)
-        for k, found in enumerate(total):
-            found += member.weight * np.mean([reply[k] for reply in replies], axis=0)
-    return total
+    members = final_members(run.view, named)
+    return [each.mean(axis=0) for each in simulate_members(evaluator, run, members, blocks)]
 
 
 def _block(
@@ -137,11 +132,20 @@ def _simulated(
     evaluator: Evaluator, run: Run, members: Sequence[FinalMember], block: Block
 ) -> Array:
     """Simulations (K, H, ny) whose mean is that of the members: one a fold, or that of a refit."""
-    total = np.zeros((1, *block.y.shape))
+    return simulate_members(evaluator, run, members, [block])[0]
+
+
+def simulate_members(
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember], blocks: Sequence[Block]
+) -> list[Array]:
+    """Of each block, simulations (K, H, ny) whose mean is that of the members. Raises
+    CandidateError."""
+    total = [np.zeros((1, *block.y.shape)) for block in blocks]
     for member in members:
         models = [run.store.get(one) for one in member.models]
-        replies = evaluator.simulate(run.store.text(member.source), models, [block])
-        total = total + member.weight * np.stack([reply[0] for reply in replies])
+        replies = evaluator.simulate(run.store.text(member.source), models, blocks)
+        for place, each in enumerate(zip(*replies, strict=True)):
+            total[place] = total[place] + member.weight * np.stack(each)
     return total
 
 

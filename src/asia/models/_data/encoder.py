@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from asia.data import Array
+from asia.models._arrays import AnyArray, namespace
 
 Decomposed: TypeAlias = tuple[Array, Array]
 
@@ -34,9 +35,9 @@ class Encoder:
     outer: Array
     """(m, n)."""
 
-    def __call__(self, features: Array) -> Array:
+    def __call__(self, features: AnyArray) -> AnyArray:
         """(B, d) -> (B, n)."""
-        bent = np.tanh(features @ self.inner + self.shift)
+        bent = namespace(features).tanh(features @ self.inner + self.shift)
         return features @ self.weights + bent @ self.outer + self.bias
 
 

@@ -10,8 +10,15 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
+from asia.models._arrays import AnyArray, namespace
 from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, windows
+from asia.models._data.records import (
+    ScaledData,
+    ScaledTrajectory,
+    past_length,
+    window,
+    windows,
+)
 
 # Regressing the missing lags on the past window needs no more windows than this.
 _MOST_WINDOWS = 4000
@@ -39,13 +46,13 @@ class Lags:
         return max(self.outputs, self.past_inputs)
 
 
-def lagged_inputs(u: Array, lags: Lags) -> Array:
+def lagged_inputs(u: AnyArray, lags: Lags) -> AnyArray:
     """u (..., past_inputs + T, nu) -> (..., T, inputs * nu), the newest first."""
     length = u.shape[-2] - lags.past_inputs
     newest = lags.inputs - 1 if lags.inputs else 0
     parts = [u[..., newest - i : newest - i + length, :] for i in range(lags.inputs)]
     empty = u[..., : max(length, 0), :0]
-    return np.concatenate([empty, *parts], axis=-1)
+    return namespace(u).concatenate([empty, *parts], axis=-1)
 
 
 def regressors(
@@ -75,9 +82,12 @@ class History:
     """Regression of the missing lags on the window and the first input; without one the oldest
     known value is repeated."""
 
-    def __call__(self, past_u: Array, past_y: Array, u: Array) -> tuple[Array, Array]:
+    def __call__(
+        self, past_u: AnyArray, past_y: AnyArray, u: AnyArray
+    ) -> tuple[AnyArray, AnyArray]:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> inputs
         (B, past_inputs, nu) and outputs (B, outputs, ny), the oldest first."""
+        xp = namespace(past_u, past_y, u)
         batch, nu, ny = len(u), u.shape[2], past_y.shape[2]
         known_u = past_u[:, past_u.shape[1] - (self.lags.past_inputs - self.missing_u) :]
         known_y = past_y[:, past_y.shape[1] - (self.lags.outputs - self.missing_y) :]
@@ -87,11 +97,11 @@ class History:
             old_u = guess[:, :split].reshape(batch, self.missing_u, nu)
             old_y = guess[:, split:].reshape(batch, self.missing_y, ny)
         else:
-            oldest_u = np.concatenate([past_u, u], axis=1)[:, :1]
+            oldest_u = xp.concatenate([past_u, u], axis=1)[:, :1]
             oldest_y = past_y[:, :1] if past_y.shape[1] else np.zeros((batch, 1, ny))
-            old_u = np.repeat(oldest_u, self.missing_u, axis=1)
-            old_y = np.repeat(oldest_y, self.missing_y, axis=1)
-        return np.concatenate([old_u, known_u], axis=1), np.concatenate([old_y, known_y], axis=1)
+            old_u = xp.repeat(oldest_u, self.missing_u, axis=1)
+            old_y = xp.repeat(oldest_y, self.missing_y, axis=1)
+        return xp.concatenate([old_u, known_u], axis=1), xp.concatenate([old_y, known_y], axis=1)
 
 
 def fit_history(
@@ -125,9 +135,9 @@ def fit_history(
     return History(lags, missing_y, missing_u, fit_encoder(features, targets))
 
 
-def _features(past_u: Array, past_y: Array, first: Array) -> Array:
-    batch = len(first)
-    return np.concatenate([past_u.reshape(batch, -1), past_y.reshape(batch, -1), first], axis=1)
+def _features(past_u: AnyArray, past_y: AnyArray, first: AnyArray) -> AnyArray:
+    before = window(past_u, past_y)
+    return namespace(before, first).concatenate([before, first], axis=1)
 
 
 @dataclass(frozen=True)
@@ -150,7 +160,7 @@ class OutputRange:
 class OneStep(Protocol):
     """Prediction of the next output from the regressors."""
 
-    def __call__(self, z: Array) -> Array:
+    def __call__(self, z: AnyArray) -> AnyArray:
         """(B, d) -> (B, ny)."""
         ...
 

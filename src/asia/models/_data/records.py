@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace
 from asia.models._data.cuts import Indices, side_by_side, spread
 from asia.models._data.scaling import Scaling
 
@@ -84,10 +85,10 @@ def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledT
     return [ScaledTrajectory(u, y, np.ones(len(y)), u) for u, y in pairs]
 
 
-def window(past_u: Array, past_y: Array) -> Array:
+def window(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
     """past_u (B, npu, nu), past_y (B, npy, ny) -> (B, npu*nu + npy*ny), z-scored alike."""
-    batch = past_u.shape[0]
-    return np.concatenate([past_u.reshape(batch, -1), past_y.reshape(batch, -1)], axis=1)
+    flat = [past.reshape(past.shape[0], past.shape[1] * past.shape[2]) for past in (past_u, past_y)]
+    return namespace(*flat).concatenate(flat, axis=1)
 
 
 def windows(record: ScaledTrajectory, context: Context) -> Array:

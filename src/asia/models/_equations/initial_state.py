@@ -10,10 +10,10 @@ from asia.models._equations.simulate import Scales, WindowPrior, simulate
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.minimise import NormalEquations, minimise
 
-_METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
+METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
 # Differences of fourth order, in units of the initial state's deviation.
-_STEP = 1e-3
-_WEIGHTS = {1: 8.0, -1: -8.0, 2: -1.0, -2: 1.0}
+STEP = 1e-3
+WEIGHTS = {1: 8.0, -1: -8.0, 2: -1.0, -2: 1.0}
 
 
 def simulate_cases(
@@ -73,10 +73,10 @@ def _estimated(
         return (errors(shift) ** 2).sum(axis=0).T + (shift**2).sum(axis=-1)
 
     def linearise(shift: Array) -> NormalEquations:
-        ways = [way * _STEP * np.eye(nx) for way in _WEIGHTS]
+        ways = [way * STEP * np.eye(nx) for way in WEIGHTS]
         found = errors(shift[:, None] + np.concatenate([np.zeros((1, nx)), *ways]))
         error, around = found[:, 0], found[:, 1:].reshape(len(found), len(ways), nx, -1)
-        weights = np.array(list(_WEIGHTS.values())) / (12.0 * _STEP)
+        weights = np.array(list(WEIGHTS.values())) / (12.0 * STEP)
         jacobian = np.einsum("w,ewnb->ben", weights, around)
         turned = jacobian.transpose(0, 2, 1)
         return NormalEquations(
@@ -85,7 +85,7 @@ def _estimated(
             (turned @ error.T[..., None])[..., 0] + shift,
         )
 
-    shift = minimise(cost, linearise, np.zeros((len(past_y), nx)), _METHOD).theta
+    shift = minimise(cost, linearise, np.zeros((len(past_y), nx)), METHOD).theta
     return expected + prior.x_deviation[:, None] * shift.T
 
 

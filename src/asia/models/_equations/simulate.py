@@ -195,6 +195,15 @@ def simulate_states(
     return scan(lambda x, v: (advance(x, v), x), confine(x0), held)[1]
 
 
+def sample_by_sample(
+    structure: GreyBoxStructure, scales: Scales, effect: Effects
+) -> tuple[Confinement, Step]:
+    """What keeps states (nx, R, S) in their bounds before the first sample, and what takes them one
+    sample on with inputs (nu, R, S)."""
+    confine = _confinement(structure, scales, effect)
+    return confine, _stepping(structure, scales, effect, confine)
+
+
 def outputs(
     structure: GreyBoxStructure, effect: Effects, states: AnyArray, held: AnyArray
 ) -> AnyArray:

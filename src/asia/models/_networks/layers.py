@@ -92,6 +92,14 @@ def poles(log_rate: AnyArray, angle: AnyArray) -> tuple[AnyArray, AnyArray]:
     return xp.exp(complex_number(-rate, angle)), xp.sqrt(-xp.expm1(-2 * rate))
 
 
+def turned_pole(
+    pole: AnyArray, real: AnyArray, imaginary: AnyArray, drive: tuple[AnyArray, AnyArray]
+) -> tuple[AnyArray, AnyArray]:
+    """One sample of `diagonal_states` in real numbers: real and imaginary parts after it."""
+    a, b = pole.real, pole.imag
+    return a * real - b * imaginary + drive[0], a * imaginary + b * real + drive[1]
+
+
 def diagonal_states(pole: AnyArray, drive: AnyArray, start: AnyArray) -> AnyArray:
     """x[k] = pole x[k-1] + drive[k], x[-1] = start: pole (n,), drive (B, T, n), start (B, n), all
     complex -> (B, T, n)."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import Context, Steps
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._data.chunks import laid, whole
@@ -49,6 +49,12 @@ class NetworkModel:
         if self.turns is None:
             return self._simulated(past_u, past_y, u)
         return self.turns.averaged(self._simulated, past_u, past_y, u)
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises UserError before training."""
+        from asia.models._steps.network import network_steps
+
+        return network_steps(self)
 
     def _simulated(self, past_u: Array, past_y: Array, u: Array) -> Array:
         if self.scaling is None:

@@ -62,6 +62,23 @@ class FeatureMap(Protocol):
 
 
 @runtime_checkable
+class OneSample(Protocol):
+    """A `FeatureMap` that can also go sample by sample, for those who use it in a loop."""
+
+    def begin(self, params: Any, window: AnyArray) -> Any:
+        """window (B, d) -> what it remembers before the first sample, any tree of arrays."""
+        ...
+
+    def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """What it remembers after a sample u (B, nu), and the features (B, hidden) of it."""
+        ...
+
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
+        """features (..., hidden), u (..., nu) -> outputs (..., ny)."""
+        ...
+
+
+@runtime_checkable
 class SequenceMap(Protocol):
     """A structure that computes the outputs of all samples at once, causally; it is used in place
     of stepping where a structure has both."""

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import Context, Steps
 from asia.data import Array
 from asia.errors import UserError
 from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history
@@ -43,6 +43,14 @@ class FreeRunModel(Generic[C]):
             raise UserError("input-output model: not trained yet; call train before simulate")
         s = self.scaling
         return s.physical(self.run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises UserError before training."""
+        from asia.models._steps.free_run import free_run_steps
+
+        if self.run is None or self.scaling is None:
+            raise UserError("input-output model: not trained yet; call train before as_steps")
+        return free_run_steps(self.run, self.scaling)
 
 
 @dataclass(frozen=True)

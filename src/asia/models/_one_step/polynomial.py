@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array
+from asia.models._arrays import AnyArray, namespace
 from asia.models._data.lags import FreeRun, Lags, lagged_inputs, regressors
 from asia.models._data.records import ScaledData
 from asia.models._data.stretches import Stretches, simulation_error
@@ -38,7 +39,7 @@ class Polynomial:
     used: NDArray[np.bool_]
     """Which coefficients are free (M, ny)."""
 
-    def __call__(self, z: Array) -> Array:
+    def __call__(self, z: AnyArray) -> AnyArray:
         """(B, d) -> (B, ny)."""
         return products(z, self.terms) @ self.theta
 
@@ -56,9 +57,9 @@ def all_terms(size: int, degree: int) -> Terms:
     return np.array(list(rows), dtype=np.intp).reshape(-1, degree)
 
 
-def products(z: Array, terms: Terms) -> Array:
+def products(z: AnyArray, terms: Terms) -> AnyArray:
     """z (..., d) -> (..., M)."""
-    full = np.concatenate([np.ones((*z.shape[:-1], 1)), z], axis=-1)
+    full = namespace(z).concatenate([np.ones((*z.shape[:-1], 1)), z], axis=-1)
     result = full[..., terms[:, 0]]
     for column in terms.T[1:]:
         result = result * full[..., column]

@@ -15,8 +15,8 @@ from asia.data import Array
 from asia.models._solvers.least_squares import LevenbergMarquardt
 
 # Dampings tried side by side in one iteration: one Jacobian then nearly always yields a step.
-_FACTORS = np.array([0.1, 1.0, 10.0, 100.0])
-TRIALS = len(_FACTORS)
+FACTORS = np.array([0.1, 1.0, 10.0, 100.0])
+TRIALS = len(FACTORS)
 """Points of a row whose costs are asked for together."""
 
 
@@ -69,7 +69,7 @@ def minimise(
         before = _finite(at.cost)
         if iteration == 0:
             history[:] = before[:, None]
-        dampings = damping[:, None] * _FACTORS
+        dampings = damping[:, None] * FACTORS
         points = theta[:, None] + _steps(at, dampings)
         costs = _finite(cost(points))
         best = costs.argmin(axis=1)

@@ -23,10 +23,10 @@ from asia.models._state_space.structure import StateSpaceStructure
 if TYPE_CHECKING:
     from asia.models._state_space.fit import StateFit
 
-_STEPS, _DIFFERENCE = 8, 1e-5
+STEPS, DIFFERENCE = 8, 1e-5
 # Least deviations, of a state relative to its spread and of an output in z-scores.
 _LEAST_STATE, _LEAST_OUTPUT = 1e-3, 1e-4
-_DAMPING, _LESS, _MORE = 1e-3, 0.2, 10.0
+DAMPING, LESS, MORE = 1e-3, 0.2, 10.0
 
 
 @dataclass(frozen=True)
@@ -85,17 +85,17 @@ def fitted_state(
     """guess (B, n) of the state at the first of `how.samples` samples, u (B, samples + 1, nu) and
     y (B, samples, ny), z-scored -> the state (B, n) after them. Each window for itself."""
     window = _Window(structure, params, how, guess, u, y)
-    x, damping = guess, np.full(len(guess), _DAMPING)
+    x, damping = guess, np.full(len(guess), DAMPING)
     with np.errstate(all="ignore"):
         residual, cost = window.residual(x)
-        for _ in range(_STEPS):
+        for _ in range(STEPS):
             moved = x + window.step(x, residual, damping)
             after, costs = window.residual(moved)
             better = costs < cost
             x = np.where(better[:, None], moved, x)
             residual = np.where(better[:, None], after, residual)
             cost = np.where(better, costs, cost)
-            damping = np.where(better, damping * _LESS, damping * _MORE)
+            damping = np.where(better, damping * LESS, damping * MORE)
         return structure.simulate(params, x, u)[0][:, -1]
 
 
@@ -120,7 +120,7 @@ class _Window:
     def step(self, x: Array, residual: Array, damping: Array) -> Array:
         """Gauss-Newton steps (B, n), zero where one cannot be computed."""
         n = x.shape[1]
-        width = _DIFFERENCE * self.how.x_deviation
+        width = DIFFERENCE * self.how.x_deviation
         columns = [
             (self.residual(x + np.eye(n)[j] * width[j])[0] - residual) / width[j] for j in range(n)
         ]

@@ -154,6 +154,7 @@ class _Session:
             "dump": self._dump,
             "parameters": self._parameters,
             "estimates": self._estimates,
+            "lower": self._lower,
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
         }
         while True:
@@ -247,6 +248,12 @@ class _Session:
         if y.shape != (u.shape[0], u.shape[1], ny):
             raise _WrongShapeError(y.shape)
         return y.tobytes()
+
+    def _lower(self, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
+        """Traced here, where the model's own code may run."""
+        from asia.lowering.trace import lowered_bytes
+
+        return lowered_bytes(self._model, n_past_u, n_past_y, nu, ny)
 
     def _dump(self) -> bytes:
         return self._pickled(self._model)

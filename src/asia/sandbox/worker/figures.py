@@ -11,7 +11,10 @@ import math
 import re
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from asia.candidate import ParameterEstimates
 
 PARAMETERS = 64
 """The most named parameters of a fitted model that are kept."""
@@ -112,6 +115,22 @@ def unpack_estimates(body: bytes) -> EstimateRows:
     correlation = tuple(value for (value,) in _NUMBER.iter_unpack(body[table:text]))
     words = _NO_TEXT.sub("_", body[text:].decode("ascii", "replace"))
     return EstimateRows(tuple(rows.values()), correlation, tuple(words.splitlines()))
+
+
+def estimates_of(said: EstimateRows) -> ParameterEstimates:
+    """As the parent passes them on."""
+    import numpy as np
+
+    from asia.candidate import ParameterEstimate, ParameterEstimates
+
+    rows: list[ParameterEstimate] = []
+    for row in said.rows:
+        value, error, low, high, lower, upper, share = row.figures
+        rows.append(
+            ParameterEstimate(row.name, value, error, low, high, row.unit, lower, upper, share)
+        )
+    correlation = np.array(said.correlation).reshape(len(rows), len(rows))
+    return ParameterEstimates(tuple(rows), correlation, said.equations)
 
 
 def _raw(word: object, size: int) -> bytes:

@@ -13,9 +13,10 @@ import numpy as np
 
 from asia._stopwatch import Activity, Seconds
 from asia._text import printable
-from asia.candidate import Context, ParameterEstimate, ParameterEstimates
+from asia.candidate import Context, ParameterEstimates
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError
+from asia.lowering import LARGEST_BYTES, FormatError, LoweredModel, unpack_for
 from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError, WorkerKilledError
 from asia.sandbox.worker.channel import (
     Channel,
@@ -29,7 +30,7 @@ from asia.sandbox.worker.failures import KNOWN_ERRORS, OUT_OF_MEMORY, REASONS, s
 from asia.sandbox.worker.figures import (
     ESTIMATES_BYTES,
     PARAMETERS_BYTES,
-    EstimateRows,
+    estimates_of,
     unpack_estimates,
     unpack_parameters,
 )
@@ -147,6 +148,14 @@ class Worker:
             raise CandidateError(Reason.NOT_FINITE)
         return y
 
+    def lowered(self, context: Context) -> LoweredModel | str:
+        """The model as a program to be printed, or why there is none."""
+        sizes = context.n_past_u, context.n_past_y, context.nu, context.ny
+        try:
+            return unpack_for(self._said("lower", sizes, LARGEST_BYTES), sizes)
+        except FormatError as error:
+            raise self._failure(Reason.UNSOLICITED, str(error)) from None
+
     def dump(self) -> bytes:
         """The fitted model as opaque bytes; only a worker that runs the same source reads them."""
         self._need_model()
@@ -171,21 +180,24 @@ class Worker:
         before any case."""
         body = self._said_of_parameters("estimates", ESTIMATES_BYTES)
         try:
-            return _estimates(unpack_estimates(body)) if body else None
+            return estimates_of(unpack_estimates(body)) if body else None
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
     def _said_of_parameters(self, request: str, most: int) -> bytes:
-        self._need_model()
         if self._cases_seen:
             raise SandboxError(f"the worker has seen cases: {request} are asked for before them")
+        return self._said(request, (), most)
+
+    def _said(self, request: str, arguments: tuple[object, ...], most: int) -> bytes:
+        self._need_model()
         late = Reason.FIT_TIMEOUT
         deadline = time.monotonic() + self._limits.fit_seconds
         with self._clock.activity(Activity.FIT):
-            self._send(request, (), deadline, late)
+            self._send(request, arguments, deadline, late)
             head = self._head(deadline, late)
             if head.length > most:
-                raise self._failure(Reason.UNSOLICITED, f"too many {request}")
+                raise self._failure(Reason.UNSOLICITED, f"too many bytes of {request}")
             return self._body(head, deadline, late)
 
     @property
@@ -378,14 +390,3 @@ def _plain(context: Context) -> dict[str, object]:
 
 def _floats(data: bytes) -> Array:
     return np.frombuffer(data, dtype="<f8").astype(np.float64)
-
-
-def _estimates(said: EstimateRows) -> ParameterEstimates:
-    rows: list[ParameterEstimate] = []
-    for row in said.rows:
-        value, error, low, high, lower, upper, share = row.figures
-        rows.append(
-            ParameterEstimate(row.name, value, error, low, high, row.unit, lower, upper, share)
-        )
-    correlation = np.array(said.correlation).reshape(len(rows), len(rows))
-    return ParameterEstimates(tuple(rows), correlation, said.equations)

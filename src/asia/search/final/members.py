@@ -26,7 +26,7 @@ def final_members(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
     if best is None:
         raise UserError(f"run '{run}' has no scored model")
     if use == "ensemble":
-        return (_fold_models(best),)
+        return (fold_models(best),)
     if use == "refit":
         if refitted is None or refitted.model is None:
             why = f": {refitted.detail}" if refitted and refitted.detail else ""
@@ -38,7 +38,7 @@ def final_members(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
             "candidates together have a lower V than one"
         )
     members = refitted.stack.members
-    return tuple(_fold_models(view.experiment(m.experiment), m.weight) for m in members)
+    return tuple(fold_models(view.experiment(m.experiment), m.weight) for m in members)
 
 
 def has_model(view: SearchView, use: Use) -> bool:
@@ -49,7 +49,8 @@ def has_model(view: SearchView, use: Use) -> bool:
         return False
 
 
-def _fold_models(experiment: Experiment, weight: float = 1.0) -> FinalMember:
+def fold_models(experiment: Experiment, weight: float = 1.0) -> FinalMember:
+    """The fold models of a scored experiment."""
     assert experiment.result is not None
     models = tuple(fold.model for fold in experiment.result.folds)
     return FinalMember(experiment.proposed.source, models, weight)

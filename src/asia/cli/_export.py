@@ -1,0 +1,70 @@
+"""asia export: the model for other programs."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asia._text import say
+from asia.cli._options.run_directory import run_directory
+from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
+
+if TYPE_CHECKING:
+    from asia.export import Exported
+
+
+def export(
+    run: RunName = None,
+    to: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Target, more than once for several: numpy, c, onnx, fmu, casadi, control, matlab."
+        ),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="refit, ensemble, stack, or the number of an experiment; default: the model to "
+            "use."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for a folder a target; default: export in the run.")
+    ] = None,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Print a model of a run as code for other programs.
+
+    Compares what it printed with ASIA's own simulation of the training windows and writes nothing
+    that differs.
+    """
+    from asia.errors import UserError
+    from asia.export import TARGETS, table
+    from asia.export import export as write
+
+    if not to:
+        raise UserError(f"--to is missing: one of {', '.join(TARGETS)}, or several")
+    for one in write(run_directory(runs, run), to, model, out):
+        if json:
+            say(jsonlib.dumps(_facts(one), allow_nan=False))
+        stream = sys.stderr if json else sys.stdout
+        for line in table(one.parity):
+            say(line, file=stream)
+        say(str(one.folder), file=stream)
+
+
+def _facts(one: Exported) -> dict[str, Any]:
+    rows = one.parity
+    gaps = {r.target: r.difference for r in rows}
+    return {
+        "target": one.target,
+        "files": [str(path) for path in one.files],
+        "parity": gaps,
+        "microseconds_per_step": {r.target: r.microseconds for r in rows},
+        "bytes": rows[0].bytes,
+    }

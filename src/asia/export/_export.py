@@ -1,0 +1,221 @@
+"""A model of a run, printed for other programs."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from asia.data import Array
+from asia.errors import UserError
+from asia.evaluation import Evaluator
+from asia.export._composed import weighted_mean
+from asia.export._model import Band, ExportModel, Printed, TrainingWindow
+from asia.export._parity import ParityRow, parity_row
+from asia.export._registry import target
+from asia.export._target import Target
+from asia.export._usage import usage_page
+from asia.ledger import Run, Use, model_to_use, open_run
+from asia.lowering import LoweredModel
+from asia.problem.load import load_lock
+from asia.protocol import Block, Case
+from asia.search import (
+    LOCK,
+    FinalMember,
+    final_members,
+    fold_models,
+    make_evaluator,
+    simulate,
+    simulate_members,
+)
+
+_MOST_SAMPLES, _MOST_WINDOWS = 6000, 64
+_LEVEL, _EXAMPLE = 0.9, 100
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written."""
+
+    target: str
+    """As in `--to`."""
+    folder: Path
+    """Where."""
+    files: tuple[Path, ...]
+    """All of them."""
+    parity: tuple[ParityRow, ...]
+    """How they compare with ASIA's own simulation."""
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A lowered model of a run, with the windows that every target is compared on."""
+
+    model: ExportModel
+    """As the printers are given it."""
+    windows: tuple[TrainingWindow, ...]
+    """From the training records."""
+
+
+def export(
+    directory: Path | str, targets: Sequence[str], model: str | None = None, out: Path | None = None
+) -> list[Exported]:
+    """Print a model of a finished run for each target and compare it with ASIA's own simulation.
+
+    model: `ensemble`, `refit`, `stack`, or the number of an experiment, whose fold models are
+    averaged; None for the one that the search names as the model to use. out: folder for a folder
+    a target; None for `export` in the run. Raises UserError for an unknown target, a model that
+    cannot be exported, and files that differ from ASIA's simulation, which are not written.
+    """
+    chosen = [target(name) for name in dict.fromkeys(targets)]
+    run = open_run(Path(directory))
+    ready = lowered_run(run, model)
+    folder = run.directory / "export" if out is None else out
+    return [write(one, ready, folder / one.name) for one in chosen]
+
+
+def write(one: Target, ready: Ready, folder: Path) -> Exported:
+    """Print, compare, then write. Raises UserError where they differ by more than may be."""
+    printed = one.print(ready.model)
+    with tempfile.TemporaryDirectory(prefix="asia-export-") as made:
+        trial = Path(made)
+        _put(trial, printed.files)
+        rows = _compared(one, trial, printed, ready)
+    wrong = next((r for r in rows if not r.holds), None)
+    if wrong is not None:
+        raise UserError(
+            f"--to {one.name}: nothing was written: {wrong.target} differs from ASIA's own "
+            f"simulation by {wrong.difference:.1e} of the outputs' spread, at most "
+            f"{wrong.limit:.0e} is allowed; try another model (--model) or target"
+        )
+    files = {**printed.files, "USE.md": usage_page(one, ready.model, rows).encode()}
+    files["model.json"] = _json({**ready.model.facts(), **_counted(printed)})
+    _put(folder, files)
+    paths = tuple(folder / name for name in files)
+    return Exported(one.name, folder, paths, tuple(rows))
+
+
+def _compared(one: Target, folder: Path, printed: Printed, ready: Ready) -> list[ParityRow]:
+    found = one.run(folder, ready.windows)
+    if isinstance(found, str):
+        return [ParityRow(one.name, None, 0.0, None, printed.bytes, found)]
+    single = ready.model.lowered.single
+    rows = [parity_row(one.name, a, ready.windows, single, printed.bytes) for a in found]
+    if not rows:
+        raise UserError(f"--to {one.name}: the files gave no simulation to compare")
+    return rows
+
+
+def lowered_run(run: Run, model: str | None) -> Ready:
+    """The lowered model of a run. Raises UserError where it cannot be lowered."""
+    use, members = _members(run, model)
+    problem = load_lock(run.directory / LOCK)
+    evaluator = make_evaluator(problem, run.view)
+    lowered = weighted_mean(_lowered(evaluator, run, members))
+    windows = _windows(evaluator, run, members)
+    named = next((known for known in get_args(Use) if known == use), None)
+    records = evaluator.records
+    ranges = [np.concatenate([getattr(r, side) for r in records]) for side in ("u", "y")]
+    return Ready(
+        ExportModel(
+            name=run.name,
+            use=use,
+            problem=problem.name,
+            lowered=lowered,
+            inputs=problem.inputs,
+            outputs=problem.outputs,
+            sampling_time=problem.sampling_time,
+            input_range=_range(ranges[0]),
+            output_range=_range(ranges[1]),
+            example=windows[0].first(_EXAMPLE),
+            bands=() if named is None else _bands(run, named, windows),
+        ),
+        tuple(windows),
+    )
+
+
+def _members(run: Run, model: str | None) -> tuple[str, tuple[FinalMember, ...]]:
+    known: tuple[str, ...] = get_args(Use)
+    if model is not None and model.isdigit():
+        number = int(model)
+        scored = {e.number: e for e in run.view.experiments if e.result is not None}
+        if number not in scored:
+            raise UserError(f"run '{run.name}' has no scored experiment {number}")
+        return f"experiment {number}", (fold_models(scored[number]),)
+    chosen = model_to_use(run.view)
+    if model is None:
+        if chosen is None:
+            raise UserError(f"run '{run.name}' has no scored model")
+        model = chosen.model
+    for use in get_args(Use):
+        if use == model:
+            return use, final_members(run.view, use)
+    raise UserError(
+        f"--model is '{model}', expected {', '.join(known)} or the number of an experiment"
+    )
+
+
+def _lowered(
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember]
+) -> list[tuple[float, LoweredModel]]:
+    found: list[tuple[float, LoweredModel]] = []
+    for member in members:
+        models = [run.store.get(one) for one in member.models]
+        for one in evaluator.lowered(run.store.text(member.source), models):
+            if isinstance(one, str):
+                raise UserError(f"run '{run.name}': the model cannot be exported: {one}")
+            found.append((member.weight / len(models), one))
+    return found
+
+
+def _windows(
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember]
+) -> list[TrainingWindow]:
+    """The first ones of the training windows, the last of them cut short."""
+    blocks: list[Block] = []
+    left = _MOST_SAMPLES
+    for block in evaluator.training_blocks[:_MOST_WINDOWS]:
+        case, samples = block.case, min(len(block.y), left)
+        if samples < 1:
+            break
+        left -= samples
+        short = Case(case.name, case.past_u, case.past_y, case.u[:samples])
+        blocks.append(Block(short, block.y[:samples], record=block.record, start=block.start))
+    each = simulate_members(evaluator, run, members, blocks)
+    return [
+        TrainingWindow(b.case.past_u, b.case.past_y, b.case.u, y.mean(axis=0), b.y)
+        for b, y in zip(blocks, each, strict=True)
+    ]
+
+
+def _bands(run: Run, use: Use, windows: Sequence[TrainingWindow]) -> tuple[Band, ...]:
+    """Their mean half width on the first window, where it is inside the region of validity."""
+    first = windows[0]
+    found = simulate(run.directory, first.past_u, first.past_y, first.u, use, bands=_LEVEL)
+    inside = ~found.outside if not found.outside.all() else np.ones_like(found.outside)
+    return (Band(_LEVEL, 0.5 * (found.upper - found.lower)[inside].mean(axis=0)),)
+
+
+def _range(values: Array) -> Array:
+    return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
+
+
+def _counted(printed: Printed) -> dict[str, object]:
+    return {"sizes": printed.sizes} if printed.sizes else {}
+
+
+def _json(facts: dict[str, object]) -> bytes:
+    return (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode()
+
+
+def _put(folder: Path, files: dict[str, bytes]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)

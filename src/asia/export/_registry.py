@@ -1,0 +1,22 @@
+"""The targets by name."""
+
+from __future__ import annotations
+
+from asia.errors import UserError
+from asia.export._target import Target
+from asia.export.targets.c import CTarget
+from asia.export.targets.numpy import NumpyTarget
+
+TARGETS: dict[str, Target] = {t.name: t for t in (NumpyTarget(), CTarget())}
+"""All that can be given as `--to`."""
+
+
+def target(name: str) -> Target:
+    """Raises UserError where there is none of this name, or something is not installed."""
+    if name not in TARGETS:
+        raise UserError(f"target '{name}' is unknown, expected one of {', '.join(TARGETS)}")
+    found = TARGETS[name]
+    missing = found.missing()
+    if missing is not None:
+        raise UserError(f"--to {name}: {missing}")
+    return found

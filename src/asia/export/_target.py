@@ -1,0 +1,46 @@
+"""What every target offers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from asia.data import Array
+from asia.export._model import ExportModel, Printed, TrainingWindow
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What printed files said of the training windows."""
+
+    variant: str
+    """"double", "float", or what else there is more than one of."""
+    y_hat: tuple[Array, ...]
+    """(H, ny) of each window."""
+    seconds: float
+    """For all samples together."""
+    single: bool = False
+    """Whether it computes in single precision."""
+
+
+class Target(Protocol):
+    """A printer, and how what it has printed is run again."""
+
+    name: str
+    """As in `--to`."""
+    usage: str
+    """How to use the files, some lines of Markdown."""
+
+    def missing(self) -> str | None:
+        """What must be installed to print, as a sentence; None where nothing is."""
+        ...
+
+    def print(self, model: ExportModel) -> Printed:
+        """The files. Raises UserError where this target cannot hold the model."""
+        ...
+
+    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+        """Simulations by the files in a folder, or why they cannot be run here."""
+        ...

@@ -1,0 +1,104 @@
+"""Values, constants and memory of printed C."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data import Array
+from asia.lowering import Shape
+
+Element = Callable[[str], str]
+"""C expression of the number at a place, which is itself an expression."""
+
+
+@dataclass
+class Value:
+    """Where a value is, or how it is computed."""
+
+    at: Element
+    shape: Shape
+    plain: bool = True
+    """Whether `at` is a place, not a computation."""
+    places: frozenset[int] = frozenset()
+    """Regions of `w` that it reads."""
+
+
+@dataclass
+class Constants:
+    """`static const` arrays, each once."""
+
+    lines: list[str] = field(default_factory=list[str])
+    _names: dict[bytes, str] = field(default_factory=dict[bytes, str])
+
+    def reals(self, array: Array) -> str:
+        """Name of an array of numbers."""
+        numbers = [number(float(v)) for v in array.reshape(-1)]
+        return self._named(array.tobytes(), "k", "asia_real", numbers)
+
+    def places(self, array: NDArray[np.int64]) -> str:
+        """Name of an array of whole numbers."""
+        words = [str(v) for v in array.tolist()]
+        return self._named(b"p" + array.tobytes(), "p", "long", words)
+
+    def used_in(self, text: str) -> list[str]:
+        """Definitions of those that a text names."""
+        names = set(re.findall(r"\b[kp]\d+\b", text))
+        return [
+            x for x, name in zip(self.lines, self._names.values(), strict=True) if name in names
+        ]
+
+    def _named(self, key: bytes, prefix: str, kind: str, words: Sequence[str]) -> str:
+        if key not in self._names:
+            name = f"{prefix}{len(self._names)}"
+            self._names[key] = name
+            rows = [", ".join(words[i : i + 4]) for i in range(0, len(words), 4)]
+            text = ",\n    ".join(rows)
+            self.lines.append(f"static const {kind} {name}[{len(words)}] = {{\n    {text}\n}};")
+        return self._names[key]
+
+
+def number(value: float) -> str:
+    """A number as C reads it back bit by bit."""
+    if math.isinf(value):
+        return "(asia_real)HUGE_VAL" if value > 0 else "(-(asia_real)HUGE_VAL)"
+    if value == int(value) and abs(value) < 1e6:
+        return f"R({value:.1f})"
+    return f"R({value.hex()})"
+
+
+class Memory:
+    """Regions of the array `w`."""
+
+    def __init__(self) -> None:
+        self.size = 0
+        self._free: list[tuple[int, int]] = []
+        self._taken: dict[int, int] = {}
+
+    def take(self, count: int) -> int:
+        """Where a region of so many numbers begins."""
+        for place, (start, size) in enumerate(self._free):
+            if size >= count:
+                self._free[place : place + 1] = [(start + count, size - count)] * (size > count)
+                self._taken[start] = count
+                return start
+        start, self.size = self.size, self.size + count
+        self._taken[start] = count
+        return start
+
+    def give(self, start: int) -> None:
+        """The region is free again."""
+        self._free.append((start, self._taken.pop(start)))
+        self._free.sort()
+        joined: list[tuple[int, int]] = []
+        for begin, size in self._free:
+            if joined and sum(joined[-1]) == begin:
+                joined[-1] = (joined[-1][0], joined[-1][1] + size)
+            else:
+                joined.append((begin, size))
+        self._free = joined

@@ -1,0 +1,263 @@
+"""A lowered program: inputs, constants and operations in the order they are computed.
+
+Values are numbered: first the inputs, then the constants, then one a node. A node `loop` repeats
+its body; its results are read by nodes `part`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from asia.data import Array
+from asia.lowering.ops import Attributes, Shape, ShapeError, shape_of
+
+
+@dataclass(frozen=True)
+class Node:
+    """One operation."""
+
+    op: str
+    """Its name, of `ops.OPERATIONS`."""
+    operands: tuple[int, ...]
+    """Numbers of the values it reads."""
+    attrs: Attributes
+    """What it needs beside them. Of a loop: how often, how many values stay the same, how many are
+    carried from turn to turn; the operands that follow these are read row by row."""
+    shape: Shape
+    """Of its result; () for a loop."""
+    body: Program | None = None
+    """Of a loop: (same, carried, rows) -> (carried, results that are stacked)."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """Arrays to arrays."""
+
+    inputs: tuple[Shape, ...]
+    """Shapes of what it is given."""
+    constants: tuple[Array, ...]
+    """Numbers in it."""
+    nodes: tuple[Node, ...]
+    """Operations, each after those it reads."""
+    outputs: tuple[int, ...]
+    """Numbers of the values it gives."""
+
+    @property
+    def first_node(self) -> int:
+        """Number of the first node's value."""
+        return len(self.inputs) + len(self.constants)
+
+    @property
+    def shapes(self) -> list[Shape]:
+        """Of all values."""
+        constants = [c.shape for c in self.constants]
+        return [*self.inputs, *constants, *(n.shape for n in self.nodes)]
+
+    @property
+    def output_shapes(self) -> tuple[Shape, ...]:
+        """Of what it gives."""
+        shapes = self.shapes
+        return tuple(shapes[i] for i in self.outputs)
+
+    def with_outputs(self, outputs: Sequence[int]) -> Program:
+        """The same inputs, other values given, without what these do not need."""
+        needed, nodes = set(outputs), list[int]()
+        for place in range(len(self.nodes) - 1, -1, -1):
+            if self.first_node + place in needed:
+                nodes.append(place)
+                needed.update(self.nodes[place].operands)
+        build = Builder(self.inputs)
+        names = {i: i for i in range(len(self.inputs))}
+        for i, constant in enumerate(self.constants, len(self.inputs)):
+            if i in needed:
+                names[i] = build.constant(constant)
+        for place in reversed(nodes):
+            node = self.nodes[place]
+            operands = tuple(names[i] for i in node.operands)
+            names[self.first_node + place] = build.add(node.op, operands, node.attrs, node.body)
+        return build.program([names[i] for i in outputs])
+
+
+@dataclass(frozen=True)
+class LoweredModel:
+    """A fitted model that simulates one sample after the other."""
+
+    n_past_u: int
+    """Inputs in the past window."""
+    n_past_y: int
+    """Outputs in the past window."""
+    nu: int
+    """Inputs."""
+    ny: int
+    """Outputs."""
+    single: bool
+    """Whether the model itself computes in single precision."""
+    initial: Program
+    """past_u (n_past_u, nu), past_y (n_past_y, ny), first input (nu,) -> states."""
+    step: Program
+    """States and input (nu,) -> output (ny,) of this sample, and the states at the next."""
+
+    @property
+    def states(self) -> tuple[Shape, ...]:
+        """Shapes of the states."""
+        return self.step.inputs[:-1]
+
+    @property
+    def output(self) -> Program:
+        """States and input -> output."""
+        return self.step.with_outputs(self.step.outputs[:1])
+
+    @property
+    def update(self) -> Program:
+        """States and input -> states at the next sample."""
+        return self.step.with_outputs(self.step.outputs[1:])
+
+    def check(self) -> None:
+        """Raises ShapeError where the parts do not fit together."""
+        window = ((self.n_past_u, self.nu), (self.n_past_y, self.ny), (self.nu,))
+        if self.initial.inputs != window or self.step.inputs[-1:] != ((self.nu,),):
+            raise ShapeError("programs read other signals than the model has")
+        if self.initial.output_shapes != self.states:
+            raise ShapeError("the states at the start differ from those of a step")
+        if self.step.output_shapes != ((self.ny,), *self.states):
+            raise ShapeError("a step gives other shapes than it reads")
+
+
+@dataclass
+class Builder:
+    """Makes a program; what is computed twice is kept once."""
+
+    inputs: tuple[Shape, ...]
+    _values: list[Array | Node] = field(default_factory=list[Array | Node])
+    _known: dict[object, int] = field(default_factory=dict[object, int])
+
+    def constant(self, value: object) -> int:
+        """Number of a constant."""
+        array = np.array(value, np.float64, order="C")
+        if np.isnan(array).any():
+            raise ShapeError("a constant is no number")
+        return self._kept(("constant", array.shape, array.tobytes()), array)
+
+    def add(
+        self, op: str, operands: Sequence[int], attrs: Attributes = (), body: Program | None = None
+    ) -> int:
+        """Number of the result of an operation. Raises ShapeError."""
+        shapes = [self.shape(i) for i in operands]
+        if op == "loop":
+            check_loop(attrs, shapes, body)
+            shape: Shape = ()
+        elif op == "part":
+            shape = part_shape(attrs, [self._values[i - len(self.inputs)] for i in operands])
+        else:
+            shape = shape_of(op, attrs, shapes)
+        same = self._without_effect(op, operands, attrs, shape)
+        if same is not None:
+            return same
+        inner = self.node(operands[0]) if op == "reshape" else None
+        if inner is not None and inner.op == "reshape":
+            return self.add("reshape", inner.operands, attrs)
+        node = Node(op, tuple(operands), attrs, shape, body)
+        return self._kept((op, node.operands, attrs, id(body) if body else None), node)
+
+    def _without_effect(
+        self, op: str, operands: Sequence[int], attrs: Attributes, shape: Shape
+    ) -> int | None:
+        """The operand that is the result already; None where something is computed."""
+        if op in ("reshape", "broadcast") and shape == self.shape(operands[0]):
+            return operands[0]
+        if op == "concat" and len(operands) == 1:
+            return operands[0]
+        if op == "pick" and shape == self.shape(operands[0]):
+            places = attrs[1 + attrs[0] :]
+            return operands[0] if places == tuple(range(len(places))) else None
+        for rest, neutral in (_NEUTRAL.get(op, {})).items():
+            other = self.known(operands[1 - rest])
+            if (
+                other is not None
+                and (other == neutral).all()
+                and self.shape(operands[rest]) == shape
+            ):
+                return operands[rest]
+        return None
+
+    def shape(self, value: int) -> Shape:
+        """Of a value."""
+        if value < len(self.inputs):
+            return self.inputs[value]
+        return self._values[value - len(self.inputs)].shape
+
+    def node(self, value: int) -> Node | None:
+        """What computes a value; None for an input or a constant."""
+        found = self._values[value - len(self.inputs)] if value >= len(self.inputs) else None
+        return found if isinstance(found, Node) else None
+
+    def known(self, value: int) -> Array | None:
+        """A constant's numbers."""
+        found = self._values[value - len(self.inputs)] if value >= len(self.inputs) else None
+        return None if isinstance(found, Node) else found
+
+    def program(self, outputs: Sequence[int]) -> Program:
+        """What was built, constants before nodes, without what the outputs do not need."""
+        first, needed = len(self.inputs), set(outputs)
+        for i in range(len(self._values) - 1, -1, -1):
+            value = self._values[i]
+            if first + i in needed and isinstance(value, Node):
+                needed.update(value.operands)
+        used = [i for i in range(len(self._values)) if first + i in needed]
+        constants = [i for i in used if not isinstance(self._values[i], Node)]
+        order = [*constants, *(i for i in used if isinstance(self._values[i], Node))]
+        names = {i: i for i in range(first)} | {first + i: first + k for k, i in enumerate(order)}
+        arrays: list[Array] = []
+        nodes: list[Node] = []
+        for i in order:
+            value = self._values[i]
+            if isinstance(value, Node):
+                operands = tuple(names[o] for o in value.operands)
+                nodes.append(Node(value.op, operands, value.attrs, value.shape, value.body))
+            else:
+                arrays.append(value)
+        return Program(self.inputs, tuple(arrays), tuple(nodes), tuple(names[i] for i in outputs))
+
+    def _kept(self, key: object, value: Array | Node) -> int:
+        if key not in self._known:
+            self._values.append(value)
+            self._known[key] = len(self.inputs) + len(self._values) - 1
+        return self._known[key]
+
+
+# By operation, for each operand the number that the other one has where it is the result.
+_NEUTRAL = {
+    "add": {0: 0.0, 1: 0.0},
+    "sub": {0: 0.0},
+    "mul": {0: 1.0, 1: 1.0},
+    "div": {0: 1.0},
+}
+
+
+def check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:
+    """Raises ShapeError unless the body goes with the operands."""
+    if body is None or len(attrs) != 3 or min(attrs) < 0:
+        raise ShapeError("a loop takes a body and three counts")
+    length, same, carried = attrs
+    whole, rows = list(shapes[: same + carried]), shapes[same + carried :]
+    if any(len(s) == 0 or s[0] != length for s in rows) or len(whole) != same + carried:
+        raise ShapeError(f"a loop of {length} turns reads rows of {tuple(rows)}")
+    if list(body.inputs) != whole + [s[1:] for s in rows]:
+        raise ShapeError("the body of a loop reads other shapes")
+    if list(body.output_shapes[:carried]) != whole[same:]:
+        raise ShapeError("a loop carries other shapes than its body gives")
+
+
+def part_shape(attrs: Attributes, operands: Sequence[object]) -> Shape:
+    """Shape of a result of a loop. Raises ShapeError."""
+    loop = operands[0] if len(operands) == 1 else None
+    if not isinstance(loop, Node) or loop.body is None or len(attrs) != 1:
+        raise ShapeError("a part belongs to a loop")
+    shapes = loop.body.output_shapes
+    if not 0 <= attrs[0] < len(shapes):
+        raise ShapeError("a loop has no such part")
+    stacked = attrs[0] >= loop.attrs[2]
+    return ((loop.attrs[0],) if stacked else ()) + shapes[attrs[0]]

@@ -1,0 +1,89 @@
+"""From the functions of a fitted model to a lowered one, by the programs that JAX traces of them.
+
+It runs where the candidate runs: what comes out is bytes, which `wire` reads again in the parent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from asia.data import Array
+from asia.lowering import rules, wire
+from asia.lowering.building import CannotLowerError, Values, number
+from asia.lowering.ops import Shape, ShapeError
+from asia.lowering.program import Builder, LoweredModel, Program
+
+
+def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
+    """The model as `wire.pack` gives it, or the reason why it cannot be lowered."""
+    import jax
+
+    # Before the model makes arrays of its numbers.
+    jax.config.update("jax_enable_x64", True)
+    offered = getattr(model, "as_steps", None)
+    if not callable(offered):
+        return wire.pack_refusal(
+            f"{type(model).__name__} has no as_steps(): give the model a method that returns "
+            "asia.candidate.Steps"
+        )
+    try:
+        return wire.pack(lowered(offered(), n_past_u, n_past_y, nu, ny))
+    except CannotLowerError as error:
+        return wire.pack_refusal(str(error))
+    except ShapeError as error:
+        return wire.pack_refusal(f"the steps do not fit together: {error}")
+    except Exception as error:  # noqa: BLE001 - the border to candidate code
+        return wire.pack_refusal(f"tracing as_steps() raised {type(error).__name__}: {error}")
+
+
+def lowered(steps: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> LoweredModel:
+    """steps: an `asia.candidate.Steps`; jax_enable_x64 must be on. Raises CannotLowerError, which
+    names what is in the way."""
+    import jax
+
+    window = [_like((n_past_u, nu)), _like((n_past_y, ny)), _like((nu,))]
+    start, state = _traced(lambda *a: steps.initial(*a), window)
+    leaves, tree = jax.tree.flatten(state)
+    # Arrays of no numbers are no states.
+    kept = [i for i, leaf in enumerate(leaves) if leaf.size]
+
+    def step(*signals: Any) -> Any:
+        given = [jax.numpy.zeros(leaf.shape, leaf.dtype) for leaf in leaves]
+        for place, signal in zip(kept, signals[:-1], strict=True):
+            given[place] = signal
+        after, y = steps.step(jax.tree.unflatten(tree, given), signals[-1])
+        found, shape = jax.tree.flatten(after)
+        if shape != tree:
+            raise CannotLowerError("step gives a state of another structure than it takes")
+        return [y, *(found[i] for i in kept)]
+
+    one, _ = _traced(step, [*(leaves[i] for i in kept), _like((nu,))])
+    programs = [_program(start, kept), _program(one)]
+    single = any(rules.in_single_precision(p.jaxpr) for p in (start, one))
+    return LoweredModel(n_past_u, n_past_y, nu, ny, single, *programs)
+
+
+def _like(shape: Shape) -> Any:
+    import jax
+
+    return jax.ShapeDtypeStruct(shape, np.float64)
+
+
+def _traced(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[Any, Any]:
+    import jax
+
+    return jax.make_jaxpr(function, return_shape=True)(*arguments)
+
+
+def _program(closed: Any, kept: Sequence[int] | None = None) -> Program:
+    build = Builder(tuple(v.aval.shape for v in closed.jaxpr.invars))
+    given: Values = list(range(len(build.inputs)))
+    found = rules.Lowering(build).run(closed.jaxpr, closed.consts, given)
+    chosen = found if kept is None else [found[i] for i in kept]
+    return build.program([number(build, v) for v in chosen])
+
+
+__all__ = ["Array", "lowered", "lowered_bytes"]

@@ -1,0 +1,179 @@
+"""Models of the library with numbers of no fit: what they simulate is as good for a comparison."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Signal, Trajectory
+from asia.export import ExportModel, Ready, TrainingWindow
+from asia.lowering import LoweredModel, unpack
+from asia.lowering.trace import lowered_bytes
+from asia.models import (
+    autoregressive,
+    cascaded_ltc,
+    cnn,
+    esn,
+    koopman,
+    linear,
+    lru,
+    ltc,
+    neural_ss,
+    recurrent,
+    subnet,
+    transformer,
+)
+from asia.models._data.encoder import affine
+from asia.models._data.lags import FreeRun, History, Lags, OutputRange
+from asia.models._data.scaling import Scaling
+from asia.models._linear.system import LinearSystem
+from asia.models._one_step.free_model import FreeRunModel
+from asia.models._one_step.polynomial import Polynomial, all_terms
+from asia.models._state_space.structure import StateSpaceStructure
+from asia.models.gp_narx import GaussianPredictor, OutputProcess
+
+NU, NY, PAST = 2, 2, 3
+CONTEXT = Context(
+    tuple(Signal(f"u{i}", "V") for i in range(NU)),
+    tuple(Signal(f"y{i}", "mm") for i in range(NY)),
+    0.5,
+    PAST,
+    PAST,
+)
+SCALING = Scaling(np.array([1.0, -2.0]), np.array([0.5, 2.0]), np.array([5.0, 0.1]), np.ones(NY))
+rng = np.random.default_rng(3)
+
+
+def drawn(*shape: int) -> Any:
+    return 0.4 * rng.standard_normal(shape)
+
+
+def encoder(states: int) -> Any:
+    return affine(drawn(PAST * (NU + NY), states), drawn(states))
+
+
+def system() -> LinearSystem:
+    a = np.array([[0.8, 0.2, 0.0], [-0.1, 0.7, 0.1], [0.0, 0.0, 0.5]])
+    return LinearSystem(a, drawn(3, NU), drawn(NY, 3), drawn(NY, NU), drawn(NY))
+
+
+def linear_model(delay: int) -> Any:
+    fitted = linear.FittedLinear(system(), encoder(3), delay, SCALING)
+    return linear.LinearStateSpace(linear.Config(), fitted)
+
+
+def levels_model() -> Any:
+    each = tuple(linear.FittedLinear(system(), encoder(3), 0, SCALING) for _ in range(3))
+    found = linear.FittedLevels(each, np.array([0.3, 0.8, 1.5]), 7)
+    return linear.LinearStateSpace(linear.Config(), None, found)
+
+
+def state_space_model(members: int, basis: Any) -> Any:
+    structure = StateSpaceStructure(
+        3, NU, NY, "state", basis, 4, 2, None, friction=1, play=1 if basis == "tanh" else 0
+    )
+    found = []
+    for _ in range(members):
+        p = structure.start(system(), rng)
+        p["f"] = {k: v + 0.1 * rng.standard_normal(v.shape) for k, v in p["f"].items()}
+        p["dry"] = {
+            "w": drawn(3, 1), "b": drawn(1), "stiff": drawn(1), "uneven": drawn(1),
+            "narrow": drawn(1), "extra": drawn(1), "g": drawn(1, 3), "h": drawn(1, NY),
+        }  # fmt: skip
+        if structure.play:
+            p["play"] = {"w": drawn(3, 1), "wu": drawn(NU, 1), "g": drawn(1, 3), "h": drawn(1, NY)}
+        found.append((p, encoder(structure.size)))
+    fitted = neural_ss.FittedStateSpace(structure, tuple(found), 1, SCALING)
+    return neural_ss.NeuralStateSpace(neural_ss.Config(), fitted)
+
+
+def network(family: Any, **settings: Any) -> Any:
+    model = family.build(family.Config(**settings), CONTEXT)
+    seen = Trajectory(drawn(30, NU), drawn(30, NY), 0.5, "seen")
+    model = replace(model, cell=replace(model.cell, drive=model.cell.drive.fitted([seen])))
+
+    def moved(a: Any) -> Any:
+        return (np.asarray(a) + 0.1 * rng.standard_normal(np.shape(a))).astype(np.float32)
+
+    return replace(model, params=jax.tree.map(moved, model.params), scaling=SCALING)
+
+
+def polynomial_model() -> Any:
+    lags = Lags(2, 5, 1)
+    terms = all_terms(lags.outputs * NY + lags.inputs * NU, 2)
+    theta = 0.05 * rng.standard_normal((len(terms), NY))
+    history = History(lags, 0, lags.past_inputs - PAST, None)
+    limits = OutputRange(-3 * np.ones(NY), 3 * np.ones(NY))
+    one = Polynomial(terms, theta, np.ones(theta.shape, bool))
+    return FreeRunModel(None, FreeRun(one, history, limits), SCALING)
+
+
+def process_model() -> Any:
+    lags, d = Lags(2, 2, 0), 2 * NY + 2 * NU
+    each = tuple(OutputProcess(drawn(9, d), 1 + drawn(d) ** 2, drawn(9)) for _ in range(NY))
+    history = History(lags, 0, 0, None)
+    limits = OutputRange(-3 * np.ones(NY), 3 * np.ones(NY))
+    one = GaussianPredictor(0.2 * drawn(1 + d, NY), each)
+    return FreeRunModel(None, FreeRun(one, history, limits), SCALING)
+
+
+def reservoir_model(span: int | None) -> Any:
+    past = PAST * (NU + NY)
+    wide = 6 + NU + (0 if span is None else 2 * past)
+    reservoir = esn.Reservoir(drawn(6, 6), drawn(NU, 6), drawn(6), 0.5 + 0.1 * drawn(6))
+    readout = affine(drawn(wide, NY), drawn(NY))
+    member = esn.Member(reservoir, encoder(6), readout, span)
+    return esn.EchoState(esn.Config(), esn.FittedReservoirs((member, member), SCALING))
+
+
+MODELS: dict[str, Callable[[], Any]] = {
+    "linear": lambda: linear_model(0),
+    "linear with delay": lambda: linear_model(5),
+    "linear with levels": levels_model,
+    "neural_ss": lambda: state_space_model(1, "tanh"),
+    "neural_ss, median of 2": lambda: state_space_model(2, "tanh"),
+    "neural_ss, polynomial, median of 3": lambda: state_space_model(3, "polynomial"),
+    "narx": polynomial_model,
+    "gp_narx": process_model,
+    "esn": lambda: reservoir_model(None),
+    "esn with horizon": lambda: reservoir_model(20),
+    "gru": lambda: network(recurrent, cell="gru", hidden=5, layers=2),
+    "lstm": lambda: network(recurrent, hidden=5, features=("square", "sqrt")),
+    "rnn": lambda: network(recurrent, cell="rnn", hidden=5),
+    "subnet": lambda: network(subnet, width=5),
+    "autoregressive": lambda: network(autoregressive, hidden=5),
+    "ltc": lambda: network(ltc, hidden=5),
+    "cascaded_ltc": lambda: network(cascaded_ltc, slow=3, fast=3, width=4),
+    "cnn": lambda: network(cnn, receptive_field=8, width=3, memory=3),
+    "lru": lambda: network(lru, states=3, width=3),
+    "koopman": lambda: network(koopman, states=2, width=3, lift=2),
+    "transformer": lambda: network(transformer, width=6, heads=2, inner=4, span=5),
+}
+
+
+def lowered_model(model: Any) -> LoweredModel:
+    found = unpack(lowered_bytes(model, PAST, PAST, NU, NY))
+    assert isinstance(found, LoweredModel), found
+    return found
+
+
+def ready(model: Any, lowered: LoweredModel | None = None, samples: int = 40) -> Ready:
+    """The model with two windows that it simulated itself."""
+    low = lowered_model(model) if lowered is None else lowered
+    random = np.random.default_rng(0)
+    windows = []
+    for length in (samples, samples // 2):
+        past_u = SCALING.u_mean + SCALING.u_std * random.uniform(-1, 1, (PAST, NU))
+        past_y = SCALING.y_mean + random.uniform(-1, 1, (PAST, NY))
+        u = SCALING.u_mean + SCALING.u_std * random.uniform(-1, 1, (length, NU))
+        y_hat = model.simulate(past_u[None], past_y[None], u[None])[0]
+        windows.append(TrainingWindow(past_u, past_y, u, y_hat, y_hat))
+    spans = np.array([[0.5, 1.5], [-4.0, 0.0]])
+    export = ExportModel(
+        "run1", "refit", "made_up", low, CONTEXT.inputs, CONTEXT.outputs, 0.5, spans, spans,
+        windows[0].first(10),
+    )  # fmt: skip
+    return Ready(export, tuple(windows))

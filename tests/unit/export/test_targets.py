@@ -1,0 +1,129 @@
+"""Every family by every target: the files simulate as the model does, or nothing is written."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from asia.errors import UserError
+from asia.export import TARGETS, Ready, write
+from asia.export._composed import weighted_mean
+from asia.lowering import Builder, LoweredModel, simulate
+
+from .models import MODELS, NU, NY, lowered_model, ready
+
+QUICK = ("linear with delay", "neural_ss, median of 2", "gru")
+
+
+@pytest.fixture(autouse=True)
+def precision() -> Iterator[None]:
+    before = jax.config.jax_enable_x64
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_family_lowers(name: str) -> None:
+    given = ready(MODELS[name]())
+    low = given.model.lowered
+    limit = 2e-5 if low.single else 1e-11
+    for window in given.windows:
+        y = simulate(low, window.past_u, window.past_y, window.u)
+        assert np.abs(y - window.y_hat).max() < limit * max(1.0, float(window.y_hat.std()))
+
+
+def offered(target: str) -> str:
+    if TARGETS[target].missing() is not None:
+        pytest.skip(f"{target}: {TARGETS[target].missing()}")
+    return target
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("name", QUICK)
+def test_files_simulate_as_the_model(target: str, name: str, tmp_path: Path) -> None:
+    done = write(TARGETS[offered(target)], ready(MODELS[name]()), tmp_path / target)
+    assert done.parity
+    assert all(row.holds for row in done.parity)
+    assert all(path.stat().st_size for path in done.files)
+    assert "Output k belongs to input k" in (tmp_path / target / "USE.md").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("name", [n for n in MODELS if n not in QUICK])
+def test_all_families_by_all_targets(target: str, name: str, tmp_path: Path) -> None:
+    done = write(TARGETS[offered(target)], ready(MODELS[name]()), tmp_path / target)
+    assert all(row.holds and row.difference is not None for row in done.parity)
+
+
+def one_sample_late(model: LoweredModel) -> LoweredModel:
+    """Gives the output of the sample before: the fault that an exported model most often has."""
+    start = Builder(model.initial.inputs)
+    window = [0, 1, 2]
+    build = [*window, *(start.constant(c) for c in model.initial.constants)]
+    for node in model.initial.nodes:
+        operands = [build[i] for i in node.operands]
+        build.append(start.add(node.op, operands, node.attrs, node.body))
+    states = [build[i] for i in model.initial.outputs]
+    first = start.constant(np.zeros(model.ny))
+    step = Builder(((model.ny,), *model.step.inputs))
+    values = [i + 1 for i in range(len(model.step.inputs))]
+    values += [step.constant(c) for c in model.step.constants]
+    for node in model.step.nodes:
+        operands = [values[i] for i in node.operands]
+        values.append(step.add(node.op, operands, node.attrs, node.body))
+    found = [values[i] for i in model.step.outputs]
+    return replace(
+        model,
+        initial=start.program([first, *states]),
+        step=step.program([0, *found]),
+    )
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_an_output_that_is_one_sample_late_is_not_written(target: str, tmp_path: Path) -> None:
+    model = MODELS["linear"]()
+    late = ready(model, one_sample_late(lowered_model(model)))
+    with pytest.raises(UserError, match="nothing was written"):
+        write(TARGETS[offered(target)], late, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_weighted_mean_is_that_of_the_simulations() -> None:
+    models = [MODELS["linear"](), MODELS["neural_ss"](), MODELS["narx"]()]
+    weights = [0.5, 0.3, 0.2]
+    lows = [lowered_model(m) for m in models]
+    mean = weighted_mean(list(zip(weights, lows, strict=True)))
+    mean.check()
+    window = ready(models[0]).windows[0]
+    expected = sum(
+        w * m.simulate(window.past_u[None], window.past_y[None], window.u[None])[0]
+        for w, m in zip(weights, models, strict=True)
+    )
+    found = simulate(mean, window.past_u, window.past_y, window.u)
+    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
+
+
+def test_the_program_for_a_csv_file_reproduces_the_example(tmp_path: Path) -> None:
+    import subprocess
+
+    from asia.export.targets.c import FLAGS, c_compiler
+
+    compiler = c_compiler()
+    if compiler is None:
+        pytest.skip("no C compiler")
+    given: Ready = ready(MODELS["neural_ss"]())
+    write(TARGETS["c"], given, tmp_path)
+    built = [compiler, *FLAGS, "main.c", "model.c", "-o", "model", "-lm"]
+    subprocess.run(built, cwd=tmp_path, check=True, capture_output=True)
+    done = subprocess.run(
+        ["./model", "example.csv"], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    names, *rows = done.stdout.splitlines()
+    assert names == "y0,y1"
+    found = np.array([[float(v) for v in row.split(",")] for row in rows])
+    np.testing.assert_allclose(found, given.windows[0].y_hat[:10], rtol=1e-9, atol=1e-9)
+    assert NU == NY == 2

@@ -1,0 +1,94 @@
+"""From JAX functions to a lowered model."""
+
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from asia.candidate import Steps
+from asia.lowering import LoweredModel, simulate, unpack
+from asia.lowering.trace import lowered, lowered_bytes
+
+
+@pytest.fixture(autouse=True)
+def double() -> Iterator[None]:
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
+def of(step) -> LoweredModel:
+    return lowered(Steps(lambda past_u, past_y, u: past_y[-1], step), 1, 2, 2, 2)
+
+
+W = np.array([[0.3, -0.2], [0.1, 0.5]])
+STEPS = {
+    "tanh": lambda x, u: (jnp.tanh(x @ W + u), x),
+    "where": lambda x, u: (jnp.where(x > u, x, 0.5 * u), jnp.maximum(x, u)),
+    "clip": lambda x, u: (jnp.clip(x + u, -1.0, 1.0), jnp.abs(x) ** 3 + u),
+    "sort out": lambda x, u: (x[::-1] * 0.9 + u, jnp.stack([x[1], u[0]])),
+    "softplus": lambda x, u: (jax.nn.softplus(0.2 * x), jax.nn.softmax(x + u)),
+    "norm": lambda x, u: (x / jnp.sqrt(1 + (x * x).sum()) + u, jnp.cumprod(jnp.ones(2)) * x.mean()),
+    "einsum": lambda x, u: (jnp.einsum("ij,j,k->i", W, x, u[:1]), jnp.outer(x, u).sum(axis=0)),
+    "sigmoid": lambda x, u: (jax.nn.sigmoid(x) - u, jnp.exp(-x) + jnp.log1p(u * u)),
+    "loop": lambda x, u: (jax.lax.fori_loop(0, 3, lambda i, v: 0.5 * v + u + 0.1 * i, x), x),
+    "scan": lambda x, u: jax.lax.scan(lambda c, v: (0.9 * c + v, c.sum()), x, W * u),
+    "cond": lambda x, u: (jax.lax.cond(x[0] > 0, lambda a: a * 0.5, lambda a: -a, x), x + u),
+    "pad": lambda x, u: (jnp.pad(x, (1, 0))[:2] + u, jnp.linalg.norm(x + 1.0) * jnp.ones(2)),
+    "power": lambda x, u: (x**-2.0 + u, jnp.power(jnp.abs(x) + 1, 1.5)),
+    "angle": lambda x, u: (jnp.arctan2(x, u), jnp.sign(x) * jnp.floor(u)),
+    "finite": lambda x, u: (jnp.where(jnp.isfinite(x / u), x, u), jnp.logical_or(x > 0, u < 0) * x),
+}
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_a_lowered_step_computes_what_the_function_does(name: str) -> None:
+    step, model = STEPS[name], of(STEPS[name])
+    rng = np.random.default_rng(0)
+    past_y, u = rng.uniform(-1, 1, (2, 2)), rng.uniform(-1, 1, (4, 2))
+    x, expected = jnp.asarray(past_y[-1]), []
+    for row in u:
+        x, y = step(x, jnp.asarray(row))
+        expected.append(np.asarray(y))
+    found = simulate(model, np.zeros((1, 2)), past_y, u)
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
+    assert not model.single
+
+
+class Model:
+    def __init__(self, step) -> None:
+        self.step = step
+
+    def as_steps(self) -> Steps:
+        return Steps(lambda past_u, past_y, u: past_y[-1], self.step)
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        (lambda x, u: (jnp.sort(x), u), "sort"),
+        (lambda x, u: (jnp.fft.fft(x).real, u), "complex"),
+        (lambda x, u: (x + u[jnp.argmax(x)], u), "argmax"),
+        (lambda x, u: ((x, x), u), "another structure"),
+        (lambda x, u: (jnp.concatenate([x, u]), u), "other shapes"),
+        (lambda x, u: (x if x[0] > 0 else u, u), "TracerBoolConversionError"),
+        (lambda x, u: (jax.lax.while_loop(lambda v: v.sum() > 1, lambda v: v / 2, x), u), "while"),
+    ],
+)
+def test_what_cannot_be_lowered_is_named(step, words: str) -> None:
+    found = unpack(lowered_bytes(Model(step), 1, 2, 2, 2))
+    assert isinstance(found, str)
+    assert words in found
+
+
+def test_a_model_without_steps_is_told_what_to_add() -> None:
+    found = unpack(lowered_bytes(object(), 1, 1, 1, 1))
+    assert "as_steps()" in str(found)
+
+
+def test_a_model_that_computes_in_single_precision_is_marked() -> None:
+    model = of(lambda x, u: (x, (x.astype(np.float32) * np.float32(0.1)).astype(np.float64) + u))
+    assert model.single
