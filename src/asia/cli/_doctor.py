@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from asia._text import say
 from asia.cli._options.shared import Json
@@ -17,10 +19,21 @@ if TYPE_CHECKING:
 _INDENT = 13
 
 
-def doctor(json: Json = False) -> None:
+def doctor(
+    json: Json = False,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            help="Ask the machines of an executor instead: dask://HOST:PORT or dask:FILE."
+        ),
+    ] = None,
+) -> None:
     """Test every isolation level on this machine, and print how to enable a stronger one."""
     from asia.sandbox import machine, survey
 
+    if executor is not None:
+        _print_executor(executor, json=json)
+        return
     here, levels = machine(), survey()
     plugged, clash = _plugged()
     if json:
@@ -41,6 +54,33 @@ def doctor(json: Json = False) -> None:
         _print_parts(plugged, clash)
         say()
         say("docs/isolation.md says what each level stops and what not.")
+
+
+def _print_executor(name: str, *, json: bool) -> None:
+    """Every worker of an executor. Exit code 2 where one cannot work for a search from here."""
+    from json import dumps
+
+    from asia.evaluation import survey_machines
+    from asia.executor import carrier_of, make_executor
+
+    carrier = carrier_of(make_executor(name))
+    states = [] if carrier is None else survey_machines(carrier)
+    unfit = [state for state in states if state.unlike or not state.isolation]
+    if json:
+        say(dumps({"executor": name, "workers": [asdict(state) for state in states]}))
+    elif carrier is None:
+        say(f"executor {name} has folds fitted on this machine: asia doctor tells about it")
+    for state in () if json else states:
+        level = f"{state.isolation} ({', '.join(state.layers)})" if state.isolation else "none"
+        say(
+            f"worker     {state.worker} on {state.machine}, {state.cores} cores, "
+            f"isolation {level}, round trip {1000 * state.round_trip:.0f} ms, "
+            f"clock {state.clock:+.2f} s"
+        )
+        if state.unlike:
+            say(f"{'':<11}{state.unlike}")
+    if unfit:
+        raise typer.Exit(2)
 
 
 def _plugged() -> tuple[tuple[Part, ...], str | None]:

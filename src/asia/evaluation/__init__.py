@@ -21,6 +21,7 @@ from asia.evaluation._results import (
     same_simulations,
 )
 from asia.evaluation._rungs import LINEAR, LINEAR_RUNG, MEAN_RUNG, TRUTH, Rung, score_rungs
+from asia.evaluation.work.survey import MachineState, survey_machines
 
 __all__ = [
     "FAR_BELOW",
@@ -34,6 +35,7 @@ __all__ = [
     "Evaluator",
     "FoldFindings",
     "FoldResult",
+    "MachineState",
     "Refit",
     "RefitModel",
     "Rung",
@@ -53,5 +55,6 @@ __all__ = [
     "short_fold",
     "simulate_held_out",
     "simulate_training",
+    "survey_machines",
     "suspicions",
 ]

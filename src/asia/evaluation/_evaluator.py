@@ -14,7 +14,7 @@ from asia._stopwatch import Activity
 from asia.candidate import Context, check_source, executed_source, imported_libraries
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason
-from asia.evaluation._findings import Fitted, fold_result
+from asia.evaluation._findings import fold_result
 from asia.evaluation._metamorphic import (
     ROUNDING,
     dependences,
@@ -27,7 +27,6 @@ from asia.evaluation._relations import Suspicion, SuspicionKind
 from asia.evaluation._requests import (
     MOST_TRAINING_WINDOWS,
     simulate_held_out,
-    simulate_training,
     spread,
 )
 from asia.evaluation._results import (
@@ -40,12 +39,12 @@ from asia.evaluation._results import (
     derive_seed,
 )
 from asia.evaluation._workers import WorkerRunner
-from asia.executor import Executor
+from asia.evaluation.work.asking import FoldAsker
+from asia.executor import Executor, carrier_of
 from asia.lowering import LoweredModel
 from asia.problem import Budget
 from asia.protocol import Block, Fold, ProtocolRule, whole
 from asia.sandbox import (
-    FitReply,
     Isolation,
     Limits,
     Worker,
@@ -78,9 +77,12 @@ class Evaluator(WorkerRunner):
         executor: Executor,
         salt: str = "",
         without: Collection[SuspicionKind] = (),
+        problem: str = "",
     ) -> None:
         """salt: a text that no candidate or agent knows, so that none can predict which cases are
-        checked; without: relations that are not checked, to show what each of them finds."""
+        checked; without: relations that are not checked, to show what each of them finds; problem:
+        sha256 of the run's lock file. Raises UserError where folds would be fitted on other
+        machines and candidates may ask for scores, which takes the held-out outputs there."""
         limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
         super().__init__(isolation, limits, executor, len(folds))
         self._without = frozenset(without)
@@ -92,6 +94,10 @@ class Evaluator(WorkerRunner):
         self._context = context
         self._rule = rule
         self._salt = salt
+        self._problem = problem
+        self._asker = FoldAsker(
+            rule, self._context, self._limits, isolation, carrier_of(executor), problem
+        )
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
 
     def evaluate(self, source: str, start: int = 0) -> Evaluation:
@@ -290,38 +296,22 @@ class Evaluator(WorkerRunner):
     def _fold_or_failure(self, source: str, fold: Fold, start: int = 0) -> FoldEnd:
         opening = partial(self._worker, imported_libraries(source, fitting=False))
         oracle = Oracle(opening, source, self._context, fold, self._rule)
-        printed: list[str] = []
+        inner = self._rule.early_stopping == "inner"
+        found = self._asker.ask(
+            source, fold, start, self._worker, None if inner else oracle, self.stopwatch
+        )
         try:
-            fitted = self._fit_fold(source, fold, oracle, printed.append, start)
+            fitted = found.result
+            if isinstance(fitted, CandidateError):
+                raise fitted
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._ask_strangers(source, fold, fitted.model, fitted.y_hat)
             with self.stopwatch.activity(Activity.SCORE):
                 result = fold_result(fold, fitted, self._rule, self._ranges, oracle.calls)
+                result = replace(result, machine=found.machine, isolation=found.isolation)
         except CandidateError as error:
             result = Failure(error.reason, error.detail, fold.index + 1)
-        return FoldEnd(result, "".join(printed), oracle.calls)
-
-    def _fit_fold(
-        self,
-        source: str,
-        fold: Fold,
-        oracle: Oracle,
-        on_printed: Callable[[str], None],
-        start: int,
-    ) -> Fitted:
-        """Fit and simulate in one worker, which names its parameters before it knows a case."""
-        inside = whole(fold.train, self._rule)
-        with self._worker(imported_libraries(source, fitting=True)) as worker:
-            try:
-                reply = self._fit(worker, source, fold, oracle, start)
-            finally:
-                on_printed(worker.printed)
-            parameters, model = worker.parameters(), worker.dump()
-            y_hat = simulate_held_out(worker, fold.validation, self.horizon)
-            train_y_hat = simulate_training(worker, inside, self.horizon)
-            memory = worker.peak_memory_mb
-        seconds = [worker.spent.get(a, (0.0, 0.0))[0] for a in (Activity.TRACE, Activity.COMPILE)]
-        return Fitted(reply, model, parameters, y_hat, train_y_hat, memory, sum(seconds))
+        return FoldEnd(result, found.printed, oracle.calls)
 
     def _ask_strangers(self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]) -> None:
         """Where several requests go to one worker, a few of their cases in a fresh one. Raises
@@ -341,13 +331,6 @@ class Evaluator(WorkerRunner):
         failure = objection_to(self._ask_fresh(source, model, fold.validation, y_hat, ask), None)
         if failure is not None:
             raise CandidateError(failure.reason, failure.detail)
-
-    def _fit(self, worker: Worker, source: str, fold: Fold, oracle: Oracle, start: int) -> FitReply:
-        context = self._fold_context(fold.index, start)
-        if self._rule.early_stopping == "inner":
-            return worker.fit(source, fold.train, context)
-        with oracle:
-            return worker.fit(source, fold.train, context, oracle)
 
     def _simulate_checked(
         self, source: str, model: bytes, blocks: Sequence[Block]

@@ -77,6 +77,10 @@ class FoldResult:
     """How often the candidate asked for its score on the held-out part."""
     findings: FoldFindings | None = None
     """What is learned of the model beside its score."""
+    machine: str = ""
+    """The machine that fitted it; "" for the search's own."""
+    isolation: str = ""
+    """The level that was in force there; "" for the search's own."""
 
 
 @dataclass(frozen=True)

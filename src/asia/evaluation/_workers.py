@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from asia._stopwatch import Activity, Stopwatch
 from asia.errors import CandidateError, Reason, SandboxError, UserError
-from asia.executor import Executor
+from asia.executor import Executor, carrier_of
 from asia.sandbox import Isolation, Limits, ReadyWorkers, Worker, WorkerKilledError, open_worker
 
 T = TypeVar("T")
@@ -55,6 +55,10 @@ class WorkerRunner:
         try:
             tries = [partial(self._with_one_retry, job) for job in jobs]
             return self.stopwatch.run(self._executor.run, tries)
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                self._cancel_elsewhere()
+            raise
         finally:
             with self._counting:
                 self._runs -= 1
@@ -67,7 +71,13 @@ class WorkerRunner:
         """End all workers, for good, from another thread than those that run jobs: these end with
         an error."""
         self._interrupted = self._aborted = True
+        self._cancel_elsewhere()
         self._abort_open()
+
+    def _cancel_elsewhere(self) -> None:
+        carrier = carrier_of(self._executor)
+        if carrier is not None:
+            carrier.cancel()
 
     def _abort_open(self) -> None:
         for worker in list(self._open):

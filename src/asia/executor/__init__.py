@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, cast
+from typing import Protocol, TypeVar, cast, runtime_checkable
 
 from asia._nearest import suggestion
 from asia._plugins import Part, parts_of
@@ -15,9 +15,11 @@ from asia.errors import UserError
 
 __all__ = [
     "EXECUTORS",
+    "Carrier",
     "Executor",
     "LocalExecutor",
     "SequentialExecutor",
+    "carrier_of",
     "executor_names",
     "make_executor",
 ]
@@ -34,6 +36,35 @@ class Executor(Protocol):
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
+        ...
+
+
+@runtime_checkable
+class Carrier(Protocol):
+    """An executor that has the folds fitted on other machines."""
+
+    def carry(
+        self,
+        answer: Callable[[bytes, bytes, Callable[[], bool]], bytes],
+        request: bytes,
+        digest: str,
+        data: bytes,
+    ) -> bytes:
+        """`answer(request, data, unwanted)`, called on one of the machines, where the package is
+        installed; `unwanted()` is True there once nobody waits any more. digest: sha256 of `data`,
+        which are sent to a machine once. A machine that dies is replaced by another one. Raises
+        SandboxError where none answers, or after `cancel`."""
+        ...
+
+    def ask_each(
+        self, describe: Callable[[bytes], bytes], request: bytes
+    ) -> dict[str, tuple[bytes, float, float]]:
+        """`describe(request)` of every worker by its name, with the seconds that the answer took
+        and the `time.time()` of the question."""
+        ...
+
+    def cancel(self) -> None:
+        """End all that is under way; those who wait get a SandboxError."""
         ...
 
 
@@ -91,7 +122,24 @@ def _local(setting: str) -> LocalExecutor:
     return LocalExecutor(int(setting) if setting else None)
 
 
-EXECUTORS: dict[str, Callable[[str], Executor]] = {"local": _local}
+def carrier_of(executor: Executor | None) -> Carrier | None:
+    """What takes folds to other machines; None for an executor that has them fitted here."""
+    if isinstance(executor, SequentialExecutor):
+        return carrier_of(executor.executor)
+    return executor if isinstance(executor, Carrier) else None
+
+
+def _dask(setting: str) -> Executor:
+    from asia.executor.dask import DaskExecutor
+
+    if not setting.strip("/"):
+        raise UserError(
+            "--executor dask: expected dask://HOST:PORT, or dask:FILE with the scheduler's file"
+        )
+    return DaskExecutor(f"tcp:{setting}" if setting.startswith("//") else setting)
+
+
+EXECUTORS: dict[str, Callable[[str], Executor]] = {"local": _local, "dask": _dask}
 """The built-in executors by name; what stands behind the name and a colon is given to them."""
 
 
@@ -101,8 +149,9 @@ def executor_names() -> tuple[str, ...]:
 
 
 def make_executor(name: str) -> Executor:
-    """The executor of that name, with its own settings; `local:N` with N workers. Raises UserError
-    when there is none, or an installed package brings something else by that name."""
+    """The executor of that name, with its own settings: `local:N` with N workers,
+    `dask://HOST:PORT` or `dask:FILE` on a Dask cluster. Raises UserError when there is none, or an
+    installed package brings something else by that name."""
     built_in, _, setting = name.partition(":")
     if built_in in EXECUTORS:
         return EXECUTORS[built_in](setting)

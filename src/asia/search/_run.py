@@ -16,7 +16,7 @@ from asia.agents.lessons import Lesson, encode_lessons
 from asia.candidate import check_source
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, SuspicionKind, derive_seed, search_context
-from asia.executor import Executor, LocalExecutor, SequentialExecutor
+from asia.executor import Executor, LocalExecutor, SequentialExecutor, carrier_of
 from asia.ledger import (
     RESUMABLE,
     Chain,
@@ -193,8 +193,8 @@ def search(
         if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
             loop.record(Resumed())
         # One that starts while another runs could be told something by how long it takes.
-        strict = view.started.isolation_strict
-        with nullcontext() if strict else evaluator.ready_workers():
+        alone = view.started.isolation_strict or carrier_of(executor) is not None
+        with nullcontext() if alone else evaluator.ready_workers():
             return loop.run()
 
 
@@ -220,6 +220,7 @@ def make_evaluator(
         executor=SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
         salt=view.started.salt,
         without=without,
+        problem=view.started.lock_digest,
     )
 
 

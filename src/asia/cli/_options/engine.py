@@ -24,7 +24,9 @@ class EngineOptions:
     ] = 1
     executor: Annotated[
         str,
-        typer.Option(help="Where folds run: local, local:N for N at once, or an installed one."),
+        typer.Option(
+            help="Where folds are fitted: local, local:N at once, dask://HOST:PORT, dask:FILE."
+        ),
     ] = "local"
 
     def chosen(self) -> Executor:

@@ -22,6 +22,8 @@ HandOverReason = Literal[
 ]
 # Left out of the record where one experiment runs at a time.
 _AtOnce = Annotated[int, Field(exclude_if=lambda value: value == 1)]
+# Left out where the search's own machine fitted.
+_Elsewhere = Annotated[str, Field(exclude_if=lambda value: value == "")]
 _Elapsed = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
@@ -169,6 +171,11 @@ class FoldEvidence:
     """How often the fit asked for its score on the held-out part."""
     findings: str | None = None
     """Artifact of `asia.evaluation.FoldFindings`; None in older ledgers."""
+    machine: _Elsewhere = ""
+    """The machine that fitted it; "" for the search's own."""
+    isolation: _Elsewhere = ""
+    """The level that was in force on that machine; "" for the search's own, which the result
+    names."""
 
 
 @dataclass(frozen=True)

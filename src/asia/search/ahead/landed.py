@@ -26,6 +26,8 @@ def _keep(store: Store, fold: FoldResult) -> FoldEvidence:
         fit_seconds=fold.seconds,
         validation_scores=fold.validation_scores,
         findings=put_findings(store, fold.findings) if fold.findings else None,
+        machine=fold.machine,
+        isolation=fold.isolation,
     )
 
 
@@ -69,4 +71,6 @@ def _taken_up(score: FoldScore, kept: FoldEvidence, fold: Fold, store: Store) ->
         seconds=kept.fit_seconds,
         validation_scores=kept.validation_scores,
         findings=get_findings(store, kept.findings) if kept.findings else None,
+        machine=kept.machine,
+        isolation=kept.isolation,
     )

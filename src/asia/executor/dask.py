@@ -1,0 +1,169 @@
+"""Folds on the machines of a Dask cluster: an engine that others keep."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import itertools
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from pathlib import Path
+from typing import Any, TypeVar
+
+from asia.errors import SandboxError, UserError
+
+T = TypeVar("T")
+
+_CONNECT_SECONDS = 10
+_ATTEMPTS = 3
+
+Answer = Callable[[bytes, bytes, Callable[[], bool]], bytes]
+
+
+class DaskExecutor:
+    """Folds on a Dask cluster, as many at once as it has threads. What scores them stays here.
+
+    A cluster runs the code that its clients send: it belongs into a network of your own. Raises
+    UserError without the extra `dask`, or where no scheduler answers.
+    """
+
+    def __init__(self, where: str) -> None:
+        """where: `tcp://HOST:PORT`, or the path of a scheduler file."""
+        if importlib.util.find_spec("distributed") is None:
+            raise UserError(
+                "--executor dask needs the package distributed: pip install 'asia-sysid[dask]'"
+            )
+        self._client: Any = _connected(where)
+        self._where = where
+        self._numbers = itertools.count()
+        self._sent: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        self._under_way: set[Any] = set()
+        self._cancelled = False
+
+    def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
+        """Results in the order of `jobs`, which wait here for what is fitted there."""
+        if not jobs:
+            return []
+        pool = ThreadPoolExecutor(max_workers=len(jobs), thread_name_prefix="fold")
+        try:
+            futures = [pool.submit(job) for job in jobs]
+            wait(futures)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+        return [future.result() for future in futures]
+
+    def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
+        """As `Carrier.carry`."""
+        trouble: Exception | None = None
+        for _ in range(_ATTEMPTS):
+            if self._cancelled:
+                raise SandboxError("the search was interrupted")
+            try:
+                return self._answered(answer, request, self._data(digest, data))
+            # Whatever the engine raises: a machine died, and perhaps the data with it.
+            except Exception as error:  # noqa: BLE001
+                trouble = error
+                with self._lock:
+                    self._sent.pop(digest, None)
+        if self._cancelled:
+            raise SandboxError("the search was interrupted")
+        raise SandboxError(
+            f"no machine of the cluster at {self._where} has fitted a fold in {_ATTEMPTS} attempts "
+            f"({type(trouble).__name__}: {trouble}): see the output of its workers, then give the "
+            "same command again"
+        )
+
+    def ask_each(
+        self, describe: Callable[[bytes], bytes], request: bytes
+    ) -> dict[str, tuple[bytes, float, float]]:
+        """As `Carrier.ask_each`. The first call imports the package there and is not timed."""
+        found: dict[str, tuple[bytes, float, float]] = {}
+        workers: dict[str, Any] = self._client.scheduler_info(n_workers=-1)["workers"]
+        for address in sorted(workers):
+            self._client.run(describe, request, workers=[address])
+            begin = time.monotonic()
+            self._client.run(_nothing, workers=[address])
+            seconds = time.monotonic() - begin
+            asked = time.time()
+            answers: dict[str, bytes] = self._client.run(describe, request, workers=[address])
+            found[address] = answers[address], seconds, asked
+        return found
+
+    def cancel(self) -> None:
+        """As `Carrier.cancel`: the workers' sandboxes end within a second."""
+        self._cancelled = True
+        with self._lock:
+            under_way = list(self._under_way)
+        if under_way:
+            self._client.cancel(under_way, force=True)
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        self._client.close()
+
+    def _data(self, digest: str, data: bytes) -> Any:
+        """The data on the cluster, sent once; machines pass them on among themselves."""
+        with self._lock:
+            if digest not in self._sent:
+                key = f"asia-data-{digest}-{next(self._numbers)}"
+                self._sent[digest] = self._client.scatter({key: data})[key]
+            return self._sent[digest]
+
+    def _answered(self, answer: Answer, request: bytes, data: Any) -> bytes:
+        key = f"asia-fold-{hashlib.sha256(request).hexdigest()}-{next(self._numbers)}"
+        future = self._client.submit(_task, answer, request, data, key=key, pure=False)
+        with self._lock:
+            self._under_way.add(future)
+        try:
+            return future.result()
+        finally:
+            with self._lock:
+                self._under_way.discard(future)
+
+
+def _connected(where: str) -> Any:
+    if "://" not in where and not Path(where).is_file():
+        raise UserError(
+            f"--executor dask:{where}: there is no such file; give the one that "
+            "'dask scheduler --scheduler-file' wrote, or dask://HOST:PORT"
+        )
+    given: dict[str, Any] = {"address" if "://" in where else "scheduler_file": where}
+    try:
+        client: Any = _distributed().Client(**given, timeout=_CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise UserError(
+            f"--executor dask: no scheduler answers at {where} ({error}): start one with "
+            "'dask scheduler', and workers with 'dask worker --nthreads 1'"
+        ) from None
+    if not client.scheduler_info(n_workers=-1)["workers"]:
+        client.close()
+        raise UserError(
+            f"--executor dask: the scheduler at {where} has no workers: start one on each machine "
+            "with 'dask worker --nthreads 1'"
+        )
+    return client
+
+
+def _distributed() -> Any:
+    """The engine, which an extra brings."""
+    return importlib.import_module("distributed")
+
+
+def _nothing() -> None:
+    """On a worker: there and back."""
+
+
+def _task(answer: Answer, request: bytes, data: bytes) -> bytes:
+    """On a worker: the answer, unless the scheduler has forgotten who asked."""
+    worker = _distributed().get_worker()
+    key = worker.get_current_task()
+
+    def unwanted() -> bool:
+        state = worker.state.tasks.get(key)
+        return state is None or state.state not in ("executing", "long-running")
+
+    return answer(request, data, unwanted)

@@ -1,0 +1,214 @@
+"""Folds on a Dask cluster on this machine."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pytest
+
+from asia.agents import Agent, AgentView, Proposal
+from asia.errors import SandboxError, UserError
+from asia.evaluation import survey_machines
+from asia.executor import make_executor
+from asia.executor.dask import DaskExecutor
+from asia.ledger import Event, Landed, Proposed, SearchView, open_run, verify
+from asia.problem.load import load_problem
+from asia.search import prepare, search
+from asia.testing import check_executor
+from tests.unit.search.toy import arx, write_problem
+
+DASK = Path(sys.executable).with_name("dask")
+SLOW = arx(2).replace(
+    "    n = 2\n    rows", "    import time\n    time.sleep({seconds})\n    n = 2\n    rows"
+)
+
+
+@dataclass
+class Cluster:
+    """A scheduler and its workers, one fold each."""
+
+    folder: Path
+    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "scheduler.json"
+
+    def start(self, *words: str) -> None:
+        log = (self.folder / f"{len(self.processes)}.log").open("wb")
+        with log:
+            started = subprocess.Popen(
+                [DASK, *words, "--no-dashboard", "--scheduler-file", self.file],
+                stdout=log, stderr=log, start_new_session=True,
+            )  # fmt: skip
+        self.processes.append(started)
+
+    def add_worker(self) -> None:
+        self.start("worker", "--nthreads", "1", "--no-nanny", "--death-timeout", "60")
+
+    def connected(self, workers: int) -> DaskExecutor:
+        end = time.monotonic() + 60.0
+        while True:
+            try:
+                executor = DaskExecutor(str(self.file))
+                if len(executor._client.scheduler_info()["workers"]) >= workers:
+                    return executor
+                executor.close()
+            except UserError:
+                pass
+            assert time.monotonic() < end, "the cluster did not start"
+            time.sleep(0.5)
+
+    def close(self) -> None:
+        for process in reversed(self.processes):
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    pytest.importorskip("distributed")
+    made = Cluster(tmp_path)
+    made.start("scheduler", "--port", "0", "--host", "127.0.0.1")
+    made.add_worker()
+    made.add_worker()
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """Proposes sources in order, whatever runs."""
+
+    sources: tuple[str, ...]
+    name: str = "scripted"
+    proposes_ahead: bool = True
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        index = len(view.proposed) - 1
+        if index >= len(self.sources):
+            return None
+        return Proposal(self.sources[index], "scripted", f"number {index}", "made up", "made up")
+
+
+def go(
+    root: Path,
+    executor: DaskExecutor | None,
+    parallel: int,
+    agent: Agent,
+    on_event: Callable[[Event, SearchView], None] = lambda event, view: None,
+) -> SearchView:
+    if not (root / "toy").is_dir():
+        write_problem(root / "toy", experiments=6)
+    problem = load_problem(root / "toy")
+    problem = replace(problem, budget=replace(problem.budget, retests=0, fit_seconds=60.0))
+    runs = root / ("here" if executor is None else "there")
+    ready = prepare(problem, "scripted", seed=0, runs=runs, parallel=parallel)
+    return search(ready, agent, on_event, lambda view: None, executor)
+
+
+def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match="expected dask://HOST:PORT"):
+        make_executor("dask")
+    monkeypatch.setattr("asia.executor.dask.importlib.util.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"pip install 'asia-sysid\[dask\]'"):
+        make_executor("dask://localhost:1")
+
+
+def test_a_scheduler_that_is_not_there_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    with pytest.raises(UserError, match=r"none.json: there is no such file"):
+        DaskExecutor(str(tmp_path / "none.json"))
+    monkeypatch.setattr("asia.executor.dask._CONNECT_SECONDS", 1)
+    with pytest.raises(UserError, match=r"no scheduler answers at tcp://127\.0\.0\.1:9"):
+        make_executor("dask://127.0.0.1:9")
+
+
+@pytest.mark.slow
+def test_a_cluster_is_an_executor_and_is_surveyed(cluster: Cluster) -> None:
+    executor = cluster.connected(2)
+    check_executor(lambda: executor)
+    states = survey_machines(executor)
+    assert len(states) == 2
+    for state in states:
+        assert state.isolation
+        assert state.unlike == ""
+        assert 0.0 < state.round_trip < 5.0
+        assert abs(state.clock) < 5.0
+    executor.close()
+
+
+@pytest.mark.slow
+def test_killed_workers_change_nothing(cluster: Cluster) -> None:
+    sources = tuple(SLOW.format(seconds=s) for s in (2.0, 1.9, 2.1, 1.8, 2.2))
+    here = go(cluster.folder, None, 2, Ahead(sources))
+    executor = cluster.connected(2)
+    over = threading.Event()
+    killed: list[int] = []
+
+    def kill() -> None:
+        while not over.wait(4.0) and len(killed) < 3:
+            victim = next(p for p in cluster.processes[1:] if p.poll() is None)
+            os.killpg(victim.pid, signal.SIGKILL)
+            killed.append(victim.pid)
+            cluster.add_worker()
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        there = go(cluster.folder, executor, 2, Ahead(sources))
+    finally:
+        over.set()
+        killer.join()
+    executor.close()
+    assert len(killed) >= 2
+    directory = cluster.folder / "there" / "toy-scripted-s0"
+    verify(directory)
+    for one, other in zip(here.finished, there.finished, strict=True):
+        assert one.result is not None
+        assert other.result is not None
+        assert one.score is not None
+        assert one.result.outcome == other.result.outcome
+    events = [line.event for line in open_run(directory).lines]
+    landed = [e.experiment for e in events if isinstance(e, Landed)]
+    assert len(set(landed)) == len(landed)
+    assert sum(isinstance(e, Proposed) for e in events) == 6
+
+
+@pytest.mark.slow
+def test_an_interrupted_search_leaves_the_machines(cluster: Cluster) -> None:
+    executor = cluster.connected(2)
+    begin: list[float] = []
+
+    def stop(event: Event, view: SearchView) -> None:
+        if isinstance(event, Proposed) and event.experiment == 3:
+            time.sleep(3.0)
+            begin.append(time.monotonic())
+            raise KeyboardInterrupt
+
+    source = SLOW.format(seconds=50.0)
+    with pytest.raises(KeyboardInterrupt):
+        go(cluster.folder, executor, 3, Ahead((source, source + "# 2\nX = 1\n")), stop)
+    assert time.monotonic() - begin[0] < 20.0
+    with pytest.raises(SandboxError, match="interrupted"):
+        executor.carry(lambda r, d, u: b"", b"", "", b"")
+    executor.close()
+    after = cluster.connected(2)
+    start = time.monotonic()
+    states = survey_machines(after)
+    assert len(states) == 2
+    went = go(cluster.folder / "again", after, 2, Ahead((arx(2),)))
+    assert len(went.finished) == 2
+    assert time.monotonic() - start < 45.0, "the workers were still busy"
+    after.close()
