@@ -5,9 +5,21 @@ from __future__ import annotations
 from asia.errors import UserError
 from asia.export._target import Target
 from asia.export.targets.c import CTarget
+from asia.export.targets.casadi import CasadiTarget
+from asia.export.targets.control import ControlTarget
+from asia.export.targets.fmu import FmuTarget
 from asia.export.targets.numpy import NumpyTarget
+from asia.export.targets.onnx import OnnxTarget
 
-TARGETS: dict[str, Target] = {t.name: t for t in (NumpyTarget(), CTarget())}
+_ALL: tuple[Target, ...] = (
+    NumpyTarget(),
+    CTarget(),
+    OnnxTarget(),
+    FmuTarget(),
+    CasadiTarget(),
+    ControlTarget(),
+)
+TARGETS: dict[str, Target] = {t.name: t for t in _ALL}
 """All that can be given as `--to`."""
 
 

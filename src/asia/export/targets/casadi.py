@@ -1,0 +1,227 @@
+"""CasADi functions of the start and of one sample, for optimal control and estimation."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asia.export._model import ExportModel, Printed, TrainingWindow
+from asia.export._target import Answers
+from asia.export.targets.c_places import kept_axes, source_places
+from asia.lowering import Node, Program, Shape
+
+_SCRIPT = '''"""initial(past_u, past_y, u) -> x, step(x, u) -> (x at the next sample, y), CasADi:
+past_u is n_past_u by nu, past_y n_past_y by ny, all else are columns."""
+
+from pathlib import Path
+
+import casadi
+
+_HERE = Path(__file__).parent
+initial = casadi.Function.load(str(_HERE / "initial.casadi"))
+step = casadi.Function.load(str(_HERE / "step.casadi"))
+SAMPLING_TIME = {sampling_time!r}  # s
+'''
+_LARGEST = 1.7976931348623157e308
+
+
+class CasadiTarget:
+    """`initial.casadi`, `step.casadi` and `model.py`, which loads them."""
+
+    name = "casadi"
+    usage = """```python
+from model import initial, step
+x = initial(past_u, past_y, u0)
+x, y = step(x, u)                       # y of this sample, x at the next
+```
+`step` is made of SX expressions: it can be differentiated exactly and used in `nlpsol`, `Opti`,
+do-mpc and acados (`disc_dyn_expr`). Choices, limits and absolute values have no second derivative
+where they switch."""
+
+    def missing(self) -> str | None:
+        """CasADi."""
+        return None if importlib.util.find_spec("casadi") else 'pip install "asia-sysid[export]"'
+
+    def print(self, model: ExportModel) -> Printed:
+        """The files."""
+        files = {"model.py": _SCRIPT.format(sampling_time=model.sampling_time).encode()}
+        with tempfile.TemporaryDirectory(prefix="asia-casadi-") as made:
+            for function in _functions(model):
+                path = Path(made) / f"{function.name()}.casadi"
+                function.save(str(path))
+                files[path.name] = path.read_bytes()
+        return Printed(files)
+
+    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+        """By the saved functions, all samples of a window in one call."""
+        import casadi as ca
+
+        initial: Any = ca.Function.load(str(folder / "initial.casadi"))
+        step: Any = ca.Function.load(str(folder / "step.casadi"))
+        y_hat: list[Any] = []
+        begin = time.perf_counter()
+        for window in windows:
+            x = initial(window.past_u, window.past_y, window.u[0])
+            if step.size1_in(0) == 0:
+                y_hat.append(np.stack([np.array(step(x, u)[1])[:, 0] for u in window.u]))
+                continue
+            many = step.mapaccum(len(window.u))
+            y_hat.append(np.array(many(x, window.u.T)[1]).T)
+        return [Answers("double", tuple(y_hat), time.perf_counter() - begin)]
+
+
+def _functions(model: ExportModel) -> list[Any]:
+    import casadi as ca
+
+    low = model.lowered
+    past_u = ca.SX.sym("past_u", low.n_past_u, low.nu)
+    past_y = ca.SX.sym("past_y", low.n_past_y, low.ny)
+    u = ca.SX.sym("u", low.nu)
+    x = ca.SX.sym("x", sum(math.prod(s) for s in low.states))
+    start = _run(low.initial, [ca.vec(past_u.T), ca.vec(past_y.T), u])
+    parts: list[Any] = []
+    place = 0
+    for shape in low.states:
+        parts.append(x[place : place + math.prod(shape)])
+        place += math.prod(shape)
+    y, *after = _run(low.step, [*parts, u])
+    names = ["past_u", "past_y", "u"]
+    return [
+        ca.Function("initial", [past_u, past_y, u], [ca.vertcat(*start)], names, ["x"]),
+        ca.Function("step", [x, u], [ca.vertcat(*after), y], ["x", "u"], ["x_next", "y"]),
+    ]
+
+
+def _run(program: Program, inputs: Sequence[Any]) -> list[Any]:
+    """Values as columns, row after row of their arrays."""
+    import casadi as ca
+
+    constants = [ca.SX(ca.DM(c.reshape(-1))) for c in program.constants]
+    shapes, values = program.shapes, [*inputs, *constants]
+    for place, node in enumerate(program.nodes):
+        read = [values[i] for i in node.operands]
+        sizes = [shapes[i] for i in node.operands]
+        del place
+        if node.op == "loop":
+            values.append(_looped(node, read))
+        elif node.op == "part":
+            values.append(read[0][node.attrs[0]])
+        else:
+            values.append(_value(node, read, sizes))
+    return [values[i] for i in program.outputs]
+
+
+def _looped(node: Node, read: list[Any]) -> list[Any]:
+    import casadi as ca
+
+    assert node.body is not None
+    length, same, carried = node.attrs
+    fixed, carry, rows = read[:same], read[same : same + carried], read[same + carried :]
+    stacked: list[list[Any]] = [[] for _ in node.body.outputs[carried:]]
+    for k in range(length):
+        sizes = [r.numel() // length for r in rows]
+        now = [r[k * n : (k + 1) * n] for r, n in zip(rows, sizes, strict=True)]
+        found = _run(node.body, [*fixed, *carry, *now])
+        carry = found[:carried]
+        for place, value in zip(stacked, found[carried:], strict=True):
+            place.append(value)
+    return [*carry, *(ca.vertcat(*p) for p in stacked)]
+
+
+def _value(node: Node, read: list[Any], shapes: list[Shape]) -> Any:
+    import casadi as ca
+
+    op, x = node.op, read[0]
+    if op == "reshape":
+        return x
+    if op == "matmul":
+        return _product(read, shapes, node.shape)
+    if op == "broadcast" and not shapes[0]:
+        return ca.repmat(x, math.prod(node.shape), 1)
+    if op == "concat":
+        return _joined(read, shapes, node)
+    if op == "pad":
+        count = math.prod(node.shape)
+        target = ca.repmat(read[1], count, 1)
+        inside = tuple(slice(node.attrs[a], node.attrs[a] + n) for a, n in enumerate(shapes[0]))
+        places = np.arange(count).reshape(node.shape)[inside].reshape(-1)
+        target[places.tolist()] = x
+        return target
+    if op in ("slice", "transpose", "pick", "broadcast"):
+        return x[source_places(node, shapes[0]).tolist()]
+    if op in _REDUCED:
+        return _reduced(node, x, shapes[0])
+    return _FUNCTIONS[op](ca, *read)
+
+
+def _product(read: list[Any], shapes: list[Shape], shape: Shape) -> Any:
+    import casadi as ca
+
+    (*_, m, k), n = shapes[0], shape[-1]
+    found: list[Any] = []
+    for b in range(math.prod(shape[:-2])):
+        left = ca.reshape(read[0][b * m * k : (b + 1) * m * k], k, m)
+        right = ca.reshape(read[1][b * k * n : (b + 1) * k * n], n, k)
+        found.append(ca.vec(right @ left))
+    return ca.vertcat(*found)
+
+
+def _joined(read: list[Any], shapes: list[Shape], node: Node) -> Any:
+    import casadi as ca
+
+    axis = node.attrs[0]
+    together, start, places = ca.vertcat(*read), 0, list[Any]()
+    for shape in shapes:
+        size = math.prod(shape)
+        places.append(start + np.arange(size).reshape(shape))
+        start += size
+    return together[np.concatenate(places, axis=axis).reshape(-1).tolist()]
+
+
+def _reduced(node: Node, x: Any, shape: Shape) -> Any:
+    import casadi as ca
+
+    order = [*kept_axes(shape, node.attrs), *node.attrs]
+    places = np.arange(math.prod(shape)).reshape(shape).transpose(order)
+    found: list[Any] = []
+    for row in places.reshape(max(math.prod(node.shape), 1), -1).tolist():
+        total = x[row[0]]
+        for place in row[1:]:
+            total = _FUNCTIONS[_REDUCED[node.op]](ca, total, x[place])
+        found.append(total)
+    return ca.vertcat(*found)
+
+
+_REDUCED = {"rsum": "add", "rprod": "mul", "rmax": "max", "rmin": "min"}
+_CALLED = {"abs": "fabs", "max": "fmax", "min": "fmin", "atan2": "atan2", "pow": "power"}
+_SAME = "sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh"
+
+
+def _called(name: str) -> Callable[..., Any]:
+    return lambda ca, *x: getattr(ca, name)(*x)
+
+
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    **{op: _called(name) for op, name in _CALLED.items()},
+    **{op: _called(op) for op in _SAME.split()},
+    "neg": lambda ca, a: -a,
+    "add": lambda ca, a, b: a + b,
+    "sub": lambda ca, a, b: a - b,
+    "mul": lambda ca, a, b: a * b,
+    "div": lambda ca, a, b: a / b,
+    "lt": lambda ca, a, b: a < b,
+    "le": lambda ca, a, b: a <= b,
+    "gt": lambda ca, a, b: a > b,
+    "ge": lambda ca, a, b: a >= b,
+    "eq": lambda ca, a, b: a == b,
+    "ne": lambda ca, a, b: a != b,
+    "isfinite": lambda ca, a: ca.fabs(a) <= _LARGEST,
+    "select": lambda ca, c, a, b: ca.if_else(c != 0, a, b),
+}

@@ -1,0 +1,248 @@
+"""Functional mock-up units for co-simulation, FMI 2.0 and 3.0: the printed C with a small shell.
+
+A step of the master ends at the next sample. The output that is read then belongs to the input that
+was set before the step, so that row k + 1 of a result holds sample k.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from asia.data import Array
+from asia.errors import InternalError
+from asia.export._model import ExportModel, Printed, TrainingWindow
+from asia.export._target import Answers
+from asia.export.targets.c import c_compiler, c_source
+from asia.export.targets.c_files import header
+from asia.export.targets.fmu_shell import shell
+
+
+class FmuTarget:
+    """`model_fmi2.fmu` and `model_fmi3.fmu`."""
+
+    name = "fmu"
+    usage = """`model_fmi2.fmu` (FMI 2.0) and `model_fmi3.fmu` (FMI 3.0) are for co-simulation. The
+step of the master is the sampling time; another step is refused. Set the inputs, do a step, read
+the outputs: they belong to the inputs that were set before the step, one step earlier on the time
+axis. The parameters `past_u[k,i]` and `past_y[k,j]` (k = 1 the oldest) start the model; their
+start values are those of a training window. The units hold C sources, and a binary for the
+platform they were made on."""
+
+    def missing(self) -> str | None:
+        """fmpy, which checks the units, and a C compiler."""
+        if importlib.util.find_spec("fmpy") is None:
+            return 'pip install "asia-sysid[export]"'
+        return None if c_compiler() else "install a C compiler, such as gcc"
+
+    def print(self, model: ExportModel) -> Printed:
+        """Both units."""
+        return Printed({f"model_fmi{v}.fmu": _unit(model, v) for v in (2, 3)})
+
+    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+        """By fmpy, which also validates the units."""
+        from fmpy.validation import validate_fmu
+
+        found: list[Answers] = []
+        for version in (2, 3):
+            path = folder / f"model_fmi{version}.fmu"
+            problems = validate_fmu(str(path))
+            if problems:
+                raise InternalError(f"the printed FMU is not valid: {problems[0]}")
+            found.append(_answers(path, version, windows))
+        return found
+
+
+def _answers(path: Path, version: int, windows: Sequence[TrainingWindow]) -> Answers:
+    from fmpy import extract, read_model_description
+
+    described: Any = read_model_description(str(path))
+    with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
+        extract(str(path), unzipdir=made)
+        begin = time.perf_counter()
+        y_hat = tuple(_simulated(described, made, version, w) for w in windows)
+        seconds = time.perf_counter() - begin
+    return Answers(f"FMI {version}.0", y_hat, seconds)
+
+
+def _simulated(described: Any, folder: str, version: int, window: TrainingWindow) -> Array:
+    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi3 import FMU3Slave
+
+    kind: Any = FMU2Slave if version == 2 else FMU3Slave
+    unit = kind(
+        guid=described.guid,
+        unzipDirectory=folder,
+        modelIdentifier="asia_model",
+        instanceName="unit",
+    )
+    step = float(described.defaultExperiment.stepSize)
+    unit.instantiate()
+    nu, ny = window.u.shape[1], window.y_hat.shape[1]
+    past = [*window.past_u.reshape(-1).tolist(), *window.past_y.reshape(-1).tolist()]
+    places = list(range(1 + nu + ny, 1 + nu + ny + len(past)))
+    inputs, outputs = list(range(1, 1 + nu)), list(range(1 + nu, 1 + nu + ny))
+    put, get = (unit.setReal, unit.getReal) if version == 2 else (unit.setFloat64, unit.getFloat64)
+    if version == 2:
+        unit.setupExperiment(startTime=0.0)
+        unit.enterInitializationMode()
+    else:
+        unit.enterInitializationMode(startTime=0.0)
+    if past:
+        put(places, past)
+    unit.exitInitializationMode()
+    rows: list[list[float]] = []
+    for k, u in enumerate(window.u.tolist()):
+        put(inputs, u)
+        unit.doStep(currentCommunicationPoint=k * step, communicationStepSize=step)
+        rows.append(get(outputs))
+    unit.terminate()
+    unit.freeInstance()
+    return np.array(rows)
+
+
+def _unit(model: ExportModel, version: int) -> bytes:
+    source, _ = c_source(model)
+    token = str(uuid.uuid5(uuid.NAMESPACE_OID, source))
+    files = {
+        "model.c": source,
+        "model.h": header(model),
+        "fmi.c": shell([v[3] or 0.0 for v in variables(model)], version, token),
+    }
+    place, ending = _platform(version)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+
+        def put(name: str, data: bytes) -> None:
+            # The same bytes for the same model: no time of the day.
+            entry = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, data)
+
+        put("modelDescription.xml", _description(model, version, token).encode())
+        for name, text in files.items():
+            put(f"sources/{name}", text.encode())
+        if version == 3:
+            put("sources/buildDescription.xml", _BUILD.encode())
+        put(f"binaries/{place}/asia_model{ending}", _binary(files))
+    return packed.getvalue()
+
+
+def _binary(files: dict[str, str]) -> bytes:
+    compiler = c_compiler()
+    assert compiler is not None
+    with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
+        for name, text in files.items():
+            (Path(made) / name).write_text(text)
+        command = [compiler, "-std=c99", "-O2", "-fPIC", "-shared", "model.c", "fmi.c"]
+        command += ["-o", "unit.so", "-lm"]
+        done = subprocess.run(
+            command, cwd=made, capture_output=True, text=True, check=False, timeout=300
+        )
+        if done.returncode != 0:
+            raise InternalError(f"the printed FMU does not compile: {done.stderr[:1000]}")
+        return (Path(made) / "unit.so").read_bytes()
+
+
+def _platform(version: int) -> tuple[str, str]:
+    arm = platform.machine().lower() in ("arm64", "aarch64")
+    if sys.platform == "darwin":
+        return (
+            "darwin64" if version == 2 else ("aarch64" if arm else "x86_64") + "-darwin"
+        ), ".dylib"
+    return ("linux64" if version == 2 else ("aarch64" if arm else "x86_64") + "-linux"), ".so"
+
+
+_BUILD = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiBuildDescription fmiVersion="3.0">
+  <BuildConfiguration modelIdentifier="asia_model">
+    <SourceFileSet language="C99">
+      <SourceFile name="model.c"/>
+      <SourceFile name="fmi.c"/>
+    </SourceFileSet>
+  </BuildConfiguration>
+</fmiBuildDescription>
+"""
+
+
+def variables(model: ExportModel) -> list[tuple[str, str, str, float | None]]:
+    """Name, causality, unit and start value, in the order of the references, which count from 1."""
+    low, window = model.lowered, model.example
+    past_u = np.zeros((low.n_past_u, low.nu)) if window is None else window.past_u
+    past_y = np.zeros((low.n_past_y, low.ny)) if window is None else window.past_y
+    first = np.zeros(low.nu) if window is None else window.u[0]
+    rows: list[tuple[str, str, str, float | None]] = []
+    for signal, value in zip(model.inputs, first.tolist(), strict=True):
+        rows.append((signal.name, "input", signal.unit, value))
+    rows += [(s.name, "output", s.unit, None) for s in model.outputs]
+    for name, past, signals in (
+        ("past_u", past_u, model.inputs),
+        ("past_y", past_y, model.outputs),
+    ):
+        for k, row in enumerate(past.tolist(), 1):
+            for i, value in enumerate(row, 1):
+                rows.append((f"{name}[{k},{i}]", "parameter", signals[i - 1].unit, value))
+    names = [r[0] for r in rows]
+    return [(f"{n} {c}" if names.count(n) > 1 else n, c, unit, start) for n, c, unit, start in rows]
+
+
+def _description(model: ExportModel, version: int, token: str) -> str:
+    rows = variables(model)
+    outputs = range(1 + len(model.inputs), 1 + len(model.inputs) + len(model.outputs))
+    step = repr(model.sampling_time)
+    title = quoteattr(f"{model.use} of run {model.name}")
+    names = f'modelName={quoteattr(model.problem)} description={title} generationTool="ASIA"'
+    listed = "\n".join(_variable(i, row, version) for i, row in enumerate(rows, 1))
+    experiment = f'<DefaultExperiment startTime="0.0" stepSize="{step}"/>'
+    if version == 2:
+        ends = "".join(f'<Unknown index="{i}"/>' for i in outputs)
+        return f"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" guid="{token}" {names} variableNamingConvention="flat">
+<CoSimulation modelIdentifier="asia_model" canHandleVariableCommunicationStepSize="false">
+<SourceFiles><File name="model.c"/><File name="fmi.c"/></SourceFiles>
+</CoSimulation>
+{experiment}
+<ModelVariables>
+{listed}
+</ModelVariables>
+<ModelStructure><Outputs>{ends}</Outputs><InitialUnknowns>{ends}</InitialUnknowns></ModelStructure>
+</fmiModelDescription>
+"""
+    ends = "".join(f'<Output valueReference="{i}"/>' for i in outputs)
+    starts = "".join(f'<InitialUnknown valueReference="{i}"/>' for i in outputs)
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" instantiationToken="{token}" {names}>
+<CoSimulation modelIdentifier="asia_model" canHandleVariableCommunicationStepSize="false" \
+fixedInternalStepSize="{step}"/>
+{experiment}
+<ModelVariables>
+<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>
+{listed}
+</ModelVariables>
+<ModelStructure>{ends}{starts}</ModelStructure>
+</fmiModelDescription>
+"""
+
+
+def _variable(reference: int, row: tuple[str, str, str, float | None], version: int) -> str:
+    name, causality, unit, start = row
+    varies = {"parameter": "fixed"}.get(causality, "continuous")
+    words = f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
+    words += f'variability="{varies}" description={quoteattr(unit)}'
+    value = "" if start is None else f' start="{start!r}"'
+    if version == 3:
+        return f"<Float64 {words}{value}/>"
+    return f"<ScalarVariable {words}><Real{value}/></ScalarVariable>"
