@@ -16,7 +16,17 @@ from asia.data import Array, Signal
 from asia.data._arrays import make_trajectories, one_a_record
 from asia.errors import UserError
 from asia.identifier._records import digest_of, sampling_time_of
-from asia.ledger import Evaluated, Event, Run, SearchView, Use, error_value, model_to_use
+from asia.ledger import (
+    Evaluated,
+    Event,
+    IdentifiedParameter,
+    Run,
+    SearchView,
+    Use,
+    error_value,
+    identified,
+    model_to_use,
+)
 from asia.problem.load import Problem, load_lock
 from asia.report import brief_html, write_page, write_report
 from asia.scoring import fit_index
@@ -219,6 +229,13 @@ class SystemIdentifier:
         best = self._opened.view.best
         assert best is not None
         return self._opened.store.text(best.proposed.source)
+
+    @property
+    def parameters_(self) -> tuple[IdentifiedParameter, ...]:
+        """The parameters of the model fitted to all records, with their uncertainty; () where the
+        best candidate has none."""
+        found = identified(self._opened)
+        return () if found is None else found.parameters
 
     def __repr__(self) -> str:
         own, usual = self.get_params(), inspect.signature(type(self)).parameters

@@ -8,8 +8,10 @@ from pathlib import Path
 from asia.ledger import Experiment, error_value, model_to_use, open_run
 from asia.problem.load import Problem, load_lock
 from asia.report._page.formulas import equations
-from asia.report._page.html import Html, facts, join, said, tag
+from asia.report._page.html import Html, join, said, tag
 from asia.report._write import png_of
+
+_DPI = 80
 
 
 def brief_html(directory: Path) -> str:
@@ -19,22 +21,21 @@ def brief_html(directory: Path) -> str:
     best, named = run.view.best, model_to_use(run.view)
     if best is None or named is None:
         return str(tag("p", f"Run {said(run.name)}: no candidate has a score."))
-    rows = facts(
-        (
-            ("run", said(run.name)),
-            ("best", join((f"#{best.number:02d} ", said(best.proposed.title)))),
-            (run.view.v_name, _value(best)),
-            ("model to use", join((f"{named.model}. ", said(named.reason, 300)))),
-        )
+    rows = (
+        ("run", said(run.name)),
+        ("best", join((f"#{best.number:02d} ", said(best.proposed.title)))),
+        (run.view.v_name, _value(best)),
+        ("model to use", join((f"{named.model}. ", said(named.reason, 300)))),
     )
-    picture = png_of(run, problem, "simulation")
+    lines = (tag("div", tag("b", name), ": ", words) for name, words in rows)
+    picture = png_of(run, problem, "simulation", _DPI)
     image = tag(
         "img",
         src=f"data:image/png;base64,{b64encode(picture).decode()}",
         alt="Simulation of held-out parts by the best candidate",
         style="max-width:100%",
     )
-    return str(tag("div", rows, _equations(problem), image))
+    return str(tag("div", *lines, _equations(problem), image))
 
 
 def _value(best: Experiment) -> str:

@@ -129,12 +129,12 @@ def save(drawn: Iterator[Picture], directory: Path) -> tuple[Path, ...]:
     return tuple(paths)
 
 
-def png_of(run: Run, problem: Problem, name: str) -> bytes:
+def png_of(run: Run, problem: Problem, name: str, dpi: int) -> bytes:
     """One of the `pictures`."""
     draw = dict(pictures(run, problem))[name]
     with drawing():
         stream = BytesIO()
-        draw().savefig(stream, format="png", dpi=DPI, metadata=_METADATA[0])
+        draw().savefig(stream, format="png", dpi=dpi, metadata=_METADATA[0])
         return stream.getvalue()
 
 
