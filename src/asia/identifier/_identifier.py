@@ -15,6 +15,8 @@ from asia.agents import Agent
 from asia.data import Array, Signal
 from asia.data._arrays import make_trajectories, one_a_record
 from asia.errors import UserError
+from asia.export import Exported
+from asia.export import export as export_model
 from asia.identifier._records import digest_of, sampling_time_of
 from asia.ledger import (
     Evaluated,
@@ -204,6 +206,17 @@ class SystemIdentifier:
         found = simulate_cases(self._opened.directory, cases, self.model)
         fits = [fit_index(r.y[rule.past :], y_hat) for r, y_hat in zip(records, found, strict=True)]
         return float(np.nanmean(np.stack(fits)))
+
+    def export(self, to: str | Sequence[str], out: Path | str | None = None) -> list[Exported]:
+        """Print the model as code for other programs, as `asia export`.
+
+        to: a target such as `c`, or several; out: folder for a folder a target, by default `export`
+        in the run. Each target is compared with ASIA's own simulation; raises UserError, and writes
+        nothing, where they differ.
+        """
+        targets = [to] if isinstance(to, str) else list(to)
+        folder = None if out is None else Path(out)
+        return export_model(self._opened.directory, targets, self.model, folder)
 
     def report(self) -> tuple[Path, ...]:
         """Write pictures and the page of the run; their paths."""

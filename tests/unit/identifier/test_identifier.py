@@ -119,6 +119,14 @@ def test_a_notebook_shows_value_model_and_picture(fitted: asia.SystemIdentifier)
     assert "def fit" in fitted.source_
 
 
+def test_the_model_is_exported(fitted: asia.SystemIdentifier, tmp_path: Path) -> None:
+    (written,) = fitted.export("numpy", tmp_path)
+    assert written.folder == tmp_path / "numpy"
+    assert max(row.difference for row in written.parity) < 1e-9
+    with pytest.raises(UserError, match="numpi"):
+        fitted.export("numpi", tmp_path)
+
+
 def test_a_run_as_a_table(fitted: asia.SystemIdentifier) -> None:
     frame = asia.load_run(fitted.run_.directory)
     assert list(frame.index) == [1]
