@@ -71,7 +71,7 @@ class Lowering:
             return self._cond(params, values, equation)
         if name not in _RULES:
             raise CannotLowerError(
-                f"cannot be exported: {name}; write the step without it (docs/export.md lists "
+                f"cannot be exported: {name}; write the step without it (docs/use/export.md lists "
                 "what can be exported)"
             )
         for variable in equation.outvars:

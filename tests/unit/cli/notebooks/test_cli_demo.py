@@ -10,7 +10,7 @@ from nbclient import NotebookClient
 
 from tests.unit.cli.conftest import Asia
 
-FOLDER = Path(__file__).parents[3] / "examples/notebooks"
+FOLDER = Path(__file__).parents[4] / "examples/notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 
