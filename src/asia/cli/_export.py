@@ -22,7 +22,7 @@ def export(
     to: Annotated[
         list[str] | None,
         typer.Option(
-            help="Target, more than once for several: numpy, c, onnx, fmu, casadi, control."
+            help="Target, more than once for several: numpy, c, onnx, fmu, casadi, control, matlab."
         ),
     ] = None,
     model: Annotated[

@@ -8,6 +8,7 @@ from asia.export.targets.c import CTarget
 from asia.export.targets.casadi import CasadiTarget
 from asia.export.targets.control import ControlTarget
 from asia.export.targets.fmu import FmuTarget
+from asia.export.targets.matlab import MatlabTarget
 from asia.export.targets.numpy import NumpyTarget
 from asia.export.targets.onnx import OnnxTarget
 
@@ -18,6 +19,7 @@ _ALL: tuple[Target, ...] = (
     FmuTarget(),
     CasadiTarget(),
     ControlTarget(),
+    MatlabTarget(),
 )
 TARGETS: dict[str, Target] = {t.name: t for t in _ALL}
 """All that can be given as `--to`."""
