@@ -149,7 +149,7 @@ def _function(
     inputs: list[str],
     numbers: dict[str, Any],
 ) -> str:
-    body = _Body(numbers)
+    body = _MatlabBody(numbers)
     found = body.run(program, inputs)
     lines = [f"function {result} = {name}({arguments})", _LOAD.rstrip(), *body.lines]
     if result.startswith("["):
@@ -161,7 +161,7 @@ def _function(
     return "\n".join([*lines, "end", ""])
 
 
-class _Body:
+class _MatlabBody:
     """Statements of a function."""
 
     def __init__(self, numbers: dict[str, Any]) -> None:
