@@ -46,6 +46,18 @@ Experiment = Annotated[
     str | None, typer.Option(help="Column that names the experiment: each becomes a record.")
 ]
 
+Delay = Annotated[
+    str | None,
+    typer.Option(help='Samples to delay the inputs by; "auto": from correlations. [preprocess]'),
+]
+Decimate = Annotated[int, typer.Option(help="Keep every Nth sample. [preprocess]")]
+Detrend = Annotated[
+    bool, typer.Option("--detrend", help="Take the training mean off every signal. [preprocess]")
+]
+Scale = Annotated[
+    bool, typer.Option("--scale", help="Divide every signal by its spread. [preprocess]")
+]
+
 
 def init(
     name: Annotated[Path, typer.Argument(help="Directory to make; its name is the problem's.")],
@@ -59,10 +71,14 @@ def init(
     time_unit: TimeUnit = None,
     columns: ColumnNames = None,
     experiment_column: Experiment = None,
+    delay: Delay = None,
+    decimate: Decimate = 1,
+    detrend: Detrend = False,
+    scale: Scale = False,
     keys: Keys = None,
 ) -> None:
     """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y"""
-    from asia.problem.load import Wanted, init_problem, key_folder
+    from asia.problem.load import Preparation, Wanted, init_problem, key_folder
 
     wanted = Wanted((), (), time, time_unit, experiment_column, tuple(columns or ()))
     if sampling_time is not None and not 0 < sampling_time < inf:
@@ -88,6 +104,7 @@ def init(
         seal=bool(seal),
         keys=keys,
         wanted=wanted,
+        preparation=Preparation(delay, decimate, detrend, scale),
     )
     _print_made(made, name, has_test=bool(test))
 

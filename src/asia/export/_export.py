@@ -115,6 +115,11 @@ def lowered_run(run: Run, model: str | None) -> Ready:
     """The lowered model of a run. Raises UserError where it cannot be lowered."""
     use, members = _members(run, model)
     problem = load_lock(run.directory / LOCK)
+    if problem.preprocess:
+        raise UserError(
+            f"run '{run.name}' was made with [preprocess], which exported files do not do: "
+            "simulate with asia.simulate, or make a run without [preprocess]"
+        )
     evaluator = make_evaluator(problem, run.view)
     lowered = weighted_mean(_lowered(evaluator, run, members))
     windows = _windows(evaluator, run, members)

@@ -16,7 +16,7 @@ from asia.data.sources import Channels, data_source, test_source
 from asia.data.sources.csv_files import read_files
 from asia.errors import UserError
 from asia.problem._lock import check_digests
-from asia.problem._problem import Problem, TestSource
+from asia.problem._problem import Problem, TestSource, prepared
 from asia.problem._protocol import check_protocol, with_groups
 from asia.problem._schema import LockFile, ProblemFile, ProblemTables
 from asia.problem._toml import read_table
@@ -78,8 +78,7 @@ def load_lock(path: Path) -> Problem:
 def read_record(problem: Problem, path: Path) -> Trajectory:
     """A record that a person brings, with the problem's columns and sampling time. Raises UserError
     where it cannot be read."""
-    channels = Channels(problem.inputs, problem.outputs, problem.sampling_time)
-    return read_files([path], channels).trajectories[0]
+    return prepared(problem, read_files([path], problem.channels).trajectories)[0]
 
 
 def _builtin_root() -> Path:
@@ -137,25 +136,25 @@ def _assemble(
     if physics is not None:
         check_physics(physics, *names)
     check_symmetry(file.symmetry, *names, physics)
+    _check_preprocess(file, *names)
     check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
     data = data_source(file.data, root)
     records = data.records("train", channels)
     recorded = [t.name for t in records.trajectories]
-    if not recorded:
-        raise UserError(
-            f"data.source '{file.data.source}' has no training records: name a folder that has them"
-        )
+    _require_records(recorded, file)
     rule = with_groups(file.protocol.rule(), file.data.groups, recorded)
-    require_length(records.trajectories, rule)
-    check_period(records.trajectories, file.data.period)
-    _require_motion(records.trajectories, channels.outputs)
+    done = file.preprocess
+    train = done.records(records.trajectories, channels.inputs, channels.outputs)
+    require_length(train, rule)
+    check_period(train, file.data.period)
+    _require_motion(train, channels.outputs)
     return Problem(
         name=texts.name,
         description=texts.description,
-        sampling_time=channels.sampling_time,
-        inputs=channels.inputs,
-        outputs=channels.outputs,
-        train=records.trajectories,
+        sampling_time=channels.sampling_time * done.decimate,
+        inputs=done.signals(channels.inputs),
+        outputs=done.signals(channels.outputs),
+        train=train,
         data=data,
         test=TestSource(test_source(file.data, data, root), test_sha256),
         protocol=rule,
@@ -164,12 +163,33 @@ def _assemble(
         baseline=texts.baseline,
         notes=texts.notes,
         strategies=texts.strategies,
-        truth=records.truth,
+        truth=None if done else records.truth,
+        preprocess=done,
+        recorded=channels if done else None,
         warnings=records.warnings,
         guard_sha256=guard_sha256,
         symmetry=file.symmetry,
         period=file.data.period,
     )
+
+
+def _require_records(names: Sequence[str], file: ProblemTables) -> None:
+    if not names:
+        raise UserError(
+            f"data.source '{file.data.source}' has no training records: name a folder that has them"
+        )
+
+
+def _check_preprocess(file: ProblemTables, inputs: list[str], outputs: list[str]) -> None:
+    done = file.preprocess
+    done.check(inputs, outputs)
+    if file.physics is not None and (done.offset or done.scale):
+        raise UserError(
+            "preprocess.offset and preprocess.scale change the units in which [physics] is "
+            "written: leave them out, or the equations"
+        )
+    if isinstance(file.data.guard, int) and done:
+        raise UserError("[preprocess] is for measured records: leave it out for a simulated source")
 
 
 def _check_names(channels: Channels) -> None:

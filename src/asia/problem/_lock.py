@@ -106,9 +106,9 @@ def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
         "notes": problem.notes or None,
         "strategies": problem.strategies or None,
         "baseline": problem.baseline,
-        "sampling_time": problem.sampling_time,
-        "inputs": [asdict(s) for s in problem.inputs],
-        "outputs": [asdict(s) for s in problem.outputs],
+        "sampling_time": problem.channels.sampling_time,
+        "inputs": [asdict(s) for s in problem.channels.inputs],
+        "outputs": [asdict(s) for s in problem.channels.outputs],
         "data": {
             **data,
             "groups": groups_table(problem.protocol),
@@ -118,6 +118,7 @@ def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
         "protocol": protocol_table(problem.protocol),
         "budget": asdict(problem.budget),
         "physics": None if problem.physics is None else asdict(problem.physics),
+        "preprocess": asdict(problem.preprocess) if problem.preprocess else None,
         "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
         "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
     }

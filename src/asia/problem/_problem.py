@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from asia.data._arrays import make_trajectories, name_signals, one_a_record
+from asia.data._preprocess import Preprocess
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.data.sources import Channels, Source
 from asia.problem._budget import Budget
@@ -76,6 +77,10 @@ class Problem:
     """Noise-free outputs (T, ny) of the training records; for simulated systems only."""
     warnings: tuple[str, ...] = ()
     """Doubts about the data, in plain words."""
+    preprocess: Preprocess = field(default_factory=Preprocess)
+    """What is done to every record before the search sees it."""
+    recorded: Channels | None = None
+    """Signals and sampling time before that; None where nothing is done."""
     notes: str = ""
     """What the literature says of such systems, for agents that read."""
     strategies: str = ""
@@ -145,8 +150,14 @@ class Problem:
 
     @property
     def channels(self) -> Channels:
-        """Which channels of the data are read."""
-        return Channels(self.inputs, self.outputs, self.sampling_time)
+        """Which channels of the data are read, as they were recorded."""
+        return self.recorded or Channels(self.inputs, self.outputs, self.sampling_time)
+
+
+def prepared(problem: Problem, records: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
+    """Records as they were read, as the search sees them."""
+    channels = problem.channels
+    return problem.preprocess.records(records, channels.inputs, channels.outputs)
 
 
 def kept_places(problem: Problem) -> tuple[Path, ...]:

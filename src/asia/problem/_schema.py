@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, with_config
 
+from asia.data._preprocess import Preprocess
 from asia.data._trajectory import Signal
 from asia.data.sources import DataTable, FileName
 from asia.problem._budget import Budget
@@ -143,6 +144,7 @@ class ProblemTables:
     protocol: ProtocolTable = ProtocolTable()
     budget: Budget = field(default_factory=Budget)
     physics: Physics | None = None
+    preprocess: Preprocess = field(default_factory=Preprocess)
     symmetry: Mapping[str, Mapping[str, str]] = field(
         default_factory=dict[str, "Mapping[str, str]"]
     )

@@ -12,11 +12,13 @@ from asia.problem._problem import Problem, Seal, kept_places, record_places
 from asia.problem._protocol import check_feedback
 from asia.problem._training import training_text
 from asia.problem.new.init import NewProblem, init_problem
+from asia.problem.new.preparing import Preparation
 
 __all__ = [
     "CheckReport",
     "Difference",
     "NewProblem",
+    "Preparation",
     "Problem",
     "Seal",
     "Wanted",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from asia.data import Trajectory
 from asia.data._digest import data_digest
 from asia.errors import UserError
-from asia.problem._problem import Problem
+from asia.problem._problem import Problem, prepared
 from asia.protocol._cuts import least_case
 
 __all__ = ["guard_digest", "open_guard"]
@@ -45,4 +45,4 @@ def open_guard(problem: Problem) -> tuple[Trajectory, ...]:
 
 
 def _read(problem: Problem) -> tuple[Trajectory, ...]:
-    return problem.data.records("guard", problem.channels).trajectories
+    return prepared(problem, problem.data.records("guard", problem.channels).trajectories)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from asia.data import Trajectory
 from asia.data._copies import shared_samples
 from asia.data._digest import data_digest
 from asia.errors import UserError
-from asia.problem._problem import Problem, Seal
+from asia.problem._problem import Problem, Seal, prepared
 from asia.protocol._cuts import least_case
 
 __all__ = ["Seal", "check_openable", "open_test", "seal"]
@@ -27,10 +28,13 @@ def seal(problem: Problem) -> Seal:
     outline = source.outline(problem.channels)
     if outline is not None:
         found = Seal(**vars(outline))
+        lengths = tuple(problem.preprocess.length(n) for n in found.lengths)
+        found = replace(found, lengths=lengths)
     else:
-        records = source.records("test", problem.channels).trajectories
+        measured = source.records("test", problem.channels).trajectories
+        records = prepared(problem, measured)
         found = Seal(
-            sha256=data_digest(records),
+            sha256=data_digest(measured),
             names=tuple(r.name for r in records),
             lengths=tuple(len(r) for r in records),
             shared_samples=shared_samples(records, problem.train),
@@ -61,7 +65,7 @@ def open_test(problem: Problem, keys: Path | None = None) -> tuple[Trajectory, .
             f"the test data of problem '{problem.name}' changed since they were sealed: put them "
             "back, or start a new run"
         )
-    return records
+    return prepared(problem, records)
 
 
 def _check_lengths(problem: Problem, found: Seal) -> None:

@@ -72,7 +72,9 @@ def simulate(
     """Open-loop simulation with the winner of a run.
 
     past_u (n_past_u, nu), past_y (n_past_y, ny): the samples just before the first simulated one;
-    u (H, nu); physical units -> y_hat (H, ny). model: `ensemble`, the mean of the winner's fold
+    u (H, nu); physical units -> y_hat (H, ny). With [preprocess] all are in the units and at the
+    rate of the records: past_u then has n_past_u decimate + the longest delay samples, past_y
+    n_past_y decimate. model: `ensemble`, the mean of the winner's fold
     models; `refit`, the winner fitted on all training records; `stack`, a weighted mean of several
     experiments; None for the one that the search names as the model to use. bands: a level such as
     0.9, to have a `BandedSimulation` with the bands that hold this share of the measured outputs.
@@ -89,13 +91,19 @@ def simulate(
     evaluator = make_evaluator(problem, run.view)
     each = _simulated(evaluator, run, members, block)
     y_hat = each.mean(axis=0)
+    done = problem.preprocess
     if bands is None:
-        return y_hat
+        return done.back(y_hat, problem.channels.outputs, len(u))
     behind = models_behind(run.view, named)
     folds = each if behind == members else _simulated(evaluator, run, behind, block)
     basis = band_basis(evaluator, run.view, run.store, named)
     found, outside = basis.around(block.case, folds, y_hat, bands)
-    return BandedSimulation(y_hat, found.lower, found.upper, bands, outside)
+    mean, lower, upper = (
+        done.back(edge, problem.channels.outputs, len(u))
+        for edge in (y_hat, found.lower, found.upper)
+    )
+    outside = np.repeat(outside, done.decimate)[: len(u)]
+    return BandedSimulation(mean, lower, upper, bands, outside)
 
 
 def simulate_cases(
@@ -108,7 +116,12 @@ def simulate_cases(
     blocks = [_block(run, problem, *case, record=k) for k, case in enumerate(cases)]
     evaluator = make_evaluator(problem, run.view)
     members = final_members(run.view, named)
-    return [each.mean(axis=0) for each in simulate_members(evaluator, run, members, blocks)]
+    done, outputs = problem.preprocess, problem.channels.outputs
+    simulated = simulate_members(evaluator, run, members, blocks)
+    return [
+        done.back(each.mean(axis=0), outputs, len(case[2]))
+        for each, case in zip(simulated, cases, strict=True)
+    ]
 
 
 def _block(
@@ -117,15 +130,23 @@ def _block(
     """What is asked, as a block. record: cases of different records may be asked for at once.
     Raises UserError for a wrong shape."""
     rule, nu, ny = problem.protocol, len(problem.inputs), len(problem.outputs)
+    done, every = problem.preprocess, problem.preprocess.decimate
     for name, array, shape in (
-        ("past_u", past_u, (rule.past_inputs, nu)),
-        ("past_y", past_y, (rule.past_outputs, ny)),
+        ("past_u", past_u, (rule.past_inputs * every + done.longest_delay, nu)),
+        ("past_y", past_y, (rule.past_outputs * every, ny)),
         ("u", u, (len(u), nu)),
     ):
         if np.shape(array) != shape:
             raise UserError(f"{name} has shape {np.shape(array)}, expected {shape}")
-    case = Case(run.name, *(np.asarray(a, np.float64) for a in (past_u, past_y, u)))
-    return Block(case, np.zeros((len(u), ny)), record=record, start=0)
+    before, past, after = (np.asarray(a, np.float64) for a in (past_u, past_y, u))
+    if done:
+        # The last input is held until a whole number of samples that a model receives.
+        held = np.repeat(after[-1:], -len(after) % every, axis=0)
+        whole = done.inputs(np.concatenate([before, after, held]), problem.channels.inputs)
+        before, after = whole[: rule.past_inputs], whole[rule.past_inputs :]
+        past = done.outputs(past, problem.channels.outputs)
+    case = Case(run.name, before, past, after)
+    return Block(case, np.zeros((len(after), ny)), record=record, start=0)
 
 
 def _simulated(

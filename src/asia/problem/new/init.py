@@ -9,6 +9,7 @@ from math import ceil
 from pathlib import Path
 
 from asia.data._magnitudes import check_magnitudes, check_ranges
+from asia.data._preprocess import Preprocess
 from asia.data._store import PlainFile, key_folder
 from asia.data._trajectory import Trajectory
 from asia.data.intake.sheet import Wanted
@@ -17,6 +18,7 @@ from asia.errors import UserError
 from asia.problem._load import LEAST_BEYOND_PAST, require_length
 from asia.problem._toml import toml_value
 from asia.problem.new.directory import check_directory, write_directory
+from asia.problem.new.preparing import Preparation, prepare, preprocess_lines
 from asia.problem.new.sealing import (
     STORE,
     Columns,
@@ -46,7 +48,7 @@ inputs  = {inputs}
 outputs = {outputs}
 
 [data]
-{data}
+{data}{preprocess}
 [protocol]
 folds = {{ kind = "contiguous", count = {folds} }}
 past_inputs = {past_inputs}                    # samples a model sees before it simulates
@@ -91,6 +93,7 @@ class _Plan:
     notes: tuple[str, ...] = ()
     comments: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict[str, str])
+    done: Preprocess = field(default_factory=Preprocess)
 
 
 def init_problem(
@@ -105,11 +108,13 @@ def init_problem(
     seal: bool = False,
     keys: Path | None = None,
     wanted: Wanted | None = None,
+    preparation: Preparation | None = None,
 ) -> NewProblem:
     """Writes problem.toml, with comments, and description.md.
 
     sampling_time in seconds; None: from the time stamps. wanted: how else the files are read, its
-    inputs and outputs apart. Files that need no change stay where they are; of others clean copies
+    inputs and outputs apart. preparation: what `[preprocess]` is to say. Files that need no change
+    stay where they are; of others clean copies
     are written into the directory as CSV, and problem.toml says what was done. seal: the test
     files are moved into an encrypted store in the directory, its key into the folder `keys` (None:
     the person's own); they are removed last, once the store was read back. Without test files and
@@ -138,6 +143,7 @@ def init_problem(
         split = _split if taken.plain else _split_copies
         plan = split(train, columns, seal_fraction, taken)
         records = tuple(r[: len(r) - round(seal_fraction * len(r))] for r in records)
+    done = prepare(preparation or Preparation(), records, inputs, outputs)
     tests = plan.sealing.records if plan.sealing else taken.test
     _check_test(tests, rule)
     check_magnitudes(records, inputs, outputs, "training")
@@ -147,9 +153,9 @@ def init_problem(
     files = (
         *plan.files,
         ("description.md", _DESCRIPTION.format(name=directory.name)),
-        ("problem.toml", _text(directory.name, columns, rule, plan)),
+        ("problem.toml", _text(directory.name, columns, rule, replace(plan, done=done))),
     )
-    return _write(directory, files, plan, records, keys, _read_lines(taken))
+    return _write(directory, files, plan, records, keys, _read_lines(taken, done))
 
 
 def _write(
@@ -183,9 +189,10 @@ def _least(
     return train, rule.past + 1
 
 
-def _read_lines(taken: Taken) -> tuple[str, ...]:
+def _read_lines(taken: Taken, done: Preprocess) -> tuple[str, ...]:
     many = f"{len(taken.train)} training and {len(taken.test)} test records"
-    return (f"{many}, sampled every {taken.sampling_time:g} s", *taken.notes)
+    prepared = [line for line in preprocess_lines(done).split("\n")[2:] if line]
+    return (f"{many}, sampled every {taken.sampling_time:g} s", *taken.notes, *prepared)
 
 
 def _text(name: str, columns: Columns, rule: ProtocolRule, plan: _Plan) -> str:
@@ -195,6 +202,7 @@ def _text(name: str, columns: Columns, rule: ProtocolRule, plan: _Plan) -> str:
         inputs=_signals(columns.inputs, plan),
         outputs=_signals(columns.outputs, plan),
         data=_data_lines(plan),
+        preprocess=preprocess_lines(plan.done),
         folds=rule.folds.count,
         past_inputs=rule.past_inputs,
         past_outputs=rule.past_outputs,
