@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from asia._api import run as search_for_model
+from asia._text import say
 from asia.agents import Agent
 from asia.data import Array, Signal
 from asia.data._arrays import make_trajectories, one_a_record
@@ -299,7 +300,7 @@ class _Printer:
         value = "no score" if found is None else f"V={error_value(found.value)}"
         lowest = f"best #{best.number:02d}" if best else "best none"
         title = experiment.proposed.title
-        print(f"#{event.experiment:02d} {event.status:<12} {value:<10} {title:<44} | {lowest}")
+        say(f"#{event.experiment:02d} {event.status:<12} {value:<10} {title:<44} | {lowest}")
 
     def close(self) -> None:
         """Nothing to do."""

@@ -24,9 +24,10 @@ from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import window_pieces
 from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._solvers.progress import silent
+from asia.models._state_space.fitted import FittedStateSpace
 from asia.models._state_space.structure import Basis, Nonlinearity
 from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
-from asia.models.neural_ss import FittedStateSpace, NeuralStateSpace
+from asia.models.neural_ss import NeuralStateSpace
 
 __all__ = ["Config", "NeuralStateSpace", "build", "train"]
 

@@ -30,6 +30,7 @@ from asia.models._data.records import (
 )
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import cut_windows, stretches
+from asia.models._linear import levels
 from asia.models._linear.drift import drift_shift
 from asia.models._linear.estimates import ScaledRecord, invariants, system_estimates
 from asia.models._linear.fit import (
@@ -41,7 +42,6 @@ from asia.models._linear.fit import (
     refined_under_noise,
 )
 from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
-from asia.models._linear.levels import groups_by_level, interpolated, level_of
 from asia.models._linear.periodic.fit import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowPredictor
@@ -209,7 +209,7 @@ def _by_level(found: FittedLevels, past_u: Array, past_y: Array, u: Array) -> Ar
     scaling = found.systems[0].scaling
     each = np.stack([_simulated(f, past_u, past_y, u) for f in found.systems])
     past, future = scaling.inputs(past_u), scaling.inputs(u)
-    return interpolated(found.levels, each, past, future, found.memory)
+    return levels.interpolated(found.levels, each, past, future, found.memory)
 
 
 def build(config: Config, context: Context) -> LinearStateSpace:
@@ -231,14 +231,14 @@ def train(
     scaling = scaling_of(trajectories, context, model.config)
     records = scaled(trajectories, scaling)
     refinement = Refinement.of(method)
-    groups = groups_by_level([r.u for r in records]) if model.config.levels else []
+    groups = levels.groups_by_level([r.u for r in records]) if model.config.levels else []
     if len(groups) < 2:
         fitted = _fitted(records, context, model.config, refinement, scaling)
         return replace(model, fitted=fitted)
     parts = [[records[i] for i in group] for group in groups]
     systems = tuple(_fitted(part, context, model.config, refinement, scaling) for part in parts)
-    levels = np.array([level_of(np.concatenate([r.u for r in part])) for part in parts])
-    by_level = FittedLevels(systems, levels, max(len(r) for r in records))
+    each = np.array([levels.level_of(np.concatenate([r.u for r in part])) for part in parts])
+    by_level = FittedLevels(systems, each, max(len(r) for r in records))
     return replace(model, by_level=by_level)
 
 

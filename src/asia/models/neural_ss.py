@@ -12,34 +12,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
 from asia.candidate import Context, Steps
-from asia.data import Array, Signal, Trajectory
-from asia.data._transport import Transport, find_transport
+from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._arrays import AnyArray, namespace, tree_size
+from asia.models._arrays import tree_size
 from asia.models._config import check_at_least, demand
-from asia.models._data.encoder import Encoder, affine
+from asia.models._data.encoder import affine
 from asia.models._data.records import (
     ScaledData,
     check,
-    delayed,
     scaled,
-    window,
 )
-from asia.models._data.scaling import Scaling
 from asia.models._data.turns import SignalTurns, TurnedData
 from asia.models._data.windows import cut_windows
 from asia.models._linear.fit import Refinement, encoder_of
 from asia.models._linear.windows import WindowPredictor
-from asia.models._networks.simulation import outputs_of
-from asia.models._state_space.by_adam import encoded, fit_by_adam
-from asia.models._state_space.past_fit import PastFit, fitted_state
+from asia.models._state_space.by_adam import encoded, fit_by_adam, fit_encoded
+from asia.models._state_space.fitted import FittedStateSpace, StateCell, carried_records
 from asia.models._state_space.starts import encoded_at_rest, starts_of, symmetric
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models.methods import Adam, LevenbergMarquardt
@@ -116,54 +109,6 @@ class Config:
 
 
 @dataclass(frozen=True)
-class FittedStateSpace:
-    """What training found."""
-
-    structure: StateSpaceStructure
-    """Equations of the model."""
-    members: tuple[tuple[dict[str, Any], Encoder], ...]
-    """Parameters as `StateSpaceStructure` reads them, in z-scores, and the map from the past
-    window to the initial state."""
-    delay: int
-    """Of the inputs, in samples."""
-    scaling: Scaling
-    """From physical units to z-scores."""
-    turns: SignalTurns | None = None
-    """Symmetries over which simulations are averaged; None: none."""
-    starts: tuple[PastFit, ...] = ()
-    """How the initial state of each member is fitted to the past window; () where the encoder gives
-    it."""
-    transport: Transport | None = None
-    """How inputs are carried to where they act; None: at once."""
-
-
-@dataclass(frozen=True)
-class StateCell:
-    """The model as Adam trains it and as it is simulated: see
-    `asia.models._networks.structure.Cell`."""
-
-    structure: StateSpaceStructure
-    """Equations of the model."""
-
-    def initial(self, params: Any, window: AnyArray) -> AnyArray:
-        """Encoder, or the past window itself."""
-        if self.structure.lags is not None:
-            return window @ self.structure.lags.selection().astype(window.dtype)
-        p = params["encoder"]
-        bent = namespace(window).tanh(window @ p["inner"] + p["shift"])
-        return window @ p["weights"] + bent @ p["outer"] + p["bias"]
-
-    def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Next state and output before r."""
-        return self.structure.split(params, state, self.structure.input(params, u))
-
-    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """r."""
-        del u
-        return self.structure.output(params, features)
-
-
-@dataclass(frozen=True)
 class NeuralStateSpace:
     """Neural state-space model; `fitted` is None before training."""
 
@@ -175,12 +120,7 @@ class NeuralStateSpace:
         (B, H, ny). Raises UserError before training."""
         if self.fitted is None:
             raise UserError("neural state-space model: not trained yet; call train first")
-        if self.fitted.transport is not None:
-            past_u, u = _carried(self.fitted.transport, past_u, u)
-        simulate = partial(_simulated, self.fitted)
-        if self.fitted.turns is None:
-            return simulate(past_u, past_y, u)
-        return self.fitted.turns.averaged(simulate, past_u, past_y, u)
+        return self.fitted.simulate(past_u, past_y, u)
 
     def as_steps(self) -> Steps:
         """The same one sample at a time, for `asia export`. Raises UserError before training."""
@@ -193,37 +133,6 @@ class NeuralStateSpace:
                 "a transport at the pace of an input cannot be exported; set it to None"
             )
         return state_space_steps(self.fitted)
-
-
-def _simulated(f: FittedStateSpace, past_u: Array, past_y: Array, u: Array) -> Array:
-    past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
-    features = window(past, f.scaling.outputs(past_y))
-    inputs = delayed(past, future, f.delay)
-    cell = StateCell(f.structure)
-    outputs = [
-        outputs_of(cell, {**params, "encoder": vars(encoder)}, features, inputs)
-        for params, encoder in f.members[len(f.starts) :]
-    ]
-    known = np.concatenate([past, future[:, :1]], axis=1)
-    for (params, encoder), how in zip(f.members, f.starts, strict=False):
-        rows = np.arange(past.shape[1] - how.samples, past.shape[1] + 1) - f.delay
-        u, y = known[:, np.maximum(rows, 0)], f.scaling.outputs(past_y)[:, -how.samples :]
-        x = fitted_state(f.structure, params, how, encoder(features), u, y)
-        outputs.append(
-            outputs_of(cell, {**params, "encoder": vars(_identity(x.shape[1]))}, x, inputs)
-        )
-    return f.scaling.physical(np.median(outputs, axis=0))
-
-
-def _carried(transport: Transport, past_u: Array, u: Array) -> tuple[Array, Array]:
-    """Inputs of the past window and after it, as they leave the pipe."""
-    known = np.concatenate([past_u, u], axis=1)
-    carried = np.stack([transport.carried(one) for one in known])
-    return carried[:, : past_u.shape[1]], carried[:, past_u.shape[1] :]
-
-
-def _identity(states: int) -> Encoder:
-    return affine(np.eye(states), np.zeros(states))
 
 
 def build(config: Config, context: Context) -> NeuralStateSpace:
@@ -279,15 +188,9 @@ def _train_carried(
 ) -> NeuralStateSpace:
     """On inputs as they leave the pipe."""
     demand(model.config, "transport", pace < context.nu, f"less than {context.nu}, the inputs")
-    try:
-        transport = find_transport(trajectories, pace).transport
-    except ValueError as error:
-        raise UserError(f"neural_ss.Config: {error}; set transport to None") from error
-    name = context.inputs[pace]
-    inputs = (*context.inputs, Signal(f"{name.name}, not carried", name.unit))
+    transport, behind, known = carried_records(trajectories, context, pace)
     plain = replace(model, config=replace(model.config, transport=None))
-    carried = [replace(t, u=transport.carried(t.u)) for t in trajectories]
-    found = train(plain, carried, replace(context, inputs=inputs), method).fitted
+    found = train(plain, behind, known, method).fitted
     assert found is not None
     return replace(model, fitted=replace(found, transport=transport))
 
@@ -316,13 +219,12 @@ def _train_records(
         best = fit_members(structure, found, used, data.scaling, context, method, options)
         each = best.members, delay, data.scaling, data.turns, best.starts
         return FittedStateSpace(structure, *each), best.cost
-    late = [r.with_delay(delay) for r in data.every]
-    encoder = encoder_of(used, found, context)
     start = starts_of(structure, found, used, 1, data.scaling, _random(context))[0]
-    params = encoded(start, encoded_at_rest(structure, encoder), c.encoder, context)
-    trained = fit_by_adam(StateCell(structure), params, late, context, method, data.copies)
-    members = ((trained, Encoder(**trained.pop("encoder"))),)
-    return FittedStateSpace(structure, members, delay, data.scaling, data.turns), np.inf
+    encoder = encoded_at_rest(structure, encoder_of(used, found, context))
+    params = encoded(start, encoder, c.encoder, context)
+    late = [r.with_delay(delay) for r in data.every]
+    member = fit_encoded(StateCell(structure), params, late, context, method, data.copies)
+    return FittedStateSpace(structure, (member,), delay, data.scaling, data.turns), np.inf
 
 
 def _windowed_start(

@@ -32,6 +32,7 @@ from asia.models._data.scaling import Scaling
 from asia.models._linear.system import LinearSystem
 from asia.models._one_step.free_model import FreeRunModel
 from asia.models._one_step.polynomial import Polynomial, all_terms
+from asia.models._state_space.fitted import FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.gp_narx import GaussianPredictor, OutputProcess
 
@@ -86,7 +87,7 @@ def state_space_model(members: int, basis: Any) -> Any:
         if structure.play:
             p["play"] = {"w": drawn(3, 1), "wu": drawn(NU, 1), "g": drawn(1, 3), "h": drawn(1, NY)}
         found.append((p, encoder(structure.size)))
-    fitted = neural_ss.FittedStateSpace(structure, tuple(found), 1, SCALING)
+    fitted = FittedStateSpace(structure, tuple(found), 1, SCALING)
     return neural_ss.NeuralStateSpace(neural_ss.Config(), fitted)
 
 

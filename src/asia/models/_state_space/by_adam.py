@@ -42,6 +42,19 @@ def fit_by_adam(
     return _cast(trained, np.float64)
 
 
+def fit_encoded(
+    cell: Cell,
+    params: dict[str, Any],
+    records: ScaledData,
+    context: Context,
+    method: Adam,
+    copies: int,
+) -> tuple[dict[str, Any], Encoder]:
+    """The same for parameters with an encoder, which comes beside them."""
+    trained = fit_by_adam(cell, params, records, context, method, copies)
+    return trained, Encoder(**trained.pop("encoder"))
+
+
 def _cast(tree: Mapping[str, Any], dtype: type[np.floating[Any]]) -> dict[str, Any]:
     return {
         name: _cast(v, dtype) if isinstance(v, Mapping) else np.asarray(v, dtype)

@@ -16,7 +16,7 @@ from asia.models._state_space.structure import StateSpaceStructure
 from asia.models._steps.shared import first_of_line, median, solved, through_line, turned
 
 if TYPE_CHECKING:
-    from asia.models.neural_ss import FittedStateSpace
+    from asia.models._state_space.fitted import FittedStateSpace
 
 
 def state_space_steps(f: FittedStateSpace) -> Steps:
