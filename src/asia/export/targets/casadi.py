@@ -155,10 +155,17 @@ def _value(node: Node, read: list[Any], shapes: list[Shape]) -> Any:
         target[places.tolist()] = x
         return target
     if op in ("slice", "transpose", "pick", "broadcast"):
-        return x[source_places(node, shapes[0]).tolist()]
+        return _picked(x, source_places(node, shapes[0]))
     if op in _REDUCED:
         return _reduced(node, x, shapes[0])
     return _FUNCTIONS[op](ca, *read)
+
+
+def _picked(x: Any, places: Any) -> Any:
+    """A column, of a single number too, of which CasADi makes a row."""
+    import casadi as ca
+
+    return ca.vec(x[np.asarray(places).reshape(-1).tolist()])
 
 
 def _product(read: list[Any], shapes: list[Shape], shape: Shape) -> Any:
@@ -182,7 +189,7 @@ def _joined(read: list[Any], shapes: list[Shape], node: Node) -> Any:
         size = math.prod(shape)
         places.append(start + np.arange(size).reshape(shape))
         start += size
-    return together[np.concatenate(places, axis=axis).reshape(-1).tolist()]
+    return _picked(together, np.concatenate(places, axis=axis))
 
 
 def _reduced(node: Node, x: Any, shape: Shape) -> Any:

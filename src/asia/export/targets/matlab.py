@@ -248,9 +248,8 @@ class _MatlabBody:
             order = [*kept_axes(shapes[0], node.attrs), *node.attrs]
             places = np.arange(math.prod(shapes[0])).reshape(shapes[0]).transpose(order)
             rows = max(math.prod(node.shape), 1)
-            columns = places.reshape(rows, -1).T.reshape(-1)
-            picked = f"{self._value(read[0])}({self._places(columns)}, 1)"
-            return _REDUCED[op].format(f"reshape({picked.replace(', 1)', ')')}, [], {rows}).'")
+            picked = f"{self._value(read[0])}({self._places(places)})"
+            return _REDUCED[op].format(f"reshape({picked}, [], {rows}).'")
         return f"{op}({', '.join(read)})"
 
     def _value(self, text: str) -> str:
