@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
@@ -36,6 +36,7 @@ from asia.search import (
 
 _MOST_SAMPLES, _MOST_WINDOWS = 6000, 64
 _LEVEL, _EXAMPLE = 0.9, 100
+_REFUSED = "differs too much: the files refuse it"
 
 
 @dataclass(frozen=True)
@@ -86,29 +87,37 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
         trial = Path(made)
         _put(trial, printed.files)
         rows = _compared(one, trial, printed, ready)
-    wrong = next((r for r in rows if not r.holds), None)
+    wrong = next((r for r, without in rows if not r.holds and not without), None)
     if wrong is not None:
         raise UserError(
             f"--to {one.name}: nothing was written: {wrong.target} differs from ASIA's own "
             f"simulation by {wrong.difference:.1e} of the outputs' spread, at most "
             f"{wrong.limit:.0e} is allowed; try another model (--model) or target"
         )
-    files = {**printed.files, "USE.md": usage_page(one, ready.model, rows).encode()}
+    files = dict(printed.files)
+    for row, without in rows:
+        files.update({} if row.holds else without)
+    rows = [row if row.holds else replace(row, note=_REFUSED) for row, _ in rows]
+    files["USE.md"] = usage_page(one, ready.model, rows).encode()
     files["model.json"] = _json({**ready.model.facts(), **_counted(printed)})
     _put(folder, files)
     paths = tuple(folder / name for name in files)
     return Exported(one.name, folder, paths, tuple(rows))
 
 
-def _compared(one: Target, folder: Path, printed: Printed, ready: Ready) -> list[ParityRow]:
+def _compared(
+    one: Target, folder: Path, printed: Printed, ready: Ready
+) -> list[tuple[ParityRow, Mapping[str, bytes]]]:
+    """Each row with the files that refuse its variant."""
     found = one.run(folder, ready.windows)
     if isinstance(found, str):
-        return [ParityRow(one.name, None, 0.0, None, printed.bytes, found)]
-    single = ready.model.lowered.single
-    rows = [parity_row(one.name, a, ready.windows, single, printed.bytes) for a in found]
-    if not rows:
+        return [(ParityRow(one.name, None, 0.0, None, printed.bytes, found), {})]
+    if not found:
         raise UserError(f"--to {one.name}: the files gave no simulation to compare")
-    return rows
+    single = ready.model.lowered.single
+    return [
+        (parity_row(one.name, a, ready.windows, single, printed.bytes), a.without) for a in found
+    ]
 
 
 def lowered_run(run: Run, model: str | None) -> Ready:

@@ -31,7 +31,7 @@ class ParityRow:
     bytes: int
     """Of the files."""
     note: str = ""
-    """Why there is no difference, or what else was counted."""
+    """Why there is no difference, or what came of it."""
 
     @property
     def holds(self) -> bool:

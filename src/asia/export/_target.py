@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -23,6 +23,9 @@ class Answers:
     """For all samples together."""
     single: bool = False
     """Whether it computes in single precision."""
+    without: Mapping[str, bytes] = field(default_factory=dict[str, bytes])
+    """Files that take the place of printed ones where this variant differs too much, and refuse it;
+    empty where nothing is to be written then."""
 
 
 class Target(Protocol):

@@ -52,7 +52,8 @@ def table(rows: Sequence[ParityRow]) -> list[str]:
 
 
 def _row(row: ParityRow) -> str:
-    gap = row.note if row.difference is None else f"{row.difference:.1e}"
+    gap = "" if row.difference is None else f"{row.difference:.1e}"
+    gap = ", ".join(part for part in (gap, row.note) if part)
     time = "" if row.microseconds is None else f"{row.microseconds:.2f}"
     return f"| {row.target} | {gap} | {time} | {row.bytes} |"
 

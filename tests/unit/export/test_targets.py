@@ -1,6 +1,7 @@
 """Every family by every target: the files simulate as the model does, or nothing is written."""
 
 import shutil
+import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from asia.errors import UserError
 from asia.export import TARGETS, Ready, write
 from asia.export._composed import weighted_mean
+from asia.export.targets.c import FLAGS, c_compiler
 from asia.lowering import Builder, LoweredModel, simulate
 
 from .models import MODELS, NU, NY, lowered_model, ready
@@ -49,7 +51,7 @@ def offered(target: str) -> str:
 def test_files_simulate_as_the_model(target: str, name: str, tmp_path: Path) -> None:
     done = write(TARGETS[offered(target)], ready(MODELS[name]()), tmp_path / target)
     assert done.parity
-    assert all(row.holds for row in done.parity)
+    assert all(row.holds and not row.note for row in done.parity)
     assert all(path.stat().st_size for path in done.files)
     assert "Output k belongs to input k" in (tmp_path / target / "USE.md").read_text()
 
@@ -60,6 +62,27 @@ def test_files_simulate_as_the_model(target: str, name: str, tmp_path: Path) -> 
 def test_all_families_by_all_targets(target: str, name: str, tmp_path: Path) -> None:
     done = write(TARGETS[offered(target)], ready(MODELS[name]()), tmp_path / target)
     assert all(row.holds and row.difference is not None for row in done.parity)
+
+
+def test_single_precision_that_differs_too_much_is_refused_and_double_is_written(
+    tmp_path: Path,
+) -> None:
+    model = MODELS["linear"]()
+    far = replace(model.fitted.system, offset=np.full(NY, 1e6))
+    moved = replace(model, fitted=replace(model.fitted, system=far))
+    done = write(TARGETS[offered("c")], ready(moved), tmp_path)
+    double, single = done.parity
+    assert double.holds
+    assert not single.holds
+    assert "refuse" in single.note
+    assert "refuse" in (tmp_path / "USE.md").read_text()
+    built = [c_compiler() or "cc", "-c", "model.c", "-o", "model.o"]
+    assert subprocess.run(built, cwd=tmp_path, check=False).returncode == 0
+    refused = subprocess.run(
+        [*built, "-DASIA_FLOAT"], cwd=tmp_path, check=False, capture_output=True, text=True
+    )
+    assert refused.returncode != 0
+    assert "see USE.md" in refused.stderr
 
 
 def one_sample_late(model: LoweredModel) -> LoweredModel:
@@ -111,10 +134,6 @@ def test_a_weighted_mean_is_that_of_the_simulations() -> None:
 
 
 def test_the_program_for_a_csv_file_reproduces_the_example(tmp_path: Path) -> None:
-    import subprocess
-
-    from asia.export.targets.c import FLAGS, c_compiler
-
     compiler = c_compiler()
     if compiler is None:
         pytest.skip("no C compiler")

@@ -19,7 +19,15 @@ from asia.data import Array
 from asia.errors import InternalError
 from asia.export._model import ExportModel, Printed, TrainingWindow
 from asia.export._target import Answers
-from asia.export.targets.c_files import HARNESS, MAKEFILE, example_csv, header, main_file
+from asia.export.targets.c_files import (
+    FLOAT,
+    HARNESS,
+    MAKEFILE,
+    NO_FLOAT,
+    example_csv,
+    header,
+    main_file,
+)
 from asia.export.targets.c_program import Constants, Statements, Value
 from asia.lowering import Program
 
@@ -47,8 +55,9 @@ asia_output(&x, u, y);                /* y of the present sample */
 asia_update(&x, u);                   /* to the next sample; asia_step does both */
 ```
 `make` builds `model`, which simulates a CSV file: `./model example.csv`. With `-DASIA_FLOAT` all
-numbers are `float`. The functions use no heap and no global variables. Do not compile with
-`-ffast-math`: a value that is no number must stay one."""
+numbers are `float`; where that differs too much, `model.h` refuses it. The functions use no heap
+and no global variables. Do not compile with `-ffast-math`: a value that is no number must stay
+one."""
 
     def missing(self) -> str | None:
         """Printing needs nothing."""
@@ -193,7 +202,10 @@ def _simulated(
             run(*pointers, len(y))
             seconds += time.perf_counter() - begin
             y_hat.append(y.astype(np.float64))
-    return Answers("float" if single else "double", tuple(y_hat), seconds, single)
+    if not single:
+        return Answers("double", tuple(y_hat), seconds)
+    refused = (folder / "model.h").read_text().replace(FLOAT, NO_FLOAT).encode()
+    return Answers("float", tuple(y_hat), seconds, True, {"model.h": refused})
 
 
 def compiled(compiler: str, folder: Path, made: Path, *, single: bool) -> Path:

@@ -37,7 +37,12 @@ void asia_run(const asia_real *past_u, const asia_real *past_y, const asia_real 
 }
 """
 
-_HEADER = """/* {title}
+FLOAT = "typedef float asia_real;"
+"""How `model.h` takes single precision, and what it says where that is not good enough."""
+NO_FLOAT = '#error "in float this model differs too much from its simulation in double, see USE.md"'
+
+_HEADER = (
+    """/* {title}
  *
  * Sampling time {sampling_time!r} s; inputs are held between samples.
 {signals}
@@ -46,7 +51,9 @@ _HEADER = """/* {title}
 #define ASIA_MODEL_H
 
 #ifdef ASIA_FLOAT
-typedef float asia_real;
+"""
+    + FLOAT
+    + """
 #else
 typedef double asia_real;
 #endif
@@ -74,6 +81,7 @@ void asia_step(asia_state *x, const asia_real *u, asia_real *y);
 
 #endif
 """
+)
 
 _MAIN = r"""/* Simulates a CSV file: a row of names, then rows of inputs and outputs. Outputs of the
  * first rows start the model, the others are compared with. */
