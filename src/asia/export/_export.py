@@ -12,11 +12,13 @@ from typing import get_args
 import numpy as np
 
 from asia.data import Array
+from asia.data._preprocess import Preprocess
 from asia.errors import UserError
 from asia.evaluation import Evaluator
 from asia.export._composed import weighted_mean
 from asia.export._model import Band, ExportModel, Printed, TrainingWindow
 from asia.export._parity import ParityRow, parity_row
+from asia.export._preprocessed import kept_delays, measured, measured_window, physical
 from asia.export._registry import target
 from asia.export._target import Target
 from asia.export._usage import usage_page
@@ -124,30 +126,28 @@ def lowered_run(run: Run, model: str | None) -> Ready:
     """The lowered model of a run. Raises UserError where it cannot be lowered."""
     use, members = _members(run, model)
     problem = load_lock(run.directory / LOCK)
-    if problem.preprocess:
-        raise UserError(
-            f"run '{run.name}' was made with [preprocess], which exported files do not do: "
-            "simulate with asia.simulate, or make a run without [preprocess]"
-        )
+    done, inputs, outputs = problem.preprocess, problem.channels.inputs, problem.channels.outputs
+    kept_delays(done, inputs)
     evaluator = make_evaluator(problem, run.view)
-    lowered = weighted_mean(_lowered(evaluator, run, members))
-    windows = _windows(evaluator, run, members)
+    lowered = measured(weighted_mean(_lowered(evaluator, run, members)), done, inputs, outputs)
+    each = _windows(evaluator, run, members)
+    windows = [measured_window(window, done, inputs, outputs) for window in each]
     named = next((known for known in get_args(Use) if known == use), None)
-    records = evaluator.records
-    ranges = [np.concatenate([getattr(r, side) for r in records]) for side in ("u", "y")]
+    u, y = (np.concatenate([getattr(r, side) for r in evaluator.records]) for side in ("u", "y"))
     return Ready(
         ExportModel(
             name=run.name,
             use=use,
             problem=problem.name,
             lowered=lowered,
-            inputs=problem.inputs,
-            outputs=problem.outputs,
+            inputs=inputs,
+            outputs=outputs,
             sampling_time=problem.sampling_time,
-            input_range=_range(ranges[0]),
-            output_range=_range(ranges[1]),
+            input_range=_range(physical(u, done, inputs)),
+            output_range=_range(physical(y, done, outputs)),
             example=windows[0].first(_EXAMPLE),
-            bands=() if named is None else _bands(run, named, windows),
+            bands=() if named is None else _bands(run, named, windows[0], done.decimate),
+            notes=_notes(done, problem.sampling_time),
         ),
         tuple(windows),
     )
@@ -207,10 +207,22 @@ def _windows(
     ]
 
 
-def _bands(run: Run, use: Use, windows: Sequence[TrainingWindow]) -> tuple[Band, ...]:
-    """Their mean half width on the first window, where it is inside the region of validity."""
-    first = windows[0]
-    found = simulate(run.directory, first.past_u, first.past_y, first.u, use, bands=_LEVEL)
+def _notes(done: Preprocess, sampling_time: float) -> tuple[str, ...]:
+    if done.decimate == 1:
+        return ()
+    return (
+        f"The model steps every {sampling_time:g} s: of the records one sample in {done.decimate} "
+        f"was kept. An input is the mean over {done.decimate} samples, from the kept one on; an "
+        "output belongs to the kept one.",
+    )
+
+
+def _bands(run: Run, use: Use, first: TrainingWindow, every: int) -> tuple[Band, ...]:
+    """Their mean half width on a window, where it is inside the region of validity."""
+    past_u, past_y, u = (
+        np.repeat(side, every, axis=0) for side in (first.past_u, first.past_y, first.u)
+    )
+    found = simulate(run.directory, past_u, past_y, u, use, bands=_LEVEL)
     inside = ~found.outside if not found.outside.all() else np.ones_like(found.outside)
     return (Band(_LEVEL, 0.5 * (found.upper - found.lower)[inside].mean(axis=0)),)
 
