@@ -72,6 +72,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
         "confirmed": None if view.confirmed is None else asdict(view.confirmed),
+        "validated": [asdict(one) for one in view.validated],
         "control": None
         if beside is None
         else {"run": beside.run, "V": beside.value, "experiments": beside.experiments},
@@ -160,7 +161,7 @@ def _print_course(view: SearchView, *, running: bool) -> None:
 def _print_winner(view: SearchView) -> None:
     """What is known of the best candidate beside its V."""
     from asia.cli._output.words import again_words, guard_words, use_lines
-    from asia.ledger import floor_words, method_words
+    from asia.ledger import dossier_words, floor_words, method_words
 
     if words := method_words(view):
         say(f"method  {words}")
@@ -176,3 +177,5 @@ def _print_winner(view: SearchView) -> None:
         from asia.cli._output.confirmation import noise_words, verdict
 
         say(f"confirm {verdict(view.confirmed)}; noise floor {noise_words(view.confirmed)}")
+    for dossier in view.validated:
+        say(f"valid   {dossier_words(dossier)}")

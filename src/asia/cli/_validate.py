@@ -44,6 +44,8 @@ def validate(
     for one in found.checks:
         say(f"{one.verdict.upper():6}{one.name}: {one.sentence}")
     what = "training records" if found.record is None else found.record
+    if not found.recorded:
+        say("the search is not finished: its ledger does not keep this dossier", file=sys.stderr)
     say(f"experiment {found.experiment}, {found.model}, on {what}; the sealed test was not used")
     say(found.summary)
 
@@ -52,5 +54,10 @@ def _print_json(found: Dossier) -> None:
     for one in found.checks:
         line = {"check": one.name, "verdict": one.verdict, "sentence": one.sentence}
         say(jsonlib.dumps({**line, "cause": one.cause}, allow_nan=False))
-    end = {"run": found.run, "experiment": found.experiment, "model": found.model}
-    say(jsonlib.dumps({**end, "record": found.record, "summary": found.summary}, allow_nan=False))
+    end: dict[str, object] = {
+        "run": found.run,
+        "experiment": found.experiment,
+        "model": found.model,
+    }
+    end |= {"record": found.record, "recorded": found.recorded, "summary": found.summary}
+    say(jsonlib.dumps(end, allow_nan=False))

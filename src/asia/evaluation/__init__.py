@@ -21,6 +21,7 @@ from asia.evaluation._results import (
     same_simulations,
 )
 from asia.evaluation._rungs import LINEAR, LINEAR_RUNG, MEAN_RUNG, TRUTH, Rung, score_rungs
+from asia.evaluation._training_checks import TrainingCheck
 from asia.evaluation.work.survey import MachineState, survey_machines
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "StepErrors",
     "Suspicion",
     "SuspicionKind",
+    "TrainingCheck",
     "allowed_seconds",
     "consistency",
     "dependences",

@@ -307,7 +307,9 @@ class Evaluator(WorkerRunner):
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._ask_strangers(source, fold, fitted.model, fitted.y_hat)
             with self.stopwatch.activity(Activity.SCORE):
-                result = fold_result(fold, fitted, self._rule, self._ranges, oracle.calls)
+                result = fold_result(
+                    fold, fitted, self._rule, self._ranges, self._context, oracle.calls
+                )
                 result = replace(result, machine=found.machine, isolation=found.isolation)
         except CandidateError as error:
             result = Failure(error.reason, error.detail, fold.index + 1)

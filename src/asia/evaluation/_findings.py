@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia.candidate import Context
 from asia.data import Array
 from asia.evaluation._results import FoldFindings, FoldResult, StepErrors
+from asia.evaluation._training_checks import training_checks
 from asia.protocol import Fold, ProtocolRule, find_metric, whole
 from asia.sandbox import FitReply
 from asia.scoring import Ranges, SignedResidual, diagnose, score_fold, signed_residuals
@@ -37,7 +39,12 @@ class Fitted:
 
 
 def fold_result(
-    fold: Fold, fitted: Fitted, rule: ProtocolRule, ranges: Ranges, validation_scores: int
+    fold: Fold,
+    fitted: Fitted,
+    rule: ProtocolRule,
+    ranges: Ranges,
+    context: Context,
+    validation_scores: int,
 ) -> FoldResult:
     """Score a fold's simulations and analyse their residuals. Raises CandidateError for what is not
     finite or too large to analyse."""
@@ -59,6 +66,7 @@ def fold_result(
         memory_mb=fitted.memory_mb,
         printed=fitted.reply.output,
         held_out_residuals=_held_out_residuals(fold, fitted, rule, ranges),
+        checks=training_checks(inside, fitted.train_y_hat, fold.scale, context),
     )
     return FoldResult(
         score, fitted.model, fitted.y_hat, fitted.reply.curve, evidence, fitted.reply.seconds,

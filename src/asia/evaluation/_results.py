@@ -11,6 +11,7 @@ import numpy as np
 from asia.candidate import ParameterEstimates
 from asia.data import Array
 from asia.errors import CandidateError
+from asia.evaluation._training_checks import TrainingCheck
 from asia.protocol import Fold
 from asia.scoring import (
     Diagnostics,
@@ -55,6 +56,8 @@ class FoldFindings:
     """What the candidate printed during the fit, its middle left out where it is long."""
     held_out_residuals: tuple[SignedResidual, ...] = ()
     """Of the simulation of the held-out part; () unless the protocol shows these."""
+    checks: tuple[TrainingCheck, ...] | None = None
+    """Those of `asia validate` that do not pass on the training records; None in older ledgers."""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from asia.ledger._events import (
     Leg,
     Phase,
     Proposed,
+    RecordedCheck,
     RefitCheck,
     RefitStart,
     Refitted,
@@ -48,6 +49,7 @@ from asia.ledger._events import (
     Unsealing,
     Usage,
     Use,
+    Validated,
 )
 from asia.ledger._exports import (
     describe_result,
@@ -65,7 +67,14 @@ from asia.ledger._store import Store, without_artifacts
 from asia.ledger._use import ModelToUse, model_to_use, stack_words, tested_model
 from asia.ledger._verify import Verified, check_lock, verify
 from asia.ledger._view import Experiment, SearchView, replay
-from asia.ledger._words import error_line, hand_over_words, phase_words
+from asia.ledger._words import dossier_words, error_line, hand_over_words, phase_words
+from asia.ledger.evidence.curves import (
+    MOST_CURVES,
+    DrawnCheck,
+    DrawnCurve,
+    get_curves,
+    put_curves,
+)
 from asia.ledger.evidence.experiment import (
     ComparedScore,
     ExperimentEvidence,
@@ -95,6 +104,7 @@ from asia.ledger.evidence.words import evidence_lines
 from asia.scoring import Diagnostics
 
 __all__ = [
+    "MOST_CURVES",
     "RESUMABLE",
     "Ablated",
     "AblationFit",
@@ -107,6 +117,8 @@ __all__ = [
     "ConfirmedPair",
     "Control",
     "Diagnostics",
+    "DrawnCheck",
+    "DrawnCurve",
     "EstimatedModel",
     "EstimatedParameter",
     "Evaluated",
@@ -131,6 +143,7 @@ __all__ = [
     "ModelToUse",
     "Phase",
     "Proposed",
+    "RecordedCheck",
     "RefitCheck",
     "RefitStart",
     "Refitted",
@@ -159,6 +172,7 @@ __all__ = [
     "Unsealing",
     "Usage",
     "Use",
+    "Validated",
     "Verified",
     "beats",
     "brief",
@@ -166,6 +180,7 @@ __all__ = [
     "control",
     "control_words",
     "describe_result",
+    "dossier_words",
     "error_line",
     "error_value",
     "evidence_lines",
@@ -174,6 +189,7 @@ __all__ = [
     "findings_of",
     "floor_to_beat",
     "floor_words",
+    "get_curves",
     "get_estimates",
     "get_findings",
     "hand_over_words",
@@ -190,6 +206,7 @@ __all__ = [
     "open_run",
     "phase_words",
     "published",
+    "put_curves",
     "put_estimates",
     "put_findings",
     "read_lines",

@@ -23,6 +23,7 @@ from asia.ledger._events import (
     Streamed,
     TestedModel,
     Unsealed,
+    Validated,
 )
 from asia.ledger._lines import BEGIN, decode, scan
 
@@ -125,6 +126,8 @@ def _artifacts(event: Event) -> Iterator[str]:
             yield lessons
         case Proposed() | AblationFit():
             yield event.source
+        case Validated():
+            yield event.curves
         case Evaluated() | Landed():
             for fold in event.folds:
                 yield from (fold.model, fold.y_hat, fold.curve)

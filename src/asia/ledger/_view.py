@@ -30,7 +30,9 @@ from asia.ledger._events import (
     Unsealed,
     Unsealing,
     Usage,
+    Validated,
 )
+from asia.ledger._events.validation import with_dossier
 from asia.scoring import Failure, Score
 
 
@@ -118,6 +120,9 @@ class SearchView:
     """Fits of the winner with parts taken back, after the search."""
     ablated: Ablated | None = None
     """What these said last; None since the search went on."""
+    validated: tuple[Validated, ...] = ()
+    """The last dossier on what the folds held out, and on each new record; () since the search went
+    on."""
 
     @property
     def leg_after(self) -> int:
@@ -356,15 +361,10 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
     match event:
         case Extended():
             return replace(
-                view,
+                _going_on(view),
                 budget=event.experiments,
                 hours=event.hours,
                 extended_after=experiments,
-                stopped=None,
-                refitted=None,
-                looked=False,
-                confirmed=None,
-                ablated=None,
             )
         case HandedOver():
             handed_over = (*view.handed_over, event)
@@ -372,13 +372,13 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
         case Stopped():
             return replace(view, stopped=event)
         case Resumed():
-            return replace(
-                view, stopped=None, refitted=None, looked=False, confirmed=None, ablated=None
-            )
+            return _going_on(view)
         case Refitted():
             return replace(view, refitted=event)
         case GuardLooked():
             return replace(view, looks=(*view.looks, event), looked=True)
+        case Validated():
+            return replace(view, validated=with_dossier(view.validated, event))
         case Ablated():
             return replace(view, ablated=event)
         case Confirmed():
@@ -389,3 +389,10 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
             return replace(view, unsealed=event)
         case _:
             return view
+
+
+def _going_on(view: SearchView) -> SearchView:
+    """Without what is said of a finished search."""
+    return replace(
+        view, stopped=None, refitted=None, looked=False, confirmed=None, ablated=None, validated=()
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from asia._text import one_line
-from asia.ledger._events import HandedOver, HandOverReason
+from asia.ledger._events import HandedOver, HandOverReason, Validated
 from asia.ledger._events.search import Phase
 
 _FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
@@ -34,6 +34,14 @@ def hand_over_words(event: HandedOver) -> str:
         f"{event.agent} takes over after #{event.after:02d}; of the agent before: "
         f"{_ENDED[event.reason]}{detail}"
     )
+
+
+def dossier_words(event: Validated) -> str:
+    """`pass 7, doubt 2, fail 1: the residual of level drifts with time`."""
+    counts = f"pass {event.passed}, doubt {event.doubtful}, fail {event.failed}"
+    where = f" on {event.record}" if event.record else ""
+    worst = next((c.sentence for c in event.checks if c.name == event.worst), "")
+    return f"{counts}{where}: {worst}" if worst else f"{counts}{where}"
 
 
 def error_line(error: str, most: int = 300) -> str:

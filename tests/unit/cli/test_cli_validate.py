@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from asia.ledger import open_run, verify
 from asia.problem.load import load_problem
+from asia.report import write_page
 from asia.sandbox import Isolation
 from asia.search import prepare, search
 from tests.unit.search.toy import Scripted, arx, write_problem
@@ -52,6 +55,35 @@ def test_a_line_a_check_and_a_summary_at_the_end(run: Path, asia: Asia) -> None:
         "ten horizons", "held-out error", "steps ahead", "region of validity",
     ]  # fmt: skip
     assert (run / "report" / "validation.png").is_file()
+    event = open_run(run).view.validated[0]
+    assert [one.name for one in event.checks] == [
+        line.split(":")[0].partition(" ")[2].strip() for line in lines
+    ]
+    assert f"valid   {summary}" in asia("status", run).out
+    assert verify(run).records == len(open_run(run).lines)
+
+
+def test_the_ledger_has_a_dossier_once_and_the_report_shows_it(run: Path, asia: Asia) -> None:
+    asia("validate", run)
+    before = len(open_run(run).lines)
+    asia("validate", run)
+    assert len(open_run(run).lines) == before
+    page = write_page(run).read_text("utf-8")
+    assert 'id="validation"' in page
+    assert page.count('class="curves panel"') >= 9
+
+
+def test_a_search_that_is_not_finished_keeps_no_dossier(
+    run: Path, tmp_path: Path, asia: Asia
+) -> None:
+    part = shutil.copytree(run, tmp_path / "part")
+    lines = (run / "ledger.jsonl").read_bytes().splitlines(keepends=True)
+    end = next(k for k, line in enumerate(lines) if b'"event":"stopped"' in line)
+    (part / "ledger.jsonl").write_bytes(b"".join(lines[:end]))
+    done = asia("validate", part, "--json")
+    assert done.code == 0, done.err
+    assert json.loads(done.out.splitlines()[-1])["recorded"] is False
+    assert len(open_run(part).lines) == end
 
 
 def test_a_new_record_that_the_model_gets_wrong(run: Path, tmp_path: Path, asia: Asia) -> None:

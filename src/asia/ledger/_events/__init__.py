@@ -51,6 +51,7 @@ from asia.ledger._events.test import (
     Unsealed,
     Unsealing,
 )
+from asia.ledger._events.validation import RecordedCheck, Validated
 
 __all__ = [
     "RESUMABLE",
@@ -74,6 +75,7 @@ __all__ = [
     "Leg",
     "Phase",
     "Proposed",
+    "RecordedCheck",
     "RefitCheck",
     "RefitStart",
     "Refitted",
@@ -97,13 +99,14 @@ __all__ = [
     "Unsealing",
     "Usage",
     "Use",
+    "Validated",
     "adapter",
 ]
 
 Event = (
     Started | RungScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped | Resumed
     | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked
-    | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated
+    | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
 )  # fmt: skip
 
 adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from statistics import fmean
 
 from asia._text import one_line
-from asia.evaluation import FoldFindings
+from asia.evaluation import FoldFindings, TrainingCheck
 from asia.ledger._exports import error_value
 from asia.ledger.evidence.agreement import ParameterSpread, SharedResidual
 from asia.ledger.evidence.experiment import ExperimentEvidence, FoldShown
@@ -31,6 +31,7 @@ def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> li
         *output_lines(evidence, findings),
         *failure_lines(evidence),
         *parameter_lines(evidence.parameters),
+        *check_lines(evidence),
         *residual_lines(evidence),
         *held_out_residual_lines(evidence),
         *printed_lines(evidence),
@@ -106,6 +107,27 @@ def output_lines(evidence: ExperimentEvidence, findings: Sequence[FoldFindings])
         yield f"{one_line(name, 30):<{width}}" + "".join(f"  {v:8.4f}" for v in values)
     if len(rows) > MOST_OUTPUTS:
         yield f"... {len(rows) - MOST_OUTPUTS} more outputs with smaller errors"
+
+
+def check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
+    """What the checks of `asia validate` say on the training records, a line for each that does not
+    pass in some fold, in the words of the fold where it matters most."""
+    known = [one.findings.checks for one in evidence.folds if one.findings is not None]
+    made = [checks for checks in known if checks is not None]
+    if not made:
+        return
+    found: dict[str, list[tuple[int, TrainingCheck]]] = {}
+    for number, checks in enumerate(made, 1):
+        for one in checks:
+            found.setdefault(one.name, []).append((number, one))
+    if not found:
+        yield "the checks of residual, gain and frequency response pass on the training records"
+        return
+    yield "checks that do not pass on the training records:"
+    worst = {name: max(ones, key=lambda o: o[1].weight) for name, ones in found.items()}
+    for name, (_, one) in sorted(worst.items(), key=lambda item: -item[1][1].weight):
+        where = _folds([number for number, _ in found[name]], evidence)
+        yield f"  {one.verdict:<5} {name}: {one_line(one.sentence, 180)}; {where}"
 
 
 def residual_lines(evidence: ExperimentEvidence) -> Iterator[str]:

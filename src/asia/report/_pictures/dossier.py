@@ -29,6 +29,7 @@ _VERDICTS = {
     Verdict.DOUBT: ORANGE,
     Verdict.FAIL: RED,
     Verdict.SHOWN: QUIET,
+    Verdict.ABSENT: QUIET,
 }
 _LOGARITHMIC = frozenset({"frequency response", "error spectrum"})
 

@@ -5,7 +5,7 @@ may be anything. A residual is judged by what explains it beyond chance, with a 
 own correlation, and only where that part is large enough to matter.
 """
 
-from asia.scoring.dossier.ahead import check_ahead
+from asia.scoring.dossier.ahead import check_ahead, no_steps_ahead
 from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict, most_serious, summary
 from asia.scoring.dossier.gain import check_gain
 from asia.scoring.dossier.long_run import HORIZONS, check_long_run
@@ -44,6 +44,7 @@ __all__ = [
     "frequency_response_of",
     "impulse_response",
     "most_serious",
+    "no_steps_ahead",
     "poles",
     "residual_checks",
     "summary",

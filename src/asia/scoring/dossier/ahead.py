@@ -7,21 +7,53 @@ import numpy as np
 from asia.data import Array
 from asia.scoring.dossier.check import Check, CheckCurve, Verdict
 
+_NAME, _AXES = "steps ahead", ("steps after the start", "normalised error [-]")
+_WORST_TENTH = 0.9
 
-def check_ahead(model: Array, hold: Array, deviation: Array) -> Check:
+
+def check_ahead(model: Array, hold: Array | None, deviation: Array) -> Check:
     """model, hold (n, K, ny): errors of n simulations that begin anew, and of the last measured
-    output, at steps 1 to K; deviation (ny,) of the outputs."""
-    sizes = [np.sqrt(np.mean((e / deviation) ** 2, axis=(0, 2))) for e in (model, hold)]
+    output, at steps 1 to K; hold is None where a simulation begins without measured outputs;
+    deviation (ny,) of the outputs."""
+    size = _sizes(model, deviation)
+    each = np.sqrt(np.mean((model / deviation) ** 2, axis=2))
     steps = np.arange(1, model.shape[1] + 1, dtype=np.float64)
-    curves = tuple(
-        CheckCurve(n, steps, s) for n, s in zip(("model", "last output"), sizes, strict=True)
-    )
+    curves = [
+        CheckCurve("model", steps, size),
+        CheckCurve("model, worst tenth", steps, np.quantile(each, _WORST_TENTH, axis=0)),
+    ]
     shown = dict.fromkeys(k for k in (1, 5, 20, len(steps)) if k <= len(steps))
-    words = ", ".join(f"{sizes[0][k - 1]:.3g} at step {k}" for k in shown)
-    sentence = f"normalised error after a start from measured samples: {words}"
-    worse = bool(sizes[0][-1] >= sizes[1][-1])
+    words = ", ".join(f"{size[k - 1]:.3g} at step {k}" for k in shown)
+    sentence = (
+        f"normalised error after a start from measured samples: {words}; over all steps "
+        f"{_spread(each)}"
+    )
+    if hold is None:
+        return Check(_NAME, Verdict.SHOWN, f"{sentence}; no measured output comes before a start, "
+                     "so there is none to hold", curves=tuple(curves), axes=_AXES)  # fmt: skip
+    held = _sizes(hold, deviation)
+    curves.append(CheckCurve("last output", steps, held))
+    worse = bool(size[-1] >= held[-1])
     if worse:
-        sentence += f"; holding the last output has {sizes[1][-1]:.3g} at step {len(steps)}"
+        sentence += f"; holding the last output has {held[-1]:.3g} at step {len(steps)}"
     verdict = Verdict.DOUBT if worse else Verdict.PASS
-    return Check("steps ahead", verdict, sentence, None, 0.2, curves,
-                 ("steps after the start", "normalised error [-]"))  # fmt: skip
+    return Check(_NAME, verdict, sentence, None, 0.2, tuple(curves), _AXES)
+
+
+def no_steps_ahead(why: str) -> Check:
+    """In place of the check where nothing begins anew."""
+    return Check(_NAME, Verdict.ABSENT, f"does not apply: {why}")
+
+
+def _sizes(errors: Array, deviation: Array) -> Array:
+    return np.sqrt(np.mean((errors / deviation) ** 2, axis=(0, 2)))
+
+
+def _spread(each: Array) -> str:
+    """each (n, K): the normalised error of each simulation."""
+    whole = np.sqrt(np.mean(each**2, axis=1))
+    middle, far = np.quantile(whole, (0.5, _WORST_TENTH)).tolist()
+    return (
+        f"{middle:.3g} in the middle of {len(whole)} starts, {far:.3g} or more in the worst tenth, "
+        f"{float(whole.max()):.3g} at most"
+    )

@@ -16,6 +16,8 @@ class Verdict(StrEnum):
     FAIL = "fail"
     SHOWN = "shown"
     """Printed and drawn, not judged."""
+    ABSENT = "none"
+    """It does not apply to this model or these records; the sentence says why."""
 
 
 class Cause(StrEnum):

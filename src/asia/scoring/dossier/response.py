@@ -19,6 +19,8 @@ _SEEN = 1e-6
 _MOST_STATES = 8
 _MOST_ROWS = 60
 _DECAYED = 1e-3
+# With more outputs than these the sentence would be a table.
+_MOST_GAINS = 3
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,8 @@ def check_responses(
     """Static gains, slowest poles and step responses: shown."""
     name, axes = "poles and static gain", ("time [s]", "change for a step of 1")
     if not found:
-        return Check(name, Verdict.SHOWN, "the model gave no finite answer to small steps")
+        reason = "does not apply: the model gave no finite answer to small steps of an input"
+        return Check(name, Verdict.ABSENT, reason)
     curves: list[CheckCurve] = []
     words: list[str] = []
     for one in found:
@@ -102,6 +105,8 @@ def check_responses(
         slowest = poles(one.impulse)
         what = "static gain" if one.settled else "step response, not settled,"
         pole = f", slowest pole {_pole(slowest[0])}" if len(slowest) else ""
+        if len(outputs) > _MOST_GAINS:
+            gains = [f"of {len(outputs)} outputs in the curves"]
         words.append(f"{one.input} at {one.point}: {what} {listed(gains)}{pole}")
     return Check(name, Verdict.SHOWN, "; ".join(words), curves=tuple(curves), axes=axes)
 

@@ -17,6 +17,10 @@ _LONGEST, _SHORTEST = 256, 16
 _COHERENT = 0.8
 _OFF, _FAR_OFF = 0.25, 0.5
 _CHANCE = 1e-4
+_TOO_SHORT = (
+    "does not apply: the simulations are too short for a spectrum, which takes "
+    f"{_SHORTEST} samples of eight windows or more, or {4 * _SHORTEST} of fewer"
+)
 
 # Relative difference, frequency, coherence, and which input and output.
 _Worst = tuple[float, str, float, str]
@@ -89,7 +93,9 @@ def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Che
         if len(above):
             line += f", above half its power from {above[0]:.3g} Hz on"
         words.append(line)
-    sentence = "; ".join(words) or "the blocks are too short for a spectrum"
+    if not words:
+        return Check("error spectrum", Verdict.ABSENT, _TOO_SHORT)
+    sentence = "; ".join(words)
     return Check("error spectrum", Verdict.SHOWN, sentence, curves=tuple(curves),
                  axes=("frequency [Hz]", "amplitude"))  # fmt: skip
 
@@ -111,6 +117,8 @@ def check_frequency_response(found: SimulatedBlocks, linear: Sequence[LinearResp
             if off is not None and (worst is None or off[0] > worst[0]):
                 worst = (*off, pair)
     title, axes = "frequency response", ("frequency [Hz]", "gain")
+    if not curves:
+        return Check(title, Verdict.ABSENT, _TOO_SHORT)
     return _judged(worst, title, tuple(curves), axes)
 
 

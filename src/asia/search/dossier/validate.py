@@ -40,11 +40,13 @@ from asia.scoring.dossier import (
     check_region,
     check_responses,
     check_spectrum,
+    no_steps_ahead,
     residual_checks,
     summary,
 )
 from asia.search._run import LOCK, make_evaluator
 from asia.search.dossier.probes import ProbeRange, Simulator, linear_responses, long_run, starts
+from asia.search.dossier.recording import record_dossier
 from asia.search.final.bands import band_basis
 from asia.search.final.members import FinalMember, final_members
 
@@ -63,6 +65,8 @@ class Dossier:
     """The new record that was simulated; None for the held-out samples of the folds."""
     checks: tuple[Check, ...]
     """In the order to read them."""
+    recorded: bool
+    """Whether the ledger has it, and so the report; not before the search is finished."""
 
     @property
     def summary(self) -> str:
@@ -74,7 +78,8 @@ def validate(directory: Path, record: Path | None = None) -> Dossier:
     """Check the model to use of a run.
 
     Without a record, residuals are those of the fold models on what their fold held out. With one,
-    the model to use simulates it from its first past window. Raises UserError where the run has
+    the model to use simulates it from its first past window. The dossier of a finished search is
+    kept in its ledger. Raises UserError where the run has
     no scored model, hides its scores, or came without its artifacts, and where the record cannot be
     read; CandidateError where the model cannot simulate it.
     """
@@ -91,9 +96,13 @@ def validate(directory: Path, record: Path | None = None) -> Dossier:
         raise UserError(without_artifacts(directory))
     problem = load_lock(directory / LOCK)
     work = _Validation(run, problem, make_evaluator(problem, run.view), run.view.best, chosen.model)
-    checks = work.held_out() if record is None else work.on(read_record(problem, record))
-    name = None if record is None else record.name
-    return Dossier(run.name, run.view.best.number, chosen.model, name, checks)
+    new = None if record is None else read_record(problem, record)
+    checks = work.held_out() if new is None else work.on(new)
+    name = "" if record is None else record.name
+    recorded = run.view.complete
+    if recorded:
+        record_dossier(directory, chosen.model, new, name, checks)
+    return Dossier(run.name, run.view.best.number, chosen.model, name or None, checks, recorded)
 
 
 @dataclass(frozen=True)
@@ -124,8 +133,8 @@ class _Validation:
             train, held = ([float(np.mean(e)) for e in each] for each in (
                 [f.train_errors for f in errors], [f.errors for f in errors]))  # fmt: skip
             checks.append(check_overfit(train, held))
-        checks += self._ahead()
-        return (*checks, check_region(found, basis.region))
+        ahead = self._ahead() if self.evaluator.horizon is None else self._of_windows(pairs)
+        return (*checks, ahead, check_region(found, basis.region))
 
     def on(self, record: Trajectory) -> tuple[Check, ...]:
         """The dossier on a new record."""
@@ -133,12 +142,13 @@ class _Validation:
         if not blocks:
             raise UserError(f"record '{record.name}' is too short: it holds no case to simulate")
         y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
-        pairs = zip(blocks, y_hat, strict=True)
+        pairs = [(b, b.y - y) for b, y in zip(blocks, y_hat, strict=True)]
         found = self._simulations(
-            tuple(SimulatedBlock(b.case.u, b.y, y, b.record, b.start) for b, y in pairs)
+            tuple(SimulatedBlock(b.case.u, b.y, b.y - e, b.record, b.start) for b, e in pairs)
         )
         region = region_of([(r.u, r.y) for r in self.evaluator.records])
-        return (*self._of_residuals(found), check_region(found, region))
+        ahead = () if self.evaluator.horizon is None else (self._of_windows(pairs),)
+        return (*self._of_residuals(found), *ahead, check_region(found, region))
 
     def _simulations(self, blocks: tuple[SimulatedBlock, ...]) -> SimulatedBlocks:
         inputs = tuple(s.name for s in self.problem.inputs)
@@ -167,14 +177,22 @@ class _Validation:
         rule = self.problem.protocol
         return ProbeRange(self.evaluator.records, rule.past_inputs, rule.past_outputs)
 
-    def _ahead(self) -> list[Check]:
-        """Each fold's model from starts within what it did not fit; [] where there is no room."""
+    def _of_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
+        """Every window begins anew."""
+        past = self.problem.protocol.past_outputs
+        hold = np.stack([b.y - b.case.past_y[-1] for b, _ in pairs]) if past else None
+        return check_ahead(np.stack([error for _, error in pairs]), hold, self.evaluator.scale)
+
+    def _ahead(self) -> Check:
+        """Each fold's model from starts within what it did not fit."""
+        if self.problem.protocol.past_outputs == 0:
+            return no_steps_ahead("the protocol gives a model no measured outputs to start from")
         member = final_members(self.run.view, "ensemble")[0]
         model_errors: list[Array] = []
         hold_errors: list[Array] = []
         for fold, name in zip(self.evaluator.folds, member.models, strict=True):
             blocks = starts(self._range, fold.validation)
-            if not blocks or self.problem.protocol.past_outputs == 0:
+            if not blocks:
                 continue
             one = FinalMember(member.source, (name,))
             try:
@@ -185,9 +203,9 @@ class _Validation:
                 model_errors.append(block.y - reply)
                 hold_errors.append(block.y - block.case.past_y[-1])
         if not model_errors:
-            return []
+            return no_steps_ahead("no held-out part has room for a start, or no answer was finite")
         scale = self.evaluator.scale
-        return [check_ahead(np.stack(model_errors), np.stack(hold_errors), scale)]
+        return check_ahead(np.stack(model_errors), np.stack(hold_errors), scale)
 
     def _simulator(self, members: Sequence[FinalMember]) -> Simulator:
         """Simulations by a final model, in the sandbox."""

@@ -21,6 +21,7 @@ from asia.report._page.sections import (
     progress,
     reproduce,
     tested,
+    validation,
     verdict,
 )
 
@@ -28,6 +29,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     verdict.SECTION,
     model.SECTION,
     accuracy.SECTION,
+    validation.SECTION,
     confirmation.SECTION,
     tested.SECTION,
     bands.SECTION,

@@ -39,6 +39,8 @@ def doubts(subject: Subject) -> Iterator[str]:
     again = view.refitted.again if view.refitted else None
     if again is not None and again.ratio != 1.0:
         yield "a second fit of the winner came out differently"
+    if any(one.failed for one in view.validated):
+        yield "a check of the validation dossier fails"
     result = result_of(best)
     if consistency(value, [fold.diagnostics.train_error for fold in result.folds]) < FAR_BELOW:
         yield "the error on held-out data is far below that on training data"

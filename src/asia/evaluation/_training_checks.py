@@ -1,0 +1,77 @@
+"""The checks of `asia validate` on what a fold trained on, for whoever proposes the next candidate.
+
+They are made at every evaluation, so they look at few samples and at the worst outputs alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data import Array
+from asia.protocol import Block
+from asia.scoring.dossier import (
+    SimulatedBlock,
+    SimulatedBlocks,
+    Verdict,
+    check_frequency_response,
+    check_gain,
+    residual_checks,
+)
+
+_MOST_SAMPLES, _MOST_OUTPUTS, _MOST_INPUTS = 2000, 2, 4
+_FEWEST_SAMPLES = 200
+
+
+@dataclass(frozen=True)
+class TrainingCheck:
+    """A check that does not pass on the training records of a fold."""
+
+    name: str
+    """Its name, as in `asia validate`."""
+    verdict: Verdict
+    """`doubt` or `fail`."""
+    sentence: str
+    """What was found, with numbers."""
+    weight: float
+    """How much it matters among those that do not pass."""
+
+
+def training_checks(
+    blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array, context: Context
+) -> tuple[TrainingCheck, ...]:
+    """Those that do not pass, the one that matters most first; y_hat: (H, ny) a block. Checks that
+    need further answers of the model are not among them. () of records that are too short."""
+    chosen = _spread(blocks, y_hat)
+    if sum(len(y) for _, y in chosen) < _FEWEST_SAMPLES:
+        return ()
+    errors = np.concatenate([b.y[: len(y)] - y for b, y in chosen]) / scale
+    worst = np.argsort(-np.mean(errors**2, axis=0), kind="stable")[:_MOST_OUTPUTS]
+    outputs = sorted(worst.tolist())
+    inputs = list(range(min(_MOST_INPUTS, len(context.inputs))))
+    found = SimulatedBlocks(
+        tuple(
+            SimulatedBlock(b.case.u[: len(y), inputs], b.y[: len(y), outputs], y[:, outputs],
+                           b.record, b.start)
+            for b, y in chosen
+        ),
+        tuple(context.inputs[k].name for k in inputs),
+        tuple(context.outputs[k].name for k in outputs),
+        context.sampling_time,
+    )  # fmt: skip
+    checks = (*residual_checks(found), check_gain(found), check_frequency_response(found, ()))
+    raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
+    raised.sort(key=lambda c: -c.weight)
+    return tuple(TrainingCheck(c.name, c.verdict, c.sentence, round(c.weight, 4)) for c in raised)
+
+
+def _spread(blocks: Sequence[Block], y_hat: Sequence[Array]) -> list[tuple[Block, Array]]:
+    """Blocks evenly spread, each from its start, as many as fit."""
+    longest = max(len(y) for y in y_hat)
+    many = max(1, min(len(blocks), _MOST_SAMPLES // longest))
+    places = np.linspace(0, len(blocks) - 1, many).round().astype(int).tolist()
+    each = _MOST_SAMPLES // many
+    return [(blocks[k], y_hat[k][:each]) for k in places]

@@ -1,0 +1,91 @@
+"""What speaks against using the model, once it was validated."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from asia.ledger import DrawnCheck, Validated, get_curves
+from asia.report._page.html import Html, join, said, tag
+from asia.report._page.section import Section
+from asia.report._page.subject import Subject
+from asia.report._page.svg.panel import draw_panel
+from asia.scoring.dossier import Verdict
+
+_KINDS: Final = {Verdict.PASS: "good", Verdict.DOUBT: "doubt", Verdict.FAIL: "none"}
+_LOGARITHMIC: Final = frozenset({"frequency response", "error spectrum"})
+
+
+def _write(subject: Subject) -> Html | None:
+    found = subject.view.validated
+    return join([_dossier(subject, one) for one in found]) if found else None
+
+
+def _dossier(subject: Subject, found: Validated) -> Html:
+    title = "On what the folds held out"
+    if found.record:
+        title = join(("On the new record ", said(found.record)))
+    counts = tag(
+        "p",
+        "Checks that pass: ",
+        subject.number(found, "passed", "count"),
+        "; in doubt: ",
+        subject.number(found, "doubtful", "count"),
+        "; that fail: ",
+        subject.number(found, "failed", "count"),
+        ". What was checked is the ",
+        found.model,
+        " of experiment ",
+        subject.number(found, "experiment", "number"),
+        ".",
+    )
+    after = None
+    if found.after_unsealing:
+        after = tag("p", "This came after the sealed test had been opened, and used none of it.")
+    return join(
+        (tag("h3", title), counts, _worst(subject, found), after, _table(subject, found),
+         _pictures(subject, found))
+    )  # fmt: skip
+
+
+def _worst(subject: Subject, found: Validated) -> Html | None:
+    for k, one in enumerate(found.checks):
+        if one.name == found.worst:
+            words = subject.number(found, f"checks.{k}.sentence", "text")
+            return tag("p", tag("b", "To look at first: "), words, ".", class_="sentence")
+    return None
+
+
+def _table(subject: Subject, found: Validated) -> Html:
+    rows = [
+        tag(
+            "tr",
+            tag("th", one.name, scope="row"),
+            tag("td", tag("span", str(one.verdict), class_=f"stamp small {_kind(one.verdict)}")),
+            tag("td", subject.number(found, f"checks.{k}.sentence", "text")),
+        )
+        for k, one in enumerate(found.checks)
+    ]
+    head = [tag("th", words, scope="col") for words in ("check", "verdict", "what was found")]
+    inner = tag(
+        "table",
+        tag("caption", "The checks of the dossier"),
+        tag("thead", tag("tr", *head)),
+        tag("tbody", *rows),
+    )
+    label = f"The checks of the dossier, {found.record or 'held-out parts'}"
+    return tag("div", inner, class_="scroll dossier", tabindex="0", role="region", aria_label=label)
+
+
+def _kind(verdict: Verdict) -> str:
+    return _KINDS.get(verdict, "shown")
+
+
+def _pictures(subject: Subject, found: Validated) -> Html | None:
+    if not subject.run.store.kept:
+        return None
+    drawn: tuple[DrawnCheck, ...] = get_curves(subject.run.store, found.curves)
+    panels = [draw_panel(one, log=one.name in _LOGARITHMIC) for one in drawn]
+    return tag("div", *panels, class_="grid") if panels else None
+
+
+SECTION = Section("validation", "May it be used?", _write)

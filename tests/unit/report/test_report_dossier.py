@@ -1,0 +1,105 @@
+"""The dossier on the page: its verdicts, its pictures, and nothing that its record does not say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.errors import InternalError
+from asia.ledger import Chain, RecordedCheck, Run, Validated, open_run, put_curves, verify
+from asia.problem.load import Seal, load_problem, lock_text
+from asia.report._page import page_of
+from asia.report._page.html import Html
+from asia.report._page.section import Section
+from asia.report._page.sections import validation
+from asia.scoring.dossier import Check, CheckCurve, Verdict
+
+from .made_up import write_run
+
+ATTACK = "<script>alert(1)</script>"
+SENTENCE = "the residual of level follows valve at lags 3 to 8 (41 % of its variance)"
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    problem = load_problem("two_tanks_sim")
+    (tmp_path / "made").mkdir()
+    lock = lock_text(problem, Seal(None, None))
+    (tmp_path / "made" / "problem.lock.toml").write_text(lock, "utf-8")
+    return write_run(tmp_path / "made", problem, (("first", 0.9), ("last", 0.2)))
+
+
+def dossier(directory: Path, record: str = "", digest: str = "") -> Validated:
+    """As `asia validate` would have appended it, with four checks."""
+    steps = np.arange(1.0, 2001.0)
+    checks = (
+        Check("inputs", Verdict.FAIL, SENTENCE, weight=0.41, axes=("lag [samples]", ATTACK),
+              curves=(CheckCurve("level with valve", steps, np.sin(steps), 0.06),)),
+        Check("error spectrum", Verdict.SHOWN, "level: residual 2.3 % of the output",
+              axes=("frequency [Hz]", "amplitude"),
+              curves=tuple(CheckCurve(f"curve {k}", steps - 1, 1 / steps) for k in range(7))),
+        Check("steps ahead", Verdict.ABSENT, "does not apply: there is no room"),
+        Check("time", Verdict.PASS, "no residual drifts with time"),
+    )  # fmt: skip
+    with Chain(directory / "ledger.jsonl") as chain:
+        curves = put_curves(open_run(directory).store, checks)
+        recorded = tuple(RecordedCheck(c.name, c.verdict, c.sentence) for c in checks)
+        event = Validated(2, "ensemble", record, digest, recorded, curves, 1, 0, 1, "inputs")
+        chain.append(event)
+    return event
+
+
+def changed_page(run: Run, change: tuple[str, str]) -> str:
+    def write(subject: object) -> Html:
+        inner = validation.SECTION.write(subject)  # type: ignore[arg-type]
+        assert inner is not None
+        assert change[0] in inner
+        return Html(inner.replace(*change))
+
+    return page_of(run, (Section("one", "One", write),))
+
+
+def test_a_dossier_has_its_section_and_its_pictures(directory: Path) -> None:
+    assert 'id="validation"' not in page_of(open_run(directory))
+    dossier(directory)
+    dossier(directory, ATTACK, "d")
+    page = page_of(open_run(directory))
+    assert page.count(SENTENCE) == 2 * 2 * 2  # first and in the table, as value and as text
+    assert 'class="stamp small none">fail<' in page
+    assert 'class="stamp small shown">none<' in page
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+    assert "a check of the validation dossier fails" in page
+    assert "further ones are in report/validation.pdf" in page
+    assert page == page_of(open_run(directory))
+    assert verify(directory).records
+
+
+def test_a_dossier_that_is_not_the_ledgers_is_refused(directory: Path) -> None:
+    dossier(directory)
+    run = open_run(directory)
+    assert SENTENCE in changed_page(run, ("lags 3 to 8", "lags 3 to 8"))
+    with pytest.raises(InternalError, match="where the ledger"):
+        changed_page(run, ("lags 3 to 8", "lags 3 to 9"))
+
+
+def test_a_newer_dossier_takes_the_place_of_the_older_one_of_its_record(directory: Path) -> None:
+    first = dossier(directory, "new.csv", "d")
+    dossier(directory)
+    with Chain(directory / "ledger.jsonl") as chain:
+        chain.append(replace(first, record="again.csv"))
+        assert [one.record for one in chain.view.validated] == ["", "again.csv"]
+
+
+def test_a_long_curve_keeps_its_extremes(directory: Path) -> None:
+    from asia.ledger import get_curves
+
+    event = dossier(directory)
+    inputs, spectrum = get_curves(open_run(directory).store, event.curves)
+    curve = inputs.curves[0]
+    assert len(curve.x) <= 240
+    assert max(curve.y) == pytest.approx(np.sin(np.arange(1.0, 2001.0)).max(), abs=1e-4)
+    assert (len(spectrum.curves), spectrum.left_out) == (5, 2)
