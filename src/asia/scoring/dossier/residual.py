@@ -171,7 +171,9 @@ def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
         f"the residual of {found.outputs[worst.output]} changes where the motion turns: "
         f"{Cause.FRICTION} ({worst.words()})"
     )
-    return Check("motion", worst.verdict, sentence, Cause.FRICTION, worst.alone)
+    # With that many columns the signs stand in for much that is linear.
+    weight = worst.found.share
+    return Check("motion", worst.verdict, sentence, Cause.FRICTION, weight)
 
 
 def _linear(columns: Groups) -> list[Array]:

@@ -16,8 +16,7 @@ from asia.report._page.html import Html
 from asia.report._page.section import Section
 from asia.report._page.sections import validation
 from asia.scoring.dossier import Check, CheckCurve, Verdict
-
-from .made_up import write_run
+from tests.unit.report.made_up import write_run
 
 ATTACK = "<script>alert(1)</script>"
 SENTENCE = "the residual of level follows valve at lags 3 to 8 (41 % of its variance)"
