@@ -171,9 +171,7 @@ def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
         f"the residual of {found.outputs[worst.output]} changes where the motion turns: "
         f"{Cause.FRICTION} ({worst.words()})"
     )
-    # With that many columns the signs stand in for much that is linear.
-    weight = worst.found.share
-    return Check("motion", worst.verdict, sentence, Cause.FRICTION, weight)
+    return Check("motion", worst.verdict, sentence, Cause.FRICTION, worst.alone)
 
 
 def _linear(columns: Groups) -> list[Array]:
