@@ -36,6 +36,7 @@ def run(
     sinks: Sequence[str | OpenSink] = (),
     lessons: Sequence[Lesson] | None = None,
     parallel: int = 1,
+    stop_folds: bool = False,
 ) -> Run:
     """Search for a model; the finished run, with its view and artifacts.
 
@@ -46,7 +47,8 @@ def run(
     evaluations, one of `executor_names()` or one of your own. sinks: where events go as they come,
     by the name of an installed one, `module:Name`, or what opens one; see `asia.search.Sink`.
     lessons: of earlier searches, such as `asia.agents.lessons.kept_lessons()`; None for a search
-    without. parallel: experiments in flight. Raises UserError for anything the caller can mend.
+    without. parallel: experiments in flight. stop_folds: pass over the folds of a candidate that is
+    far behind the best without them. Raises UserError for anything the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
@@ -71,6 +73,7 @@ def run(
         lessons=lessons,
         legs=legs,
         parallel=parallel,
+        stop_folds=stop_folds,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:

@@ -24,10 +24,13 @@ class Reason(StrEnum):
     LITERAL_DATA = "literal_data"
     SUSPECT = "suspect"
     RESTART = "restart"
+    BEHIND = "behind"
 
     @property
-    def status(self) -> Literal["crash", "timeout", "invalid"]:
-        """`crash`, `timeout` or `invalid`: the word for the ledger."""
+    def status(self) -> Literal["discard", "crash", "timeout", "invalid"]:
+        """`discard`, `crash`, `timeout` or `invalid`: the word for the ledger."""
+        if self is Reason.BEHIND:
+            return "discard"
         if self in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT):
             return "timeout"
         if self in (Reason.CRASH, Reason.EXITED, Reason.MEMORY):
@@ -68,6 +71,8 @@ _ADVICE = {
     "calls and no statistics over the rows of a request",
     Reason.RESTART: "the model is good from the scored starting points alone: "
     "make simulate about as good from any other sample of a record",
+    Reason.BEHIND: "V is far above the best, whatever the other folds give, so they do not count: "
+    "leave --stop-folds out to have V of every candidate",
 }
 
 

@@ -101,6 +101,7 @@ def run(
             legs=driver.legs,
             lessons=chosen_lessons(lessons, agent),
             parallel=engine.parallel,
+            stop_folds=engine.stop_folds,
         )
         runs_on = engine.chosen()
     view = _search(driver, loaded, ready, sink or (), watch, runs_on, profile=profile, json=json)

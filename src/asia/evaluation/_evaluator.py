@@ -14,6 +14,7 @@ from asia._stopwatch import Activity
 from asia.candidate import Context, check_source, executed_source, imported_libraries
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason
+from asia.evaluation._behind import FoldBound
 from asia.evaluation._findings import fold_result
 from asia.evaluation._metamorphic import (
     ROUNDING,
@@ -103,6 +104,16 @@ class Evaluator(WorkerRunner):
     def evaluate(self, source: str, start: int = 0) -> Evaluation:
         """Fit and simulate `source` on every fold. A failed fold fails the candidate. start: fits
         from another start have seeds of their own, the same for all candidates; 0 in a search."""
+        return self._evaluate(source, start, None)
+
+    def evaluate_first(self, source: str, over: float | None) -> Evaluation:
+        """As `evaluate`, for a first fit. over: no fold is begun once V must be above it, and the
+        outcome is a Failure with reason BEHIND; None where every fold counts."""
+        if over is None:
+            return self.evaluate(source)
+        return self._evaluate(source, 0, FoldBound(len(self.folds), over))
+
+    def _evaluate(self, source: str, start: int, bound: FoldBound | None) -> Evaluation:
         try:
             check_source(source)
             source = executed_source(source)
@@ -110,9 +121,16 @@ class Evaluator(WorkerRunner):
             return Evaluation(Failure(error.reason, error.detail))
         jobs = [partial(self._fold_or_failure, source, fold, start) for fold in self.folds]
         try:
-            ends = self._run(jobs)
+            if bound is None:
+                ends = self._run(jobs)
+            else:
+                begun = self._run([partial(bound.fit, i, job) for i, job in enumerate(jobs)])
+                ends = [end for end in begun if end is not None]
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
+        behind = None if bound is None else bound.failure()
+        if behind is not None:
+            return Evaluation(behind, output=ends[0].output)
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.result, Failure):

@@ -55,7 +55,7 @@ from asia.search._steering import Steering
 from asia.search.ahead.flights import Flights
 from asia.search.ahead.landed import keep_folds, keep_output
 from asia.search.deciding.judging import judge
-from asia.search.deciding.rules import next_leg, stop_reason
+from asia.search.deciding.rules import bound_on_folds, next_leg, stop_reason
 from asia.search.final.ending import refit_winner
 
 OnEvent = Callable[[Event, SearchView], None]
@@ -271,6 +271,7 @@ class Loop:
             leg=self.view.leg,
             agent=self.view.agent if self.view.leg else "",
             remark=proposal.remark,
+            over=bound_on_folds(self.view),
         )
 
     def _evaluate(self, experiment: Experiment) -> Evaluated:
@@ -285,7 +286,9 @@ class Loop:
         if flown is not None:
             self.watch.waited(flown.lane, begin - start)
         first = None if flown is None else flown.evaluation
-        judged = judge(self.evaluator, self.store.text(experiment.proposed.source), view, first)
+        proposed = experiment.proposed
+        source = self.store.text(proposed.source)
+        judged = judge(self.evaluator, source, view, first, proposed.over)
         evaluation = judged.evaluation
         with self.watch.activity(Activity.LEDGER):
             folds = keep_folds(self.store, evaluation.folds)

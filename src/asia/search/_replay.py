@@ -252,8 +252,9 @@ class _Replaying:
             return _with_detail(again, f"twin of {twin.name}")
         if event.deadline:
             return _with_detail(replace(item, outcome="exempt"), "the deadline decided")
-        source = self.run.store.text(view.experiment(event.experiment).proposed.source)
-        judged = judge(self.evaluator, source, view)
+        proposed = view.experiment(event.experiment).proposed
+        source = self.run.store.text(proposed.source)
+        judged = judge(self.evaluator, source, view, over=proposed.over)
         item = self._compare(item, event.outcome, judged.evaluation.outcome)
         if item.outcome != "same":
             return item

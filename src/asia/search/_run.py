@@ -46,7 +46,7 @@ from asia.seal._test import seal
 from asia.search._environment import environment
 from asia.search._loop import Loop, OnEvent
 from asia.search._secrecy import check_run_is_hidden
-from asia.search.ahead.check import check_ahead, check_parallel
+from asia.search.ahead.check import check_ahead, check_parallel, check_stop_folds
 
 LOCK = "problem.lock.toml"
 
@@ -82,13 +82,15 @@ def prepare(
     lessons: Sequence[Lesson] | None = None,
     legs: Sequence[Leg] = (),
     parallel: int = 1,
+    stop_folds: bool = False,
 ) -> Prepared:
     """Check everything a search needs and compare with what is on disk. Writes nothing.
 
     isolation_strict: the folds of a candidate run one after the other. agent_settings: what shapes
     the agent's proposals beside its name. lessons: of earlier searches, None for a
     search without; a run that exists keeps those that it began with.
-    legs: those of a relay, `legs_of` its agent. parallel: experiments in flight.
+    legs: those of a relay, `legs_of` its agent. parallel: experiments in flight. stop_folds: the
+    folds of a candidate that is far behind the best already are passed over.
 
     Raises UserError when the folds cannot be made, the test does not fit, the legs do not fit into
     the budget, the run exists with other settings, or several experiments are to be in flight while
@@ -96,6 +98,8 @@ def prepare(
     """
     folds = _check(problem, legs)
     check_parallel(parallel, strict=isolation_strict)
+    if stop_folds:
+        check_stop_folds(problem.protocol)
     sealed = replace(seal(problem), guard=guard_digest(problem))
     directory = runs / (name or _default_name(problem, agent_name, seed))
     found = _probe(isolation)
@@ -128,6 +132,7 @@ def prepare(
         legs=_recorded_legs(legs),
         retests=_retests(problem),
         parallel=parallel,
+        stop_folds=stop_folds,
     )
     return Prepared(problem, directory, lock, started, _resumes(problem, sealed, directory), taught)
 
@@ -311,6 +316,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("isolation", start.isolation_words, wanted.isolation_words),
         ("lessons", *("on" if s.lessons else "off" for s in (start, wanted))),
         ("--parallel", start.parallel, wanted.parallel),
+        ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),
     ):
         if there != now:
             raise UserError(

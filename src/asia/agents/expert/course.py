@@ -30,7 +30,8 @@ def beats_nothing(view: AgentView) -> bool:
     if best is not None and best.value is not None and best.value < _NEXT_TO_NOTHING * mean:
         return False
     # A fit that did not end in time says nothing of the system.
-    tried = [t.family for t in view.trials if t.value is not None or t.status == "invalid"]
+    said = ("invalid", "discard")
+    tried = [t.family for t in view.trials if t.value is not None or t.status in said]
     return len(tried) >= _FITS and len(set(tried)) >= _KINDS
 
 

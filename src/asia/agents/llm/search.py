@@ -54,7 +54,8 @@ def task_of(view: AgentView, repairs: int) -> Task:
     what the phase asks for."""
     failed: list[Trial] = []
     for trial in reversed(view.trials):
-        if trial.value is not None or (failed and failed[-1].parent != trial.number):
+        sound = trial.value is not None or trial.status == "discard"
+        if sound or (failed and failed[-1].parent != trial.number):
             break
         failed.append(trial)
     last = failed[0] if failed else None

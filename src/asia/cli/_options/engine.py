@@ -22,6 +22,13 @@ class EngineOptions:
             help="Experiments in flight: each is proposed before the results of the last N - 1.",
         ),
     ] = 1
+    stop_folds: Annotated[
+        bool,
+        typer.Option(
+            "--stop-folds",
+            help="Pass over the folds of a candidate that is far behind the best without them.",
+        ),
+    ] = False
     executor: Annotated[
         str,
         typer.Option(

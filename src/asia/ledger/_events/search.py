@@ -24,6 +24,8 @@ HandOverReason = Literal[
 _AtOnce = Annotated[int, Field(exclude_if=lambda value: value == 1)]
 # Left out where the search's own machine fitted.
 _Elsewhere = Annotated[str, Field(exclude_if=lambda value: value == "")]
+_Flag = Annotated[bool, Field(exclude_if=lambda value: not value)]
+_Bound = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
 _Elapsed = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
@@ -101,6 +103,8 @@ class Started:
     parallel: _AtOnce = 1
     """How many experiments may be in flight: each is proposed once all but the last `parallel` - 1
     before it have their results."""
+    stop_folds: _Flag = False
+    """Whether folds of a first fit are passed over once V must be above `Proposed.over`."""
     event: Literal["started"] = "started"
 
     @property
@@ -150,6 +154,8 @@ class Proposed:
     """The agent of that leg; "" where one agent proposes, and for the baseline."""
     remark: str = ""
     """What the agent makes of the search by now, for people; "" for nothing."""
+    over: _Bound = None
+    """V above which the folds that are left do not count; None where all of them do."""
     event: Literal["proposed"] = "proposed"
 
 

@@ -1,9 +1,10 @@
-"""Whether several experiments may be in flight."""
+"""Whether several experiments may be in flight, and folds passed over."""
 
 from __future__ import annotations
 
 from asia.agents import Agent, RelayAgent, proposes_ahead
 from asia.errors import UserError
+from asia.protocol import ProtocolRule, find_metric
 
 
 def check_parallel(parallel: int, *, strict: bool) -> None:
@@ -15,6 +16,22 @@ def check_parallel(parallel: int, *, strict: bool) -> None:
         raise UserError(
             f"--parallel {parallel} with --isolation-strict: strict isolation lets no two workers "
             "run at once; leave one of the two out"
+        )
+
+
+def check_stop_folds(rule: ProtocolRule) -> None:
+    """Raises UserError where a sum over some folds says nothing about V, or where to pass over
+    folds would tell a candidate or an agent something."""
+    metric = find_metric(rule.metric)
+    if metric.direction != "lower" or metric.best != 0.0:
+        raise UserError(
+            f"--stop-folds with the metric {metric.name}: the folds that are left give no bound on "
+            "V; leave it out, or use a metric that is 0 at best and never negative, such as rmse"
+        )
+    if rule.early_stopping != "inner" or rule.ladder is not None:
+        what = "a ladder" if rule.ladder is not None else "validation early stopping"
+        raise UserError(
+            f"--stop-folds with {what}: V of every candidate must be counted there; leave it out"
         )
 
 

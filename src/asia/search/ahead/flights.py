@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from asia._stopwatch import Lane
 from asia.evaluation import Evaluation, Evaluator
-from asia.ledger import Experiment, Landed, SearchView, Store
+from asia.ledger import Experiment, Landed, Proposed, SearchView, Store
 from asia.search.ahead.landed import evaluation_of, landed_of
 
 
@@ -58,8 +58,7 @@ class Flights:
         for e in view.running:
             if e.number in self._under_way or e.landed is not None or _has_twin(e, view):
                 continue
-            source = self._store.text(e.proposed.source)
-            self._under_way[e.number] = self._pool.submit(self._fly, e.number, source)
+            self._under_way[e.number] = self._pool.submit(self._fly, e.proposed)
 
     def take(self, experiment: Experiment) -> Flown | None:
         """The first fit of an experiment, waited for, whatever it raised; None where it was not
@@ -83,12 +82,13 @@ class Flights:
             self._evaluator.abort()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def _fly(self, number: int, source: str) -> Flown:
+    def _fly(self, proposed: Proposed) -> Flown:
+        source = self._store.text(proposed.source)
         begin = time.monotonic()
         with self._evaluator.stopwatch.aside() as lane:
-            evaluation = self._evaluator.evaluate(source)
+            evaluation = self._evaluator.evaluate_first(source, proposed.over)
         seconds = time.monotonic() - begin
-        self._on_landed(landed_of(number, evaluation, seconds, self._store))
+        self._on_landed(landed_of(proposed.experiment, evaluation, seconds, self._store))
         return Flown(evaluation, seconds, lane)
 
 

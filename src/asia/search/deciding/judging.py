@@ -63,15 +63,19 @@ class _Decision:
 
 
 def judge(
-    evaluator: Evaluator, source: str, view: SearchView, evaluation: Evaluation | None = None
+    evaluator: Evaluator,
+    source: str,
+    view: SearchView,
+    evaluation: Evaluation | None = None,
+    over: float | None = None,
 ) -> Judged:
     """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
     handed over, must also come back bitwise the same from its bytes, and answer like a model. With
     the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
     say which one is kept. After an objection the folds stay. evaluation: where its first fit was
-    made before."""
+    made before; over: as in `Proposed`."""
     if evaluation is None:
-        evaluation = evaluator.evaluate(source)
+        evaluation = evaluator.evaluate_first(source, over)
     asked = evaluation.validation_scores
     if isinstance(evaluation.outcome, Failure):
         status = evaluation.outcome.reason.status

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from statistics import fmean
 from typing import Literal
 
 from asia.ledger import HandedOver, SearchView, Status, Stopped, StopReason, beats
@@ -9,6 +10,8 @@ from asia.problem import Budget
 from asia.scoring import Failure, Outcome
 
 EXPLORE_SHARE = 0.4
+FAR_ABOVE = 1.5
+"""V over that of the incumbent, above which folds are passed over."""
 
 
 def phase(view: SearchView) -> Literal["explore", "refine"]:
@@ -45,6 +48,15 @@ def next_leg(view: SearchView, stopped: Stopped) -> HandedOver | None:
     agent = view.started.legs[following - 1].agent
     why = "planned" if reason == "budget" else reason
     return HandedOver(following, agent, why, len(view.finished), stopped.detail)
+
+
+def bound_on_folds(view: SearchView) -> float | None:
+    """V above which a candidate proposed now can be neither kept nor handed over; None where every
+    fold counts. Later results only lower what it must beat."""
+    held, best = view.incumbent, view.best
+    if not view.started.stop_folds or held is None or best is None or best.score is None:
+        return None
+    return FAR_ABOVE * max(fmean(held.seed_values), best.score.value)
 
 
 def decide(outcome: Outcome, view: SearchView) -> Status:

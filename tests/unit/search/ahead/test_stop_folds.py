@@ -1,0 +1,166 @@
+"""Folds passed over once a candidate is far behind the best: the course stays what it was."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from asia.agents import AgentView, Proposal
+from asia.errors import Reason, UserError
+from asia.evaluation import Evaluator
+from asia.evaluation._behind import FoldBound
+from asia.evaluation._results import FoldEnd
+from asia.executor import make_executor
+from asia.ledger import Experiment, SearchView, folds_passed_over, open_run, verify
+from asia.problem.load import load_problem
+from asia.protocol import find_metric
+from asia.scoring import Failure
+from asia.search import prepare, replay_run, search
+from tests.unit.search.toy import arx, write_problem
+
+FAR = """
+class Model:
+    def simulate(self, past_u, past_y, u):
+        return 50.0 + u[:, :, :1]
+
+
+def fit(trajectories, context):
+    return Model()
+"""
+SOURCES = (arx(2), FAR, arx(3))
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Proposes `SOURCES` in order."""
+
+    name: str = "listed"
+    proposes_ahead: bool = True
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        place = len(view.proposed) - 1
+        if place >= len(SOURCES):
+            return None
+        return Proposal(SOURCES[place], "listed", f"number {place}", "listed", "listed")
+
+
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Source and fold of every fit, as they begin."""
+    fits: list[tuple[str, int]] = []
+    real: Callable[..., FoldEnd] = Evaluator._fold_or_failure  # pyright: ignore[reportPrivateUsage]
+
+    def counted(self: Evaluator, source: str, fold: object, start: int = 0) -> FoldEnd:
+        fits.append((source, getattr(fold, "index", -1)))
+        return real(self, source, fold, start)
+
+    monkeypatch.setattr(Evaluator, "_fold_or_failure", counted)
+    return fits
+
+
+def go(root: Path, *, stop_folds: bool, parallel: int = 1) -> tuple[SearchView, Path]:
+    if not (root / "toy").is_dir():
+        write_problem(root / "toy", experiments=4)
+    problem = load_problem(root / "toy")
+    problem = replace(problem, budget=replace(problem.budget, retests=0))
+    runs = root / f"runs-{stop_folds}-{parallel}"
+    ready = prepare(problem, "listed", seed=0, runs=runs, parallel=parallel, stop_folds=stop_folds)
+    executor = make_executor("local:1")
+    view = search(ready, Listed(), lambda event, view: None, lambda view: None, executor)
+    return view, ready.directory
+
+
+def decided(e: Experiment) -> tuple[str | None, object]:
+    return (e.result.status if e.result else None), e.score or "no score"
+
+
+@pytest.mark.parametrize("parallel", [1, 2])
+def test_only_the_folds_of_one_far_behind_are_left_out(
+    parallel: int, tmp_path: Path, begun: list[tuple[str, int]]
+) -> None:
+    whole, _ = go(tmp_path, stop_folds=False, parallel=parallel)
+    assert [fold for source, fold in begun if source == FAR] == [0, 1]
+    begun.clear()
+    view, directory = go(tmp_path, stop_folds=True, parallel=parallel)
+    assert [fold for source, fold in begun if source == FAR] == [0]
+    assert {fold for source, fold in begun if source == arx(3)} == {0, 1}
+    for one, other in zip(whole.finished, view.finished, strict=True):
+        if other.number != 3:
+            assert decided(one) == decided(other)
+    far = view.experiment(3)
+    assert far.failure is not None
+    assert far.failure.reason is Reason.BEHIND
+    assert far.result is not None
+    assert far.result.status == "discard"
+    assert folds_passed_over(view) == (1,)
+    assert folds_passed_over(whole) == ()
+    verify(directory)
+    assert replay_run(directory, lambda item: None).agrees
+
+
+def test_a_ledger_without_it_has_no_trace_of_it(tmp_path: Path) -> None:
+    _, directory = go(tmp_path, stop_folds=False)
+    text = (directory / "ledger.jsonl").read_text()
+    assert "stop_folds" not in text
+    assert '"over"' not in text
+    assert not open_run(directory).view.started.stop_folds
+
+
+def test_a_run_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
+    _, directory = go(tmp_path, stop_folds=False)
+    problem = load_problem(tmp_path / "toy")
+    problem = replace(problem, budget=replace(problem.budget, retests=0))
+    again = prepare(problem, "listed", seed=0, runs=directory.parent, stop_folds=True)
+    with pytest.raises(UserError, match="--stop-folds off, not on"):
+        search(again, Listed(), lambda event, view: None, lambda view: None)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"early_stopping": "validation"}, "validation early stopping"),
+        ({"ladder": 0.01}, "a ladder"),
+    ],
+)
+def test_refused_where_there_is_no_bound(
+    changed: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    problem = load_problem(write_problem(tmp_path / "toy"))
+    problem = replace(problem, protocol=replace(problem.protocol, **changed))
+    with pytest.raises(UserError, match=words):
+        prepare(problem, "listed", seed=0, runs=tmp_path / "runs", stop_folds=True)
+
+
+@pytest.mark.parametrize("changed", [{"direction": "higher"}, {"best": -1.0}])
+def test_refused_for_a_metric_without_a_bound(
+    changed: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    other = replace(find_metric("rmse"), **changed)
+    monkeypatch.setattr("asia.search.ahead.check.find_metric", lambda name: other)
+    problem = load_problem(write_problem(tmp_path / "toy"))
+    with pytest.raises(UserError, match="no bound"):
+        prepare(problem, "listed", seed=0, runs=tmp_path / "runs", stop_folds=True)
+
+
+@given(st.lists(st.floats(0.0, 10.0), min_size=2, max_size=6), st.floats(0.0, 10.0), st.data())
+def test_the_bound_does_not_depend_on_which_fold_ends_first(
+    parts: list[float], over: float, data: st.DataObject
+) -> None:
+    order = data.draw(st.permutations(range(len(parts))))
+    one, other = (fed(parts, over, way) for way in (range(len(parts)), order))
+    assert one == other
+    if one is not None:
+        assert sum(parts) / len(parts) > over * (1 - 1e-12)
+        assert one.fold is not None
+        assert one.fold < len(parts)
+
+
+def fed(parts: list[float], over: float, order: object) -> Failure | None:
+    bound = FoldBound(len(parts), over)
+    for place in order:  # type: ignore[attr-defined]
+        bound._parts[place] = parts[place]  # pyright: ignore[reportPrivateUsage]
+    return bound.failure()
