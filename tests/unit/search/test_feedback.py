@@ -16,7 +16,7 @@ from asia.drive import RunDesk
 from asia.drive._program import program
 from asia.drive._workspace import write_views
 from asia.errors import Reason, UserError
-from asia.evaluation import Evaluator, Suspicion, SuspicionKind
+from asia.evaluation import Evaluation, Evaluator, Suspicion, SuspicionKind
 from asia.evaluation import _evaluator as evaluator_module
 from asia.ledger import SearchView, open_run
 from asia.mcp._answers import source_answer
@@ -156,8 +156,15 @@ def test_a_verdict_from_held_out_outputs_is_told_as_no_new_best(
     assert told(ready.directory, 2) == told(ready.directory, 3)
 
 
-def judged_as_without_the_ladder(evaluator: Evaluator, source: str, view: SearchView) -> Judged:
+def judged_as_without_the_ladder(
+    evaluator: Evaluator,
+    source: str,
+    view: SearchView,
+    first: Evaluation | None = None,
+    over: float | None = None,
+) -> Judged:
     """Only a would-be winner is doubted."""
+    del first, over
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
     if decide(evaluation.outcome, view) != "keep":

@@ -287,8 +287,8 @@ def test_from_scratch_says_how_far_apart(
 def unjudged(searched: Searched, factor: float = 1.0) -> Any:
     """In place of `judge`: the recorded outcomes, their scores times a factor."""
 
-    def judge(evaluator: Any, source: str, view: Any) -> Any:
-        del evaluator
+    def judge(evaluator: Any, source: str, view: Any, over: float | None = None) -> Any:
+        del evaluator, over
         from asia.evaluation import Evaluation
         from asia.scoring import Score
         from asia.search.deciding.judging import Judged

@@ -45,8 +45,13 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
     known: list[Evaluation] = []
 
     def judge(
-        evaluator: Evaluator, source: str, view: SearchView, first: Evaluation | None = None
+        evaluator: Evaluator,
+        source: str,
+        view: SearchView,
+        first: Evaluation | None = None,
+        over: float | None = None,
     ) -> Judged:
+        del first, over
         best = view.best
         if not known:
             known.append(evaluator.evaluate(arx(2)))
