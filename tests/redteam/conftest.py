@@ -22,6 +22,9 @@ LEVELS = {
 }
 WALLED = [LEVELS[Isolation.NAMESPACE], LEVELS[Isolation.LANDLOCK]]
 
+# What the machine holds in memory decides whether a whisper fails or says nothing.
+BY_CHANCE = {42}
+
 
 def candidate(
     fit: str = "pass", before: str = "pass", after: str = "0.5 * u", top: str = ""

@@ -9,7 +9,7 @@ import pytest
 from asia.redteam import ATTACKS, Attack, each_layer, why_no_outer, without_layers
 from asia.sandbox import Isolation, Layer, why_not
 
-from .conftest import page_tables
+from .conftest import BY_CHANCE, page_tables
 
 REASON = why_no_outer(nested=True) or why_not(Isolation.LANDLOCK)
 pytestmark = [
@@ -46,7 +46,11 @@ def test_exactly_the_attacks_of_the_page_come_back_without_a_layer():
     assert all(shown.values())
     with open(np.__file__, "rb") as file:
         fcntl.lockf(file, fcntl.LOCK_SH)
-        assert come_back(each_layer(LEVELS), ATTACKS) == shown
+        found = come_back(each_layer(LEVELS), ATTACKS)
+    assert found.keys() == shown.keys()
+    for setting, numbers in found.items():
+        assert numbers <= shown[setting]
+        assert shown[setting] - numbers <= BY_CHANCE
 
 
 def test_namespaces_alone_keep_what_lies_outside_them():

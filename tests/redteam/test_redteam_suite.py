@@ -45,7 +45,7 @@ from asia.redteam.outside.without_isolation import CONTROL
 from asia.sandbox import Isolation, Layer, why_not
 from asia.sandbox.walls.landlock import abi
 
-from .conftest import page_tables, tables
+from .conftest import BY_CHANCE, page_tables, tables
 
 CANDIDATES = [attack for attack in ATTACKS if isinstance(attack, CandidateAttack)]
 WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
@@ -142,21 +142,18 @@ def test_the_page_shows_what_became_of_them(report):
     assert _cells(found, alike).items() <= _cells(shown, alike).items()
 
 
-# What the machine holds in memory decides whether a whisper fails or says nothing.
-BY_CHANCE = ("42",)
-
-
 def _cells(rows, with_layers):
     """What stands by number and level."""
     cells: dict[tuple[str, str], str] = {}
+    by_chance = {str(number) for number in BY_CHANCE}
     for row in rows:
         for column, cell in row.items():
             if cell and column not in ("#", "attack"):
                 words = cell.split(": ")
                 level = words.pop(0) if words[0] == ANY_LEVEL else column
-                word_for_word = with_layers and row["#"] not in BY_CHANCE
+                word_for_word = with_layers and row["#"] not in by_chance
                 cells[row["#"], level] = ": ".join(words if word_for_word else words[:1])
-                if row["#"] in BY_CHANCE and words[0] in ("blocked", "no gain"):
+                if row["#"] in by_chance and words[0] in ("blocked", "no gain"):
                     cells[row["#"], level] = "stopped"
     return cells
 

@@ -42,8 +42,8 @@ def records(tmp_path: Path) -> Path:
     for name in ("run1", "run2", "run3"):
         u = rng.normal(size=150)
         y = np.convolve(u, 0.8 ** np.arange(20))[:150] + 0.05 * rng.normal(size=150)
-        table = np.stack([u, y], axis=1)
-        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="u,y", comments="")
+        table = np.stack([0.1 * np.arange(150), u, y], axis=1)
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="time,u,y", comments="")
     return tmp_path
 
 
