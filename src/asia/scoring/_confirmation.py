@@ -183,6 +183,18 @@ def expected_error(winner: RepeatedFits, tried: Array, level: float, seed: int) 
     return ExpectedError(centre, centre * math.exp(-half), centre * math.exp(half), optimism)
 
 
+def expected_of_ensemble(
+    expected: ExpectedError, fold_errors: Sequence[float], ensemble_error: float
+) -> Interval:
+    """The error of the mean of the fold models' simulations on a new record, from that of a fold
+    model. The mean is better by what the fold models disagree on (Krogh and Vedelsby, Advances in
+    Neural Information Processing Systems 7, 1995), and they disagree on a new record as they do on
+    the training records. fold_errors: of each fold model there; ensemble_error: of their mean."""
+    mean = float(np.mean(fold_errors))
+    share = 1.0 if mean <= 0.0 else min(1.0, ensemble_error / mean)
+    return Interval(expected.value * share, expected.low * share, expected.high * share)
+
+
 def expected_lowest(number: int) -> float:
     """The expectation of the lowest of independent standard normal numbers: what luck alone gives
     the best of several that are equally good, in standard deviations below their mean."""

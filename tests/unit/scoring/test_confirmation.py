@@ -18,6 +18,7 @@ from asia.scoring import (
     corrected_level,
     expected_error,
     expected_lowest,
+    expected_of_ensemble,
     noise_of_seeds,
     paired_difference,
     selection_optimism,
@@ -152,6 +153,21 @@ def test_the_interval_for_a_new_record_holds_it_as_often_as_it_says() -> None:
         held.append(expected.low <= new <= expected.high)
         assert expected.low < expected.value < expected.high
     assert 0.83 <= np.mean(held) <= 0.97
+
+
+def test_an_ensemble_is_expected_to_be_better_by_what_its_members_disagree_on() -> None:
+    """Members with independent errors of the same size: their mean has 1 / sqrt(K) of it."""
+    random = np.random.default_rng(8)
+    blocks = 1.0 + random.normal(0.0, 0.1, (1, 2, 8))
+    expected = expected_error(fits(blocks), blocks, 0.9, 0)
+    found = expected_of_ensemble(expected, (1.0, 1.0, 1.0, 1.0), 0.5)
+    assert (found.value, found.low, found.high) == (
+        expected.value / 2,
+        expected.low / 2,
+        expected.high / 2,
+    )
+    assert expected_of_ensemble(expected, (1.0, 1.0), 1.2).value == expected.value
+    assert expected_of_ensemble(expected, (0.0, 0.0), 0.0).value == expected.value
 
 
 def test_the_interval_is_a_point_where_nothing_varies() -> None:

@@ -90,6 +90,11 @@ def expected_lines(found: Confirmed, v_name: str) -> Iterator[str]:
         f"{error_value(expected.value)}, {level} between {error_value(expected.low)} and "
         f"{error_value(expected.high)}"
     )
+    if found.ensemble is not None:
+        yield (
+            f"    of the ensemble: {error_value(found.ensemble.value)}, between "
+            f"{error_value(found.ensemble.low)} and {error_value(found.ensemble.high)}"
+        )
     yield (
         f"    of that {expected.optimism:.2g} for being the best of {found.tried}; it assumes a "
         "record of the same kind, as long as a fold, and is of a fold model as the search fitted it"

@@ -95,6 +95,8 @@ class Confirmed:
     in the measure of V; None where it is not known."""
     expected_level: float = 0.9
     """The level of that interval."""
+    ensemble: Interval | None = None
+    """As `expected`, of the mean of the fold models' simulations; None where it is not known."""
     failed: tuple[int, ...] = ()
     """Experiments all of whose repeats failed; they are not ranked."""
     after_unsealing: bool = False

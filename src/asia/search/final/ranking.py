@@ -13,10 +13,13 @@ from asia.data import Array
 from asia.evaluation import derive_seed
 from asia.ledger import Confirmed, ConfirmedCandidate, ConfirmedPair, Repeated, SearchView
 from asia.scoring import (
+    ExpectedError,
+    Interval,
     RepeatedFits,
     Score,
     corrected_level,
     expected_error,
+    expected_of_ensemble,
     noise_of_seeds,
     paired_difference,
     value_interval,
@@ -73,6 +76,8 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
     winner = next(c.first for c in tried if c.experiment == view.best.number)
     blocks = even_blocks([_rows(candidate.first.blocks[0]) for candidate in tried])
     seed = derive_seed(view.started.seed, "confirm")
+    # Of the fit that is handed over, not of others: its luck with the seed stays with it.
+    expected = expected_error(winner, blocks, EXPECTED_LEVEL, seed)
     return Confirmed(
         winner=view.best.number,
         seeds=seeds,
@@ -81,12 +86,23 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
         candidates=tuple(_ranked(by_number[n], judged[n], pairs, len(order)) for n in order),
         pairs=pairs,
         noise=_noise(repeated),
-        # Of the fit that is handed over, not of others: its luck with the seed stays with it.
-        expected=expected_error(winner, blocks, EXPECTED_LEVEL, seed),
+        expected=expected,
         expected_level=EXPECTED_LEVEL,
+        ensemble=_of_ensemble(view, expected),
         failed=tuple(number for number, fits in known.items() if fits is None),
         after_unsealing=view.unsealing is not None,
     )
+
+
+def _of_ensemble(view: SearchView, expected: ExpectedError) -> Interval | None:
+    """None where the search did not compare its fold models on the training records."""
+    check = None if view.refitted is None else view.refitted.check
+    if check is None or check.ensemble_error is None:
+        return None
+    errors = [error for error in check.fold_errors if error is not None]
+    if len(errors) < len(check.fold_errors):
+        return None
+    return expected_of_ensemble(expected, errors, check.ensemble_error)
 
 
 def even_blocks(each: Sequence[Sequence[Sequence[float]]]) -> Array:

@@ -82,6 +82,8 @@ def test_seeds_are_fresh_and_a_fit_without_luck_is_repeated_once(run: Path) -> N
     assert found.candidates[0].experiment == 4
     assert found.expected is not None
     assert found.expected.low < found.expected.value < found.expected.high
+    assert found.ensemble is not None
+    assert found.ensemble.value <= found.expected.value
     assert all(c.best_rank <= c.worst_rank for c in found.candidates)
     verify(run)
     view = open_run(run).view

@@ -82,6 +82,11 @@ def _expected(subject: Subject, found: Confirmed) -> Html:
         )
     if found.expected is None:
         return tag("p", noise, "No error can be expected of the winner: its repeats failed.")
+    ensemble = None
+    if found.ensemble is not None:
+        ensemble = join(
+            ("; their ensemble one of ", _interval(subject, found, "ensemble", "error"))
+        )
     return tag(
         "p",
         noise,
@@ -90,6 +95,7 @@ def _expected(subject: Subject, found: Confirmed) -> Html:
         _interval(subject, found, "expected", "error"),
         ", at a level of ",
         subject.number(found, "expected_level", "share"),
+        ensemble,
         "; of that ",
         subject.number(found, "expected.optimism", "sig2"),
         " is for having been chosen as the best.",
