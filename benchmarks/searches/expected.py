@@ -143,8 +143,10 @@ def main() -> None:
           f"width {np.median(rows[:, 6]):.2f} of the estimate in the median")  # fmt: skip
     print(f"the {LEVEL:.0%} interval holds the sealed error of a fold model in {held:.1f} %; "
           f"below it {below:.1f} %, above it {100 - held - below:.1f} %")  # fmt: skip
-    print(f"its own interval that of the ensemble in {ensemble:.1f} %; below it {under:.1f} %, "
-          f"above it {100 - ensemble - under:.1f} %; that of a fold model {other:.1f} %")  # fmt: skip
+    print(
+        f"its own that of the ensemble in {ensemble:.1f} %; below it {under:.1f} %, "
+        f"above it {100 - ensemble - under:.1f} %; that of a fold model {other:.1f} %"
+    )
     print(f"between the V of the two folds: {plain:.1f} %")
 
 

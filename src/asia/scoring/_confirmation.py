@@ -167,16 +167,15 @@ def expected_error(winner: RepeatedFits, tried: Array, level: float, seed: int) 
     one fold.
 
     The estimate is V of `winner`, the fit that is handed over or the mean of several, and the
-    optimism of `tried`. The interval is
-    of Student's t on the logarithmic scale, with the variance of a mean over a new fold's blocks,
-    that of the mean over the known ones, and that over the seeds. Blocks count as independent, so
-    they should be longer than the memory of the error."""
+    optimism of `tried`. The interval is of Student's t on the logarithmic scale, with the variance
+    of a new fold's value, that of the mean over the known ones, and that over the seeds. The
+    values of folds vary by their blocks at least, which count as independent, and by more where
+    fold models or records are unlike each other."""
     optimism = selection_optimism(tried, seed)
     centre = winner.value + optimism
     parts = winner.blocks.mean(axis=0)
-    variance = 0.0 if parts.size < 2 else float(parts.var(ddof=1))
     seeds = 0.0 if winner.spread is None else winner.spread**2
-    total = variance / parts.shape[1] + variance / parts.size + seeds
+    total = _variance_of_a_fold(parts) * (1.0 + 1.0 / len(parts)) + seeds
     if centre <= 0.0 or total == 0.0:
         return ExpectedError(centre, centre, centre, optimism)
     half = student_quantile(level, max(1, parts.size - 1)) * math.sqrt(total) / centre
@@ -204,6 +203,14 @@ def expected_lowest(number: int) -> float:
     survives = (1.0 - ndtr(x)) ** number
     density = -np.gradient(survives, x)
     return float(np.trapezoid(x * density, x))
+
+
+def _variance_of_a_fold(parts: Array) -> float:
+    """Of the mean over its blocks. parts: (folds, blocks)."""
+    folds, blocks = parts.shape
+    within = float(parts.var(axis=1, ddof=1).mean()) / blocks if blocks > 1 else 0.0
+    between = float(parts.mean(axis=1).var(ddof=1)) if folds > 1 else 0.0
+    return max(within, between)
 
 
 def _over_seeds(one: RepeatedFits, other: RepeatedFits) -> tuple[float, int]:
