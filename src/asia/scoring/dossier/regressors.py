@@ -16,6 +16,8 @@ from asia.scoring.dossier.records import SimulatedBlock, SimulatedBlocks
 
 # First and last lag of the moving averages that stand for the past of a signal.
 _LAGS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 5), (6, 8), (9, 12), (13, 18), (19, 27), (28, 40))
+# What a force that changes its sign leaves behind lasts as long as the system remembers.
+_LONG_LAGS = (*_LAGS, (41, 60), (61, 80))
 _FEW_LAGS = ((0, 0), (1, 1), (2, 3), (4, 7), (8, 15))
 _MOST_INPUTS_BENT = 4
 # Beyond these quantiles of a signal a bend may begin.
@@ -37,6 +39,8 @@ class Groups:
     """Bends of the simulated output and of the inputs."""
     turns: list[Array]
     """Signs of the simulated output and of its rate, and their past."""
+    recent_turns: list[Array]
+    """The same, with a short past."""
     time: list[Array]
     """Slow functions of the time in the record."""
 
@@ -47,7 +51,8 @@ def groups(found: SimulatedBlocks, output: int) -> Groups:
     most = max(2, found.shortest // 6)
     lags = [pair for pair in _LAGS if pair[1] <= most]
     few = [pair for pair in _FEW_LAGS if pair[1] <= most]
-    reach = lags[-1][1]
+    long = [pair for pair in _LONG_LAGS if pair[1] <= most]
+    reach = long[-1][1]
     y_hat = [b.y_hat[:, output : output + 1] for b in blocks]
     rate = [np.gradient(v, axis=0) for v in y_hat]
     bent = [_bends(y_hat)]
@@ -61,12 +66,18 @@ def groups(found: SimulatedBlocks, output: int) -> Groups:
         [_past(b.u, lags)[reach:] for b in blocks],
         [_past(v, few)[reach:] for v in y_hat],
         [np.concatenate(parts, axis=1)[reach:] for parts in zip(*bent, strict=True)],
-        [
-            np.concatenate([_past(v, few) for v in parts], axis=1)[reach:]
-            for parts in zip(*signs, strict=True)
-        ],
+        _pasts(signs, long, reach),
+        _pasts(signs, few, reach),
         [_time(b)[reach:] / _longest(blocks) for b in blocks],
     )
+
+
+def _pasts(
+    signals: Sequence[Sequence[Array]], lags: Sequence[tuple[int, int]], reach: int
+) -> list[Array]:
+    """The past of several signals, one array a block. signals: (n, c) a signal and block."""
+    together = zip(*signals, strict=True)
+    return [np.concatenate([_past(v, lags) for v in each], axis=1)[reach:] for each in together]
 
 
 def _past(x: Array, lags: Sequence[tuple[int, int]]) -> Array:

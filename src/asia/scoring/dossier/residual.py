@@ -171,7 +171,13 @@ def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
         f"the residual of {found.outputs[worst.output]} changes where the motion turns: "
         f"{Cause.FRICTION} ({worst.words()})"
     )
-    return Check("motion", worst.verdict, sentence, Cause.FRICTION, worst.alone)
+    # With a long past the signs alone stand in for much that is linear: a short one weighs.
+    columns_of = columns[worst.output]
+    e = [r[columns_of.reach :] for r in found.residuals(worst.output)]
+    nothing = [x[:, :0] for x in columns_of.inputs]
+    recent = explained(e, nothing, columns_of.recent_turns).share
+    weight = max(worst.found.share, recent)
+    return Check("motion", worst.verdict, sentence, Cause.FRICTION, weight)
 
 
 def _linear(columns: Groups) -> list[Array]:
