@@ -79,16 +79,13 @@ def run(
     Exit code 3: the search is finished and no candidate has a score.
     """
     from asia._stopwatch import Activity, Stopwatch
-    from asia.problem.load import load_problem
-    from asia.search import prepare, with_relay_budget
+    from asia.search import prepare
 
     options.check()
     driver = _driver(agent, space, models, llm, command)
     watch = Stopwatch()
     with watch.activity(Activity.PREPARE):
-        loaded = options.applied(load_problem(problem))
-        if options.experiments is None:
-            loaded = with_relay_budget(loaded, driver.legs)
+        loaded = _problem(problem, options, driver)
         ready = prepare(
             loaded,
             driver.name,
@@ -107,6 +104,15 @@ def run(
     view = _search(driver, loaded, ready, sink or (), watch, runs_on, profile=profile, json=json)
     if view.best is None:
         raise typer.Exit(NOTHING_FOUND)
+
+
+def _problem(name: str, options: SearchOptions, driver: Driver) -> Problem:
+    """The problem with the settings of the command line, and the budget of a relay."""
+    from asia.problem.load import load_problem
+    from asia.search import with_relay_budget
+
+    loaded = options.applied(load_problem(name))
+    return loaded if options.experiments is not None else with_relay_budget(loaded, driver.legs)
 
 
 def _search(

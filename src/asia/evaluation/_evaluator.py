@@ -14,7 +14,6 @@ from asia._stopwatch import Activity
 from asia.candidate import Context, check_source, executed_source, imported_libraries
 from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason
-from asia.evaluation._behind import FoldBound
 from asia.evaluation._findings import fold_result
 from asia.evaluation._metamorphic import (
     ROUNDING,
@@ -41,6 +40,7 @@ from asia.evaluation._results import (
 )
 from asia.evaluation._workers import WorkerRunner
 from asia.evaluation.work.asking import FoldAsker
+from asia.evaluation.work.behind import FoldBound
 from asia.executor import Executor, carrier_of
 from asia.lowering import LoweredModel
 from asia.problem import Budget

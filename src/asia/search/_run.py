@@ -46,7 +46,7 @@ from asia.seal._test import seal
 from asia.search._environment import environment
 from asia.search._loop import Loop, OnEvent
 from asia.search._secrecy import check_run_is_hidden
-from asia.search.ahead.check import check_ahead, check_parallel, check_stop_folds
+from asia.search.ahead.check import check_ahead, check_ways
 
 LOCK = "problem.lock.toml"
 
@@ -96,14 +96,10 @@ def prepare(
     the budget, the run exists with other settings, or several experiments are to be in flight while
     folds are fitted one by one.
     """
-    folds = _check(problem, legs)
-    check_parallel(parallel, strict=isolation_strict)
-    if stop_folds:
-        check_stop_folds(problem.protocol)
+    folds = _check(problem, legs, parallel, strict=isolation_strict, stop_folds=stop_folds)
     sealed = replace(seal(problem), guard=guard_digest(problem))
     directory = runs / (name or _default_name(problem, agent_name, seed))
-    found = _probe(isolation)
-    check_run_is_hidden(problem, directory, found.level)
+    found = _probe(problem, directory, isolation)
     lock, taught = lock_text(problem, sealed), _taught(lessons)
     started = Started(
         run=directory.name,
@@ -267,8 +263,11 @@ def _recorded_legs(legs: Sequence[Leg]) -> tuple[Leg, ...]:
     return (*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:]))
 
 
-def _check(problem: Problem, legs: Sequence[Leg]) -> tuple[Fold, ...]:
+def _check(
+    problem: Problem, legs: Sequence[Leg], parallel: int, *, strict: bool, stop_folds: bool
+) -> tuple[Fold, ...]:
     """The folds of a problem whose baseline and budget are in order."""
+    check_ways(problem.protocol, parallel, strict=strict, stop_folds=stop_folds)
     check_baseline(problem)
     _check_budget(problem.budget)
     if legs:
@@ -284,11 +283,14 @@ def _check_budget(budget: Budget) -> None:
         raise UserError(f"a budget of {budget.hours:g} hours: more than 0 are needed")
 
 
-def _probe(wanted: Isolation | None) -> Probe:
+def _probe(problem: Problem, directory: Path, wanted: Isolation | None) -> Probe:
+    """The isolation that works here and hides the run from candidates."""
     try:
-        return probe(wanted)
+        found = probe(wanted)
     except SandboxError as error:
         raise UserError(f"{error}; leave --isolation out for the strongest that works") from None
+    check_run_is_hidden(problem, directory, found.level)
+    return found
 
 
 def _resumes(problem: Problem, sealed: Seal, directory: Path) -> bool:

@@ -7,6 +7,13 @@ from asia.errors import UserError
 from asia.protocol import ProtocolRule, find_metric
 
 
+def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: bool) -> None:
+    """Raises UserError where candidates cannot be evaluated in the ways that were asked for."""
+    check_parallel(parallel, strict=strict)
+    if stop_folds:
+        check_stop_folds(rule)
+
+
 def check_parallel(parallel: int, *, strict: bool) -> None:
     """Raises UserError for no experiment at all, or for several where no two workers may run at
     once."""
