@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from asia.agents import AgentView, Proposal
 from asia.errors import Reason, UserError
 from asia.evaluation import Evaluator
-from asia.evaluation._behind import FoldBound
 from asia.evaluation._results import FoldEnd
+from asia.evaluation.work.behind import FoldBound
 from asia.executor import make_executor
 from asia.ledger import Experiment, SearchView, folds_passed_over, open_run, verify
 from asia.problem.load import load_problem
