@@ -1,7 +1,7 @@
-"""A search whose experiments cost milliseconds, for `kill.py`.
+"""A search whose experiments cost milliseconds, for `kill.py` and `kill_cluster.py`.
 
 python benchmarks/machinery/kill_cheap.py PROBLEM --runs DIR --experiments N --seed S
-    [--isolation LEVEL]
+    [--isolation LEVEL] [--parallel N] [--executor NAME]
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from asia.agents import AgentView, Proposal
-from asia.errors import UserError
+from asia.errors import AsiaError
+from asia.executor import make_executor
 from asia.problem.load import load_problem
 from asia.sandbox import Isolation
 from asia.search import prepare, search
@@ -81,13 +82,14 @@ SOURCES = (
 
 @dataclass(frozen=True)
 class Cheap:
-    """Proposes `SOURCES` in order, again and again with another ridge."""
+    """Proposes `SOURCES` in order, again and again with another constant, whatever runs."""
 
     name: str = "cheap"
+    proposes_ahead: bool = True
 
     def propose(self, view: AgentView) -> Proposal:
         """As every agent."""
-        round_, place = divmod(len(view.trials) - 1, len(SOURCES))
+        round_, place = divmod(len(view.proposed) - 1, len(SOURCES))
         source = SOURCES[place] + f"ROUND = {round_}\n" * bool(round_)
         return Proposal(
             source,
@@ -107,6 +109,8 @@ def main() -> None:
     parser.add_argument("--experiments", type=int, required=True)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--isolation", type=Isolation)
+    parser.add_argument("--parallel", type=int, default=1)
+    parser.add_argument("--executor", default="local")
     options = parser.parse_args()
     problem = load_problem(options.problem)
     budget = replace(problem.budget, experiments=options.experiments, patience=10_000)
@@ -119,9 +123,11 @@ def main() -> None:
             runs=options.runs,
             name=NAME,
             isolation=options.isolation,
+            parallel=options.parallel,
         )
-        search(prepared, agent, lambda event, view: None, lambda view: None)
-    except UserError as error:
+        executor = make_executor(options.executor)
+        search(prepared, agent, lambda event, view: None, lambda view: None, executor)
+    except AsiaError as error:
         sys.exit(f"asia: {error}")
 
 

@@ -53,7 +53,8 @@ class Carrier(Protocol):
         """`answer(request, data, unwanted)`, called on one of the machines, where the package is
         installed; `unwanted()` is True there once nobody waits any more. digest: sha256 of `data`,
         which are sent to a machine once. A machine that dies is replaced by another one. Raises
-        SandboxError where none answers, or after `cancel`."""
+        SandboxError where none answers, or after `cancel`, and UserError where somebody must start
+        machines or what distributes the work among them."""
         ...
 
     def ask_each(

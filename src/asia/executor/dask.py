@@ -19,6 +19,10 @@ T = TypeVar("T")
 
 _CONNECT_SECONDS = 10
 _ATTEMPTS = 3
+# A machine that starts again is back by then; for longer a search is better begun again later.
+_NO_WORKERS_SECONDS = 600.0
+_LOOK_SECONDS = 20.0
+_POLL_SECONDS = 0.1
 
 Answer = Callable[[bytes, bytes, Callable[[], bool]], bytes]
 
@@ -63,12 +67,17 @@ class DaskExecutor:
             if self._cancelled:
                 raise SandboxError("the search was interrupted")
             try:
+                self._await_workers()
                 return self._answered(answer, request, self._data(digest, data))
+            except UserError:
+                raise
             # Whatever the engine raises: a machine died, and perhaps the data with it.
             except Exception as error:  # noqa: BLE001
                 trouble = error
                 with self._lock:
                     self._sent.pop(digest, None)
+                if not self._cancelled:
+                    self._check_scheduler()
         if self._cancelled:
             raise SandboxError("the search was interrupted")
         raise SandboxError(
@@ -98,7 +107,8 @@ class DaskExecutor:
         self._cancelled = True
         with self._lock:
             under_way = list(self._under_way)
-        if under_way:
+        # A scheduler that is gone has forgotten them.
+        if under_way and self._client.status == "running":
             self._client.cancel(under_way, force=True)
 
     def close(self) -> None:
@@ -119,10 +129,40 @@ class DaskExecutor:
         with self._lock:
             self._under_way.add(future)
         try:
-            return future.result()
+            while True:
+                try:
+                    return future.result(_LOOK_SECONDS)
+                except TimeoutError:
+                    if future.done():
+                        raise
+                    self._await_workers()
         finally:
             with self._lock:
                 self._under_way.discard(future)
+
+    def _await_workers(self) -> None:
+        """Until there is a worker. Raises UserError where none comes for long."""
+        end = time.monotonic() + _NO_WORKERS_SECONDS
+        while not self._client.scheduler_info(n_workers=1)["workers"] and not self._cancelled:
+            self._check_scheduler()
+            if time.monotonic() > end:
+                raise UserError(
+                    f"the scheduler at {self._where} has had no workers for "
+                    f"{_NO_WORKERS_SECONDS:.0f} s: start some, then give the same command again, "
+                    "which goes on from here"
+                )
+            time.sleep(_POLL_SECONDS)
+
+    def _check_scheduler(self) -> None:
+        """Wait while the engine looks for a scheduler that it has lost. Raises UserError where it
+        does not find it."""
+        while self._client.status in ("connecting", "closing"):
+            time.sleep(_POLL_SECONDS)
+        if self._client.status != "running":
+            raise UserError(
+                f"the scheduler at {self._where} is gone: start it again with its workers, then "
+                "give the same command again, which goes on from here"
+            )
 
 
 def _connected(where: str) -> Any:

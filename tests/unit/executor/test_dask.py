@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -133,6 +134,51 @@ def test_a_scheduler_that_is_not_there_is_said(
     monkeypatch.setattr("asia.executor.dask._CONNECT_SECONDS", 1)
     with pytest.raises(UserError, match=r"no scheduler answers at tcp://127\.0\.0\.1:9"):
         make_executor("dask://127.0.0.1:9")
+
+
+def joined(request: bytes, data: bytes, unwanted: Callable[[], bool]) -> bytes:
+    return request + data
+
+
+@pytest.fixture
+def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A cluster in this process, whose losses are noticed soon."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("asia.executor.dask._CONNECT_SECONDS", 1)
+    monkeypatch.setattr("asia.executor.dask._NO_WORKERS_SECONDS", 1.0)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
+        protocol="tcp", host="127.0.0.1",
+    ) as made:  # fmt: skip
+        yield made
+
+
+def test_work_waits_for_a_worker_and_a_cluster_without_one_is_said(
+    threads: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executor = DaskExecutor(threads.scheduler_address)
+    assert executor.carry(joined, b"a", "digest", b"b") == b"ab"
+    threads.scale(0)
+    while executor._client.scheduler_info()["workers"]:
+        time.sleep(0.05)
+    with pytest.raises(UserError, match="has had no workers for 1 s: start some"):
+        executor.carry(joined, b"a", "digest", b"b")
+    monkeypatch.setattr("asia.executor.dask._NO_WORKERS_SECONDS", 60.0)
+    back = threading.Timer(0.5, threads.scale, [1])
+    back.start()
+    assert executor.carry(joined, b"c", "digest", b"b") == b"cb"
+    back.join()
+    executor.close()
+
+
+def test_a_scheduler_that_is_gone_is_said(threads: Any) -> None:
+    executor = DaskExecutor(threads.scheduler_address)
+    assert executor.carry(joined, b"a", "digest", b"b") == b"ab"
+    threads.close()
+    with pytest.raises(UserError, match=r"the scheduler at tcp://127.* is gone: start it again"):
+        executor.carry(joined, b"a", "digest", b"b")
+    executor.cancel()
+    executor.close()
 
 
 @pytest.mark.slow
