@@ -98,7 +98,9 @@ class KillCluster:
 
     def add_worker(self) -> None:
         """One more worker."""
-        self.workers.append(self._start("worker", "--nthreads", "1", "--no-nanny"))
+        # Without the last option a worker that starts looks for its scheduler for ever.
+        words = ("--nthreads", "1", "--no-nanny", "--death-timeout", "20")
+        self.workers.append(self._start("worker", *words))
 
     def kill_worker(self, place: int) -> int:
         """SIGKILL to one worker; how many processes outlived it."""

@@ -40,7 +40,7 @@ def test_the_command_fails_when_something_gets_through(monkeypatch):
     from asia.redteam import _suite
 
     finding = Finding(2, str(ONE_LEVEL), AttackVerdict.THROUGH, (), "done")
-    monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level: finding)
+    monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: finding)
     done = run("--attack", "2", "--level", str(ONE_LEVEL), "--no-prove", "--json")
     assert done.exit_code == 1
     lines = [json.loads(text) for text in done.stdout.splitlines()]
@@ -56,7 +56,7 @@ def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
     blocked = Finding(2, str(ONE_LEVEL), AttackVerdict.BLOCKED, ("landlock",), "")
     clumsy = Finding(2, OFF, AttackVerdict.BLOCKED, ("parent",), "no score")
     monkeypatch.setattr(redteam, "why_no_outer", lambda: None)
-    monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level: blocked)
+    monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: blocked)
     monkeypatch.setattr(_suite, "inside", lambda job, nested: iter([clumsy]))
     done = run("--attack", "2", "--level", str(ONE_LEVEL))
     assert done.exit_code == 1

@@ -20,6 +20,7 @@ from asia.errors import UserError
 
 if TYPE_CHECKING:
     from asia.evaluation import SuspicionKind
+    from asia.executor import Executor
     from asia.redteam import Attack, Finding, HonestFinding, RedTeamPlan, SuspicionFinding
     from asia.sandbox import Isolation, Layer
 
@@ -60,6 +61,14 @@ def redteam(
         bool,
         typer.Option(help="Also show that the attacks work with isolation off (needs bubblewrap)."),
     ] = True,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Have the attacks' folds fitted by workers of this machine: "
+            "dask:FILE. Without honest candidates and attacks of agents.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Let scripted cheats attack this installation: each must be blocked or flagged, and honest
@@ -70,7 +79,10 @@ def redteam(
     """
     chosen = _attacks(attack)
     if without:
-        others = (("--quick", quick), ("--honest-on", honest_on), ("--no-prove", not prove))
+        others = (
+            ("--quick", quick), ("--honest-on", honest_on), ("--no-prove", not prove),
+            ("--executor", executor),
+        )  # fmt: skip
         _refuse("--without", others, "plays attacks alone, in an outer sandbox")
         if _names_checks(without):
             _show_unchecked(_levels(level), without, chosen, attack is not None, json)
@@ -78,21 +90,26 @@ def redteam(
             _show_without(_levels(level), without, chosen, attack is not None, json)
         return
     if honest_on:
-        others = (("--attack", attack), ("--quick", quick))
+        others = (("--attack", attack), ("--quick", quick), ("--executor", executor))
         _refuse("--honest-on", others, "tries every family on its problems, and no attack")
     elif attack:
         _refuse("--attack", (("--quick", quick),), "leaves the honest candidates out")
+    elif executor:
+        _refuse("--executor", (("--quick", quick),), "leaves the honest candidates out")
     from asia.redteam import RedTeamPlan, honest_plan, problem_named, why_no_outer
 
     levels = _levels(level)
     missing = why_no_outer()
     if prove and missing is not None:
         say(f"isolation off is not shown: {missing}", file=sys.stderr)
-    honest = honest_plan(quick) if attack is None else ()
+    honest = honest_plan(quick) if attack is None and executor is None else ()
+    engine = None if executor is None else _engine(executor)
+    chosen = chosen if engine is None else _of_candidates(chosen, attack is not None)
     if honest_on:
         problems = [problem_named(name) for name in honest_on]
         honest, chosen = tuple((p, row) for p in problems for row in p.families), ()
-    _run(RedTeamPlan(levels, chosen, prove and missing is None and bool(chosen), honest), json)
+    proven = prove and missing is None and bool(chosen)
+    _run(RedTeamPlan(levels, chosen, proven, honest, engine), json)
 
 
 def _run(plan: RedTeamPlan, json: bool) -> None:
@@ -244,6 +261,38 @@ def _attacks(numbers: list[int] | None) -> tuple[Attack, ...]:
         if number not in known:
             raise UserError(f"--attack {number}: there are attacks 1 to {max(known)}")
     return tuple(a for a in ATTACKS if numbers is None or a.number in numbers)
+
+
+def _engine(name: str) -> Executor:
+    """The executor, whose workers are known to be here: attacks aim at files and processes of this
+    machine, and what they leave is looked for on it. Raises UserError."""
+    import socket
+
+    from asia.evaluation import survey_machines
+    from asia.executor import carrier_of, make_executor
+
+    found = make_executor(name)
+    carrier = carrier_of(found)
+    for state in survey_machines(carrier) if carrier else ():
+        if state.machine != socket.gethostname():
+            raise UserError(
+                f"--executor {name}: worker {state.worker} is on {state.machine}, and attacks aim "
+                "at this machine; run asia redteam there, without --executor"
+            )
+    return found
+
+
+def _of_candidates(attacks: tuple[Attack, ...], named: bool) -> tuple[Attack, ...]:
+    """Those that a candidate makes. Raises UserError where others are asked for by number."""
+    from asia.redteam import CandidateAttack
+
+    left = ", ".join(str(a.number) for a in attacks if not isinstance(a, CandidateAttack))
+    if named and left:
+        raise UserError(
+            f"--executor has no part in attack {left}, which an agent makes: leave it out of "
+            "--attack, or leave --executor out"
+        )
+    return tuple(a for a in attacks if isinstance(a, CandidateAttack))
 
 
 def _levels(words: list[str] | None) -> tuple[Isolation, ...]:

@@ -10,6 +10,7 @@ from functools import cache
 
 from asia.errors import Reason
 from asia.evaluation import Evaluation, Evaluator, SuspicionKind
+from asia.executor import Executor, LocalExecutor, SequentialExecutor
 from asia.redteam._problem import ProblemName, small_problem
 from asia.redteam._types import CandidateAttack, Finding, Observed, SuspicionFinding
 from asia.redteam.attacks.source import HONEST, fill_in
@@ -35,13 +36,22 @@ class _EvaluatorWithoutLayers(Evaluator):
 
 
 def attack_candidate(
-    attack: CandidateAttack, level: Isolation, without: Collection[Layer] = ()
+    attack: CandidateAttack,
+    level: Isolation,
+    without: Collection[Layer] = (),
+    executor: Executor | None = None,
 ) -> Finding:
     """All variants of an attack at one level; it succeeds if one of them does. Layers may be left
-    out in an outer sandbox only."""
+    out in an outer sandbox only. executor: what has the folds fitted; None for this process."""
     layers = layers_in_force(level, without)
     found = [
-        conclude(attack, name, _observe(attack, name, level, without), layers, attack.success)
+        conclude(
+            attack,
+            name,
+            _observe(attack, name, level, without, executor=executor),
+            layers,
+            attack.success,
+        )
         for name in attack.sources
     ]
     return worst_of(found, attack.number, str(level), tuple(str(layer) for layer in without))
@@ -85,12 +95,18 @@ def _observe(
     level: Isolation,
     without: Collection[Layer],
     unchecked: Collection[SuspicionKind] = (),
+    executor: Executor | None = None,
 ) -> Observed:
     problem, honest = small_problem(attack.problem), honest_value(attack.problem, level)
     kind = _EvaluatorWithoutLayers if without else Evaluator
-    at_once = 2 if name in attack.at_once else 1
     evaluator = problem.evaluator(
-        kind, level, attack.limit, attack.memory_mb, attack.folds, at_once, unchecked
+        kind,
+        level,
+        attack.limit,
+        attack.memory_mb,
+        attack.folds,
+        _places(name in attack.at_once, executor),
+        unchecked,
     )
     if isinstance(evaluator, _EvaluatorWithoutLayers):
         evaluator.without = without
@@ -102,6 +118,13 @@ def _observe(
         )
         seconds = time.monotonic() - begin
         return _observed(evaluation, given, honest, seconds, attack.limit)
+
+
+def _places(at_once: bool, executor: Executor | None) -> Executor:
+    """Both folds at the same time, or one after the other."""
+    if executor is None:
+        return LocalExecutor(2 if at_once else 1)
+    return executor if at_once else SequentialExecutor(executor)
 
 
 def _evaluate_as_searches_do(evaluator: Evaluator, source: str, least: float) -> Evaluation:

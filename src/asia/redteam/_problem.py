@@ -11,7 +11,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.evaluation import Evaluator, SuspicionKind
-from asia.executor import LocalExecutor
+from asia.executor import Executor, LocalExecutor
 from asia.problem import Budget
 from asia.protocol import FoldRule, Group, ProtocolRule, make_folds
 from asia.sandbox import Isolation
@@ -79,11 +79,11 @@ class SmallProblem:
         seconds: float,
         memory_mb: int,
         folds: int | None = None,
-        at_once: int = 1,
+        executor: Executor | None = None,
         without: Collection[SuspicionKind] = (),
     ) -> E:
-        """The real one, or one of its kind, one fold after the other unless more are `at_once`.
-        without: relations that it does not check."""
+        """The real one, or one of its kind. executor: where folds run; None for one after the
+        other, here. without: relations that it does not check."""
         return kind(
             make_folds(self.records, self.rule)[:folds],
             self.records,
@@ -91,7 +91,7 @@ class SmallProblem:
             self.rule,
             Budget(1, seconds, memory_mb),
             level,
-            LocalExecutor(at_once),
+            executor or LocalExecutor(1),
             without=without,
         )
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from asia.agents.library.family import Family
 from asia.agents.library.table import all_families
 from asia.evaluation import SuspicionKind
+from asia.executor import Executor
 from asia.redteam._arena import attack_candidate, attack_unchecked
 from asia.redteam._honest import HonestProblem, small_problems, try_honest
 from asia.redteam._interruption import Interruption
@@ -52,6 +53,8 @@ class RedTeamPlan:
     """Whether to play them with isolation off too, in an outer sandbox."""
     honest: tuple[tuple[HonestProblem, Family], ...] = ()
     """The problems, each with a family whose candidate must not be flagged."""
+    executor: Executor | None = None
+    """What has the attacks' folds fitted, on this machine; None for this process."""
 
 
 @dataclass(frozen=True)
@@ -193,15 +196,17 @@ def _jobs(plan: RedTeamPlan, interruption: Interruption) -> Iterator[Job]:
     candidates = [a for a in plan.attacks if isinstance(a, CandidateAttack)]
     for level in plan.levels:
         if LEVELS[level].confined:
-            first += [partial(_attack, attack, level) for attack in candidates]
+            first += [partial(_attack, attack, level, plan.executor) for attack in candidates]
         else:
             first.append(partial(_outside, level, (), candidates))
     for pair in zip_longest(first, honest):
         yield from (job for job in pair if job is not None)
 
 
-def _attack(attack: CandidateAttack, level: Isolation) -> Iterator[Result]:
-    yield attack_candidate(attack, level)
+def _attack(
+    attack: CandidateAttack, level: Isolation, executor: Executor | None
+) -> Iterator[Result]:
+    yield attack_candidate(attack, level, executor=executor)
 
 
 def _outside(level: str, layers: Sequence[Layer], attacks: Sequence[Attack]) -> Iterator[Result]:

@@ -2,12 +2,10 @@
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,68 +20,12 @@ from asia.ledger import Event, Landed, Proposed, SearchView, open_run, verify
 from asia.problem.load import load_problem
 from asia.search import prepare, search
 from asia.testing import check_executor
+from tests.unit.executor.cluster import Cluster, two_workers
 from tests.unit.search.toy import arx, write_problem
 
-DASK = Path(sys.executable).with_name("dask")
 SLOW = arx(2).replace(
     "    n = 2\n    rows", "    import time\n    time.sleep({seconds})\n    n = 2\n    rows"
 )
-
-
-@dataclass
-class Cluster:
-    """A scheduler and its workers, one fold each."""
-
-    folder: Path
-    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
-
-    @property
-    def file(self) -> Path:
-        return self.folder / "scheduler.json"
-
-    def start(self, *words: str) -> None:
-        log = (self.folder / f"{len(self.processes)}.log").open("wb")
-        with log:
-            started = subprocess.Popen(
-                [DASK, *words, "--no-dashboard", "--scheduler-file", self.file],
-                stdout=log, stderr=log, start_new_session=True,
-            )  # fmt: skip
-        self.processes.append(started)
-
-    def add_worker(self) -> None:
-        self.start("worker", "--nthreads", "1", "--no-nanny", "--death-timeout", "60")
-
-    def connected(self, workers: int) -> DaskExecutor:
-        end = time.monotonic() + 60.0
-        while True:
-            try:
-                executor = DaskExecutor(str(self.file))
-                if len(executor._client.scheduler_info()["workers"]) >= workers:
-                    return executor
-                executor.close()
-            except UserError:
-                pass
-            assert time.monotonic() < end, "the cluster did not start"
-            time.sleep(0.5)
-
-    def close(self) -> None:
-        for process in reversed(self.processes):
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    pytest.importorskip("distributed")
-    made = Cluster(tmp_path)
-    made.start("scheduler", "--port", "0", "--host", "127.0.0.1")
-    made.add_worker()
-    made.add_worker()
-    try:
-        yield made
-    finally:
-        made.close()
 
 
 @dataclass(frozen=True)
@@ -99,6 +41,13 @@ class Ahead:
         if index >= len(self.sources):
             return None
         return Proposal(self.sources[index], "scripted", f"number {index}", "made up", "made up")
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    pytest.importorskip("distributed")
+    with two_workers(tmp_path) as made:
+        yield made
 
 
 def go(
@@ -147,7 +96,7 @@ def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setattr("asia.executor.dask._CONNECT_SECONDS", 1)
     monkeypatch.setattr("asia.executor.dask._NO_WORKERS_SECONDS", 1.0)
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
         protocol="tcp", host="127.0.0.1",
     ) as made:  # fmt: skip
         yield made

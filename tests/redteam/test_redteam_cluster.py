@@ -1,0 +1,39 @@
+"""The attacks of candidates through a Dask cluster on this machine."""
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from asia.cli import app, spread
+from asia.errors import UserError
+from asia.evaluation import survey_machines
+from asia.redteam import ATTACKS, CandidateAttack, RedTeamPlan, run_suite
+from asia.sandbox import fitting_levels, why_not
+from tests.unit.executor.cluster import two_workers
+
+LEVELS = [x.isolation for x in fitting_levels() if x.confined and why_not(x.isolation) is None]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not LEVELS, reason="no level keeps intent in here")
+def test_attacks_are_stopped_through_a_cluster(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    candidates = tuple(a for a in ATTACKS if isinstance(a, CandidateAttack))
+    with two_workers(tmp_path) as cluster:
+        executor = cluster.connected(2)
+        survey_machines(executor)
+        plan = RedTeamPlan((LEVELS[0],), candidates, prove=False, executor=executor)
+        report = run_suite(plan)
+        executor.close()
+    assert [f for f in report.findings if f.through] == []
+    assert report.stopped == len(candidates) == len(report.findings)
+
+
+def test_attacks_that_an_agent_makes_do_not_go_through_an_executor() -> None:
+    with pytest.raises(UserError, match="no part in attack 29, 31, which an agent makes"):
+        CliRunner().invoke(
+            app,
+            spread(["redteam", "--executor", "local", "--attack", "5", "29", "31"]),
+            catch_exceptions=False,
+        )
