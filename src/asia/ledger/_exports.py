@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from pathlib import Path
 
 from asia._text import markdown_line, printable_line
@@ -57,9 +58,10 @@ def journal(view: SearchView) -> str:
         f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
         f"seed {start.seed}, isolation {start.isolation_words}.\n{_rungs(view)}{_setting(view)}"
     ]
-    for i, e in enumerate(view.finished):
+    finished = view.finished
+    for e, later in zip_longest(finished, finished[1:]):
         parts += [_hand_over(event) for event in view.handed_over if event.after == e.number - 1]
-        parts.append(_entry(view, e, i))
+        parts.append(_entry(view, e, later))
     return "\n".join(parts)
 
 
@@ -101,13 +103,12 @@ def _hand_over(event: HandedOver) -> str:
     return f"## Hand-over\n\n{markdown_line(hand_over_words(event))}.\n"
 
 
-def _entry(view: SearchView, e: Experiment, position: int) -> str:
+def _entry(view: SearchView, e: Experiment, later: Experiment | None) -> str:
     p, r = e.proposed, e.result
     assert r is not None
     origin = f" (from experiment {p.parent})" if p.parent else ""
     by = f", by {markdown_line(p.agent)}" if p.agent else ""
-    later = view.finished[position + 1 : position + 2]
-    following = markdown_line(later[0].proposed.title) if later else "none yet"
+    following = markdown_line(later.proposed.title) if later else "none yet"
     remark = f"- **Remark:** {markdown_line(p.remark)}\n" if p.remark else ""
     return (
         f"## Experiment {e.number}: {markdown_line(p.title)}\n\n"

@@ -54,8 +54,26 @@ def problem_facts(problem: Problem) -> Facts:
     )
 
 
-def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
-    """The search as its agent may see it now."""
+class KnownTrials:
+    """The trials of a search that goes on, so that their artifacts are read once."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._found: dict[int, tuple[Experiment, Trial]] = {}
+
+    def trial(self, e: Experiment) -> Trial:
+        """What an agent may see of an experiment that has its result."""
+        known = self._found.get(e.number)
+        if known is None or known[0].proposed is not e.proposed or known[0].result is not e.result:
+            known = self._found[e.number] = e, _trial(e, self._store)
+        return known[1]
+
+
+def agent_view(
+    facts: Facts, view: SearchView, store: Store, known: KnownTrials | None = None
+) -> AgentView:
+    """The search as its agent may see it now. known: of earlier views of this search."""
+    known = known or KnownTrials(store)
     view = published(view)
     lessons = view.started.lessons
     told = {e.number for e in (view.best, *view.finished[-1:]) if e is not None}
@@ -66,9 +84,9 @@ def agent_view(facts: Facts, view: SearchView, store: Store) -> AgentView:
         seed=view.started.seed,
         phase=phase(view),
         trials=tuple(
-            replace(_trial(e, store), evidence=_evidence(e, view, store, settings))
+            replace(known.trial(e), evidence=_evidence(e, view, store, settings))
             if e.number in told
-            else _trial(e, store)
+            else known.trial(e)
             for e in view.finished
         ),
         remaining=view.leg_end - len(view.experiments),

@@ -49,7 +49,13 @@ from asia.ledger import (
     write_exports,
 )
 from asia.problem.load import Problem
-from asia.search._agent_view import agent_view, as_bytes, digest, problem_facts
+from asia.search._agent_view import (
+    KnownTrials,
+    agent_view,
+    as_bytes,
+    digest,
+    problem_facts,
+)
 from asia.search._guard import look_at_guard
 from asia.search._steering import Steering
 from asia.search.ahead.flights import Flights
@@ -105,6 +111,11 @@ class Loop:
     def flights(self) -> Flights:
         """The first fits under way."""
         return Flights(self.view.started.parallel, self.evaluator, self.store, self._landed)
+
+    @cached_property
+    def known_trials(self) -> KnownTrials:
+        """What agents were shown so far."""
+        return KnownTrials(self.store)
 
     def run(self) -> SearchView:
         """Rungs, search, refit of the winner, a look at the guard. What the ledger already holds is
@@ -250,7 +261,7 @@ class Loop:
     def _propose(self, view: SearchView) -> Proposed | None:
         if not view.experiments:
             return replace(self._proposed(1, "baseline", _baseline(self.baseline)), agent="")
-        seen = agent_view(problem_facts(self.problem), view, self.store)
+        seen = agent_view(problem_facts(self.problem), view, self.store, self.known_trials)
         proposal = self._proposer.propose(seen)
         if proposal is None:
             return None
