@@ -55,6 +55,7 @@ START_SECONDS = 60.0
 END_SECONDS = 120.0
 # Kills fall into this share of an undisturbed search, so that most searches meet several.
 SHARE = 0.5
+PATIENCE = 1.2
 
 
 @dataclass(frozen=True)
@@ -202,8 +203,9 @@ def _kill_often(
         number += 1
         runs = bench.out / f"search{number}"
         process = bench.start(runs)
+        reach, grown = longest, 0
         while True:
-            after = float(bench.random.uniform(0.0, longest)) if len(kills) < count else None
+            after = float(bench.random.uniform(0.0, reach)) if len(kills) < count else None
             before = whole_lines(runs)
             try:
                 code = process.wait(after or END_SECONDS + 20 * longest)
@@ -214,6 +216,9 @@ def _kill_often(
                     break
                 process, kill = _kill_one(bench, cluster, runs, process, after)
                 kills.append(kill)
+                # On a loaded machine kills would leave no time for a single experiment.
+                reach = longest if kill.records > grown else PATIENCE * reach
+                grown = kill.records
                 words = f"{kill.victim} of {runs.name} at {after:.2f} s, {kill.records} records"
                 print(f"kill {len(kills)}/{count}: {words}", file=sys.stderr, flush=True)
                 check_prefix(bench, runs, before)
