@@ -11,9 +11,9 @@ its processes together, so that shared pages count once, looked at ten times a s
 each step of the search. The same search on a record of 2 000 samples gives the part that does not
 grow with the record. What is left is given as a multiple of the record's own size in float64.
 
-`search`: experiments that cost milliseconds. Experiments a second and seconds by activity, in each
-quarter of the search, so that what grows with their number shows; sizes of the ledger and of the
-artifacts; seconds of `asia status` and `asia show`. The load is printed.
+`search`: experiments that cost milliseconds. Experiments a second and processor seconds by
+activity, in each quarter of the search, so that what grows with their number shows; sizes of the
+ledger and of the artifacts; seconds of `asia status` and `asia show`. The load is printed.
 """
 
 from __future__ import annotations
@@ -253,7 +253,7 @@ def _measure_search(out: Path, options: argparse.Namespace) -> None:
 def _print_quarters(directory: Path) -> None:
     lines = [line for line in open_run(directory).lines if isinstance(line.event, Evaluated)]
     kinds = sorted({s.activity.value for line in lines for s in line.event.spent})
-    print(f"{'experiments':<14}{'a second':>9}  seconds of an experiment by activity")
+    print(f"{'experiments':<14}{'a second':>9}  processor seconds of an experiment")
     for part in np.array_split(np.arange(1, len(lines)), 4):
         first, last = (
             datetime.fromisoformat(lines[place].time) for place in (part[0] - 1, part[-1])
@@ -261,7 +261,7 @@ def _print_quarters(directory: Path) -> None:
         spent = dict.fromkeys(kinds, 0.0)
         for place in part:
             for one in lines[place].event.spent:
-                spent[one.activity.value] += one.wall / len(part)
+                spent[one.activity.value] += one.processor / len(part)
         words = ", ".join(f"{k} {v:.3f}" for k, v in spent.items() if v >= 5e-4)
         rate = len(part) / (last - first).total_seconds()
         print(f"{f'{part[0] + 1} to {part[-1] + 1}':<14}{rate:>9.2f}  {words}")

@@ -47,6 +47,11 @@ HonestOn = Annotated[
     typer.Option(metavar="PROBLEM ...", help="Try the families' own first candidates on these "
     "problems, in full, and no attack; takes long."),
 ]  # fmt: skip
+Through = Annotated[
+    str | None,
+    typer.Option("--executor", metavar="NAME", help="Have the attacks' folds fitted by workers of "
+    "this machine: dask:FILE. Without honest candidates and attacks of agents."),
+]  # fmt: skip
 
 
 def redteam(
@@ -61,14 +66,7 @@ def redteam(
         bool,
         typer.Option(help="Also show that the attacks work with isolation off (needs bubblewrap)."),
     ] = True,
-    executor: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Have the attacks' folds fitted by workers of this machine: "
-            "dask:FILE. Without honest candidates and attacks of agents.",
-        ),
-    ] = None,
+    executor: Through = None,
     json: Json = False,
 ) -> None:
     """Let scripted cheats attack this installation: each must be blocked or flagged, and honest

@@ -9,7 +9,7 @@ from asia.problem.load import load_problem
 from asia.search import agent_view, problem_facts
 from asia.search._agent_view import KnownTrials
 
-GOLDEN = Path(__file__).parents[2] / "golden/0.1.0"
+GOLDEN = Path(__file__).parents[3] / "golden/0.1.0"
 
 
 def test_artifacts_of_known_trials_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
