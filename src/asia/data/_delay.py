@@ -1,4 +1,4 @@
-"""Delays between inputs and outputs by correlation."""
+"""Delays between inputs and outputs, and feedback, by correlation."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from asia.data._trajectory import Array, Trajectory
 _WHITENING, _BAND = 15, 2.576
 LONGEST_DELAY = 100
 """Samples."""
+# Lags of feedback that are looked at; the 99 % point of the largest of so many correlations.
+_BACK, _LARGEST = 20, 3.48
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,30 @@ def find_delay(records: Sequence[Trajectory], channel: int, output: int) -> Foun
     strong = np.abs(correlation) > 2 * band
     hits = np.flatnonzero(strong | (beyond & np.append(beyond[1:], False)))
     return FoundDelay(int(hits[0]) if hits.size else None, correlation, band)
+
+
+def find_feedback(records: Sequence[Trajectory], channel: int, output: int) -> bool | None:
+    """Whether what is new in the input correlates with earlier outputs beyond the 99 % band.
+
+    Without feedback the innovation of the input does not know past outputs (Ljung, System
+    Identification, 2nd ed., section 13.4). None where the filter leaves an innovation that is not
+    white, as of a few sines: the band does not hold for it.
+    """
+    longest = min(_BACK, min(len(r) for r in records) // 4)
+    weights = _whitening([r.u[:, channel] for r in records])
+    back, own = np.zeros(longest), np.zeros(longest)
+    energy_u, energy_y, count = 0.0, 0.0, 0
+    for r in records:
+        u = _filtered(r.u[:, channel] - r.u[:, channel].mean(), weights)
+        y = _filtered(r.y[:, output] - r.y[:, output].mean(), weights)
+        lags = range(1, longest + 1)
+        back += [u[k:] @ y[: len(y) - k] for k in lags]
+        own += [u[k:] @ u[: len(u) - k] for k in lags]
+        energy_u, energy_y, count = energy_u + u @ u, energy_y + y @ y, count + len(u)
+    band = _LARGEST / np.sqrt(max(count, 1))
+    if energy_u <= 0 or energy_y <= 0 or np.abs(own).max() > band * energy_u:
+        return None
+    return bool(np.abs(back).max() > band * np.sqrt(energy_u * energy_y))
 
 
 def _whitening(signals: Sequence[Array]) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 
 from asia.data._digest import data_digest
 from asia.data._trajectory import Array, Signal, Trajectory
+from asia.problem._advice import data_doubts, delay_lines
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Problem, Seal
 from asia.problem.frequency import response_lines
@@ -101,6 +102,7 @@ class CheckReport:
     warnings: tuple[str, ...]
     in_workspace: bool = False
     response: tuple[str, ...] = ()
+    delays: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """The report as plain text."""
@@ -112,6 +114,7 @@ class CheckReport:
             *(_signal_line(s) for s in self.signals),
             *(f"record {r.name}: {r.samples} samples, {r.seconds:g} s" for r in self.records),
             "missing values: none (a record with one is refused)",
+            *self.delays,
             *self.response,
             *(_fold_line(f) for f in self.folds),
             f"{_cases(rule)}; past window: {past}; V: {find_metric(rule.metric).summary}; "
@@ -148,6 +151,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
         warnings=(*problem.warnings, *_doubts(problem, seal, signals, in_workspace=in_workspace)),
         in_workspace=in_workspace,
         response=response_lines(problem),
+        delays=delay_lines(problem),
     )
 
 
@@ -237,6 +241,7 @@ def _doubts(
 ) -> list[str]:
     doubts = [d for s in signals for d in _signal_doubts(s)]
     doubts += _inputs_together(problem.inputs, problem.train)
+    doubts += data_doubts(problem)
     if not problem.description.strip():
         doubts.append("there is no description: agents that read know nothing of the system")
     if problem.protocol.past_outputs == 0:

@@ -1,0 +1,153 @@
+"""What training records tell of delay, feedback, drift, steps of a converter and outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from asia.data._delay import find_delay, find_feedback
+from asia.data._trajectory import Array, Trajectory
+from asia.problem._problem import Problem
+
+# Shorter records hold too little for a correlation.
+_SHORTEST = 64
+# Samples times pairs of signals: with many pairs the beginning of the records has to do.
+_WORK = 200_000
+_TREND = 0.5
+_STEP = 0.05
+_SPIKE = 10.0
+
+
+def delay_lines(problem: Problem) -> tuple[str, ...]:
+    """After how many samples each output answers each input, and where feedback is not judged."""
+    if min(len(r) for r in problem.train) < _SHORTEST:
+        return ()
+    records = _first_samples(problem)
+    lines: list[str] = []
+    for j, output in enumerate(problem.outputs):
+        lags = [
+            (given.name, find_delay(records, i, j).lag)
+            for i, given in enumerate(problem.inputs)
+            if _moves(records, i, j)
+        ]
+        said = ", ".join(f"{n} {'not found' if lag is None else lag}" for n, lag in lags)
+        if lags:
+            lines.append(
+                f"delay of output {output.name} in samples, the first correlation beyond its 99 % "
+                f"band: {said}"
+            )
+    blind = [
+        given.name
+        for i, given in enumerate(problem.inputs)
+        if _moves(records, i, 0) and find_feedback(records, i, 0) is None
+    ]
+    if blind:
+        lines.append(
+            f"feedback: not judged for input {', '.join(blind)}, which no short filter makes white"
+        )
+    return tuple(lines)
+
+
+def data_doubts(problem: Problem) -> list[str]:
+    """Sentences on feedback, and on drift, steps and outliers of the outputs."""
+    doubts = _feedback(problem)
+    for j, output in enumerate(problem.outputs):
+        name, unit = f"output {output.name}", f" {output.unit}".rstrip()
+        parts = [r.y[:, j] for r in problem.train]
+        if np.ptp(np.concatenate(parts)) == 0:
+            continue
+        doubts += _drift(problem.train, parts, name, unit)
+        doubts += _steps(np.concatenate(parts), name, unit)
+        doubts += _outliers(problem.train, parts, name)
+    return doubts
+
+
+def _first_samples(problem: Problem) -> list[Trajectory]:
+    """Whole records up to a number of samples, at least the start of the first."""
+    kept: list[Trajectory] = []
+    left = max(_WORK // (len(problem.inputs) * len(problem.outputs)), _SHORTEST)
+    for record in problem.train:
+        if left < _SHORTEST:
+            break
+        kept.append(record[: min(len(record), left)])
+        left -= len(record)
+    return kept
+
+
+def _moves(records: Sequence[Trajectory], channel: int, output: int) -> bool:
+    return all(np.ptp(r.u[:, channel]) > 0 and np.ptp(r.y[:, output]) > 0 for r in records)
+
+
+def _feedback(problem: Problem) -> list[str]:
+    if min(len(r) for r in problem.train) < _SHORTEST:
+        return []
+    records = _first_samples(problem)
+    return [
+        f"input {given.name} follows earlier values of output {output.name}: it may come from a "
+        "controller, and a model fitted in closed loop may take the controller for the system"
+        for i, given in enumerate(problem.inputs)
+        for j, output in enumerate(problem.outputs)
+        if _moves(records, i, j) and find_feedback(records, i, j)
+    ]
+
+
+def _drift(
+    records: Sequence[Trajectory], parts: Sequence[Array], name: str, unit: str
+) -> list[str]:
+    """Where a straight line over the longest record explains most of its variance."""
+    k = int(np.argmax([len(p) for p in parts]))
+    y = parts[k] - parts[k].mean()
+    time = np.arange(len(y)) - (len(y) - 1) / 2
+    total = float(y @ y)
+    if len(y) < _SHORTEST or total == 0:
+        return []
+    slope = float(time @ y / (time @ time))
+    if slope**2 * float(time @ time) <= _TREND * total:
+        return []
+    return [
+        f"{name} {'rises' if slope > 0 else 'falls'} by {abs(slope) * (len(y) - 1):.3g}{unit} over "
+        f"record '{records[k].name}', more than it moves otherwise: the sensor may drift, or the "
+        "record starts far from rest"
+    ]
+
+
+def _steps(values: Array, name: str, unit: str) -> list[str]:
+    """Where all values are multiples of one step that is large beside the signal."""
+    levels = np.unique(values)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]
+    step, std = float(gaps.min()), float(values.std())
+    if len(gaps) < 2 or step <= _STEP * std:
+        return []
+    multiples = (levels - levels[0]) / step
+    if np.abs(multiples - np.round(multiples)).max() > 1e-3:
+        return []
+    floor = step / np.sqrt(12.0) / std
+    return [
+        f"{name} comes in steps of {step:.3g}{unit}: that alone is an error of about {floor:.1%} "
+        "of its standard deviation"
+    ]
+
+
+def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) -> list[str]:
+    """Single samples that jump away from both neighbours, far beyond a usual change."""
+    usual = float(np.median(np.abs(np.concatenate([np.diff(p) for p in parts]))))
+    limit = max(_SPIKE * 1.4826 * usual, float(np.concatenate(parts).std()))
+    if usual == 0:
+        return []
+    found: list[tuple[str, int]] = []
+    for record, y in zip(records, parts, strict=True):
+        if len(y) < 3:
+            continue
+        middle = np.median(np.stack([y[:-2], y[1:-1], y[2:]]), axis=0)
+        hits = np.flatnonzero(np.abs(y[1:-1] - middle) > limit) + 2
+        found += [(record.name, int(k)) for k in hits]
+    if not found:
+        return []
+    many = "1 sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
+    where = f"sample {found[0][1]} of record '{found[0][0]}'"
+    return [
+        f"{name}: {many} away from both neighbours, the first at {where}: look for outliers, and "
+        "cut the record there"
+    ]

@@ -1,0 +1,76 @@
+"""What a check says of delay, feedback, drift, steps and outliers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asia.data import Array, Signal, Trajectory
+from asia.problem._advice import data_doubts, delay_lines
+from asia.problem._problem import Problem
+from asia.problem.load import load_problem
+
+SAMPLES = 1000
+
+
+@pytest.fixture(scope="module")
+def tanks() -> Problem:
+    return load_problem("two_tanks_sim")
+
+
+def clean(seed: int, delay: int = 3) -> tuple[Array, Array]:
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=SAMPLES)
+    y = np.zeros(SAMPLES)
+    for k in range(1, SAMPLES):
+        y[k] = 0.8 * y[k - 1] + (u[k - delay] if k >= delay else 0.0)
+    return u, y + 0.05 * rng.normal(size=SAMPLES)
+
+
+def of(tanks: Problem, u: Array, y: Array) -> Problem:
+    records = (Trajectory(u[:, None], y[:, None], 0.5, "r"),)
+    return replace(
+        tanks, train=records, inputs=(Signal("u", "V"),), outputs=(Signal("y", "m"),),
+        sampling_time=0.5,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_clean_record_has_its_delay_and_no_doubts(tanks: Problem, seed: int) -> None:
+    problem = of(tanks, *clean(seed))
+    assert data_doubts(problem) == []
+    (line,) = delay_lines(problem)
+    assert line.endswith("99 % band: u 3")
+
+
+def test_each_fault_is_said_once(tanks: Problem) -> None:
+    u, y = clean(1)
+    spiked = y.copy()
+    spiked[[200, 700]] += 40.0
+    faults = {
+        "rises by": y + np.linspace(0.0, 20.0, SAMPLES),
+        "comes in steps of 0.8 m": 0.8 * np.round(y / 0.8),
+        "2 samples jump away from both neighbours, the first at sample 201 of record 'r'": spiked,
+    }
+    for said, values in faults.items():
+        (doubt,) = data_doubts(of(tanks, u, values))
+        assert said in doubt
+
+
+def test_feedback_is_told_from_an_open_loop(tanks: Problem) -> None:
+    rng = np.random.default_rng(0)
+    u, y, x, disturbance = np.zeros(SAMPLES), np.zeros(SAMPLES), 0.0, 0.0
+    for k in range(SAMPLES):
+        disturbance = 0.9 * disturbance + 0.5 * rng.normal()
+        x = 0.9 * x + 0.1 * (u[k - 1] if k else 0.0)
+        y[k] = x + disturbance
+        u[k] = -0.3 * (y[k - 1] if k else 0.0) + 0.05 * rng.normal()
+    (doubt,) = data_doubts(of(tanks, u, y))
+    assert "input u follows earlier values of output y" in doubt
+
+
+def test_feedback_to_a_sine_is_not_judged(tanks: Problem) -> None:
+    u = np.sin(2 * np.pi * np.arange(SAMPLES) / 37)
+    problem = of(tanks, u, np.roll(u, 3))
+    assert any(line.startswith("feedback: not judged for input u") for line in delay_lines(problem))
+    assert not any("follows earlier" in doubt for doubt in data_doubts(problem))
