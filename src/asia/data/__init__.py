@@ -4,6 +4,14 @@ Light: a sandboxed worker imports it.
 """
 
 from asia.data._digest import data_digest
-from asia.data._trajectory import Array, Signal, Trajectory
+from asia.data._trajectory import Array, Mask, Signal, Trajectory, filled, spread_of
 
-__all__ = ["Array", "Signal", "Trajectory", "data_digest"]
+__all__ = [
+    "Array",
+    "Mask",
+    "Signal",
+    "Trajectory",
+    "data_digest",
+    "filled",
+    "spread_of",
+]

@@ -76,7 +76,7 @@ class Preprocess:
         rows = self.length(len(record)) * self.decimate
         return Trajectory(
             self.inputs(record.u, inputs)[: self.length(len(record))],
-            self.outputs(record.y[self.longest_delay :][:rows], outputs),
+            self.outputs(record.measured_y[self.longest_delay :][:rows], outputs),
             record.sampling_time * self.decimate,
             record.name,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeGuard
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from asia.errors import UserError
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -38,14 +39,15 @@ def _is_frozen(values: object) -> TypeGuard[Array]:
     return base is None and values.ndim == 2 and values.flags.c_contiguous
 
 
-def _frozen(values: object, what: str) -> Array:
+def _frozen(values: object, what: str, *, gaps: bool = False) -> Array:
     array = values if _is_frozen(values) else np.array(values, dtype=np.float64, order="C")
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2:
         raise UserError(f"{what}: expected an array (samples, channels), got shape {array.shape}")
-    if not np.isfinite(array).all():
-        bad = np.argwhere(~np.isfinite(array))[0]
+    wrong = np.isinf(array) if gaps else ~np.isfinite(array)
+    if wrong.any():
+        bad = np.argwhere(wrong)[0]
         raise UserError(
             f"{what}: missing or infinite value at sample {bad[0]}, channel {bad[1]}; "
             "fill or cut the record there"
@@ -59,17 +61,31 @@ class Trajectory:
     """One contiguous record.
 
     u: (T, nu) inputs and y: (T, ny) outputs in physical units, float64, read-only; sampling_time
-    in seconds. Raises UserError on unequal lengths and on values that are not finite.
+    in seconds. NaN in `y` is an output that was not measured: there `missing` is True, and `y` has
+    the straight line between the measured neighbours, the nearest one at the ends. Raises UserError
+    on unequal lengths, on other values that are not finite, and on an output never measured.
     """
 
     u: Array
     y: Array
     sampling_time: float
     name: str = ""
+    missing: Mask | None = field(default=None)
+    """(T, ny), True where an output was not measured; None where all were."""
 
     def __post_init__(self) -> None:
+        what = f"outputs of record '{self.name}'"
         object.__setattr__(self, "u", _frozen(self.u, f"inputs of record '{self.name}'"))
-        object.__setattr__(self, "y", _frozen(self.y, f"outputs of record '{self.name}'"))
+        object.__setattr__(self, "y", _frozen(self.y, what, gaps=True))
+        found = np.isnan(self.y)
+        if found.any():
+            missing = found if self.missing is None else found | self.missing
+            object.__setattr__(self, "y", _frozen(_complete(self.y, what), what))
+            object.__setattr__(self, "missing", missing)
+        if self.missing is not None:
+            missing = np.array(self.missing, dtype=np.bool_)
+            missing.flags.writeable = False
+            object.__setattr__(self, "missing", missing if missing.any() else None)
         if len(self.u) != len(self.y):
             raise UserError(
                 f"record '{self.name}': {len(self.u)} input samples but {len(self.y)} output "
@@ -80,4 +96,51 @@ class Trajectory:
         return len(self.u)
 
     def __getitem__(self, part: slice) -> Trajectory:
-        return Trajectory(self.u[part], self.y[part], self.sampling_time, self.name)
+        missing = None if self.missing is None else self.missing[part]
+        return Trajectory(self.u[part], self.y[part], self.sampling_time, self.name, missing)
+
+    @property
+    def measured(self) -> Mask:
+        """(T, ny), True where an output was measured."""
+        if self.missing is None:
+            return np.broadcast_to(np.True_, self.y.shape)
+        return ~self.missing
+
+    @property
+    def measured_y(self) -> Array:
+        """(T, ny), the outputs with NaN where they were not measured."""
+        return self.y if self.missing is None else np.where(self.missing, np.nan, self.y)
+
+    def alone(self, start: int, stop: int) -> Trajectory:
+        """The samples from `start` to before `stop`, filled from these alone."""
+        if self.missing is None:
+            return self[start:stop]
+        y = self.measured_y[start:stop]
+        return Trajectory(self.u[start:stop], y, self.sampling_time, self.name)
+
+
+def filled(values: Array) -> Array:
+    """values (T, n) with NaN -> on straight lines between the neighbours, held at the ends; a
+    column of NaN is zero."""
+    if not np.isnan(values).any():
+        return values
+    time, found = np.arange(len(values)), np.zeros_like(values)
+    for column, known in enumerate(~np.isnan(values).T):
+        if known.any():
+            found[:, column] = np.interp(time, time[known], values[known, column])
+    return found
+
+
+def spread_of(values: Array) -> Array:
+    """Standard deviation (n,), ddof 0, of the numbers in each column of (T, n), NaN left out."""
+    return np.nanstd(values, axis=0) if np.isnan(values).any() else values.std(axis=0)
+
+
+def _complete(y: Array, what: str) -> Array:
+    never = np.isnan(y).all(axis=0)
+    if never.any():
+        raise UserError(
+            f"{what}: output {int(np.argmax(never)) + 1} was never measured; leave the output or "
+            "the record out"
+        )
+    return filled(y)

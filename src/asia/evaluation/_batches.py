@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asia.data import Array
+from asia.data import Array, filled
 from asia.evaluation._requests import held_out_requests, largest
 from asia.protocol import Block
 
@@ -135,7 +135,7 @@ def _batch(
         past_u=np.stack([case.past_u for case in cases]),
         past_y=np.stack([case.past_y for case in cases]),
         u=np.stack([case.u for case in cases]),
-        y=np.stack([blocks[i].y for i in rows]),
+        y=np.stack([filled(blocks[i].y) for i in rows]),
         y_hat=np.stack([y_hat[i] for i in rows]),
         count=len(request),
         followed=all(i in followed for i in request),

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asia._stopwatch import Activity
-from asia.data import Array
+from asia.data import Array, spread_of
 from asia.errors import CandidateError, Reason
 from asia.evaluation._evaluator import Evaluator
 from asia.evaluation._results import FoldResult, same_simulations
@@ -78,7 +78,7 @@ def short_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
     if not all(np.ptp(np.concatenate([r.y for r in records]), axis=0) > 0):
         records = list(fold.train)
     blocks = _spread(whole(records, rule))
-    scale = np.concatenate([block.y for block in blocks]).std(axis=0)
+    scale = spread_of(np.concatenate([block.y for block in blocks]))
     short = Fold(0, tuple(records), blocks, _nonzero(scale), (False,) * len(blocks))
     return DryFold(short, sum(map(len, records)), full)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from asia._stopwatch import Activity
 from asia.candidate import Context, check_source, executed_source, imported_libraries
-from asia.data import Array, Trajectory
+from asia.data import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason
 from asia.evaluation._findings import fold_result
 from asia.evaluation._metamorphic import (
@@ -91,7 +91,7 @@ class Evaluator(WorkerRunner):
         self.horizon = rule.horizon
         self.records = tuple(records)
         self.training_blocks = spread(whole(records, rule), MOST_TRAINING_WINDOWS)
-        self.scale = np.concatenate([record.y for record in records]).std(axis=0)
+        self.scale = spread_of(np.concatenate([record.measured_y for record in records]))
         self._context = context
         self._rule = rule
         self._salt = salt

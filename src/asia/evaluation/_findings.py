@@ -13,7 +13,14 @@ from asia.evaluation._results import FoldFindings, FoldResult, StepErrors
 from asia.evaluation._training_checks import training_checks
 from asia.protocol import Fold, ProtocolRule, find_metric, whole
 from asia.sandbox import FitReply
-from asia.scoring import Ranges, SignedResidual, diagnose, score_fold, signed_residuals
+from asia.scoring import (
+    Ranges,
+    SignedResidual,
+    diagnose,
+    score_fold,
+    signed_residuals,
+    without_gaps,
+)
 
 _MOST_RESIDUALS = 120
 
@@ -54,8 +61,9 @@ def fold_result(
     score = score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=in_parts)
     train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
     inputs = [b.case.u for b in inside]
-    evidence = diagnose(inputs, train_y, fitted.train_y_hat, fold.scale, train.value)
-    signed = signed_residuals(inputs, train_y, fitted.train_y_hat, fold.scale, ranges)
+    whole_y = _without_gaps(train_y, fitted.train_y_hat)
+    evidence = diagnose(inputs, whole_y, fitted.train_y_hat, fold.scale, train.value)
+    signed = signed_residuals(inputs, whole_y, fitted.train_y_hat, fold.scale, ranges)
     findings = FoldFindings(
         errors=_errors(y, fitted.y_hat, fold.scale, rule),
         train_errors=_errors(train_y, fitted.train_y_hat, fold.scale, rule),
@@ -79,8 +87,13 @@ def _held_out_residuals(
 ) -> tuple[SignedResidual, ...]:
     if rule.residuals == "train":
         return ()
-    u, y = [b.case.u for b in fold.validation], [b.y for b in fold.validation]
+    u = [b.case.u for b in fold.validation]
+    y = _without_gaps([b.y for b in fold.validation], fitted.y_hat)
     return signed_residuals(u, y, fitted.y_hat, fold.scale, ranges)[:_MOST_RESIDUALS]
+
+
+def _without_gaps(y: Sequence[Array], y_hat: Sequence[Array]) -> list[Array]:
+    return [without_gaps(a, b) for a, b in zip(y, y_hat, strict=True)]
 
 
 def _errors(

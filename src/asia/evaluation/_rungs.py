@@ -77,7 +77,8 @@ def score_rungs(
 
 
 def _training_mean(fold: Fold, block: Block) -> Array:
-    mean = np.concatenate([t.y for t in fold.train]).mean(axis=0)
+    y = np.concatenate([t.measured_y for t in fold.train])
+    mean = np.nanmean(y, axis=0) if np.isnan(y).any() else y.mean(axis=0)
     return np.tile(mean, (len(block.y), 1))
 
 

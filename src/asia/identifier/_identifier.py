@@ -205,7 +205,10 @@ class SystemIdentifier:
             for r in records
         ]
         found = simulate_cases(self._opened.directory, cases, self.model)
-        fits = [fit_index(r.y[rule.past :], y_hat) for r, y_hat in zip(records, found, strict=True)]
+        fits = [
+            fit_index(r.measured_y[rule.past :], y_hat)
+            for r, y_hat in zip(records, found, strict=True)
+        ]
         return float(np.nanmean(np.stack(fits)))
 
     def export(self, to: str | Sequence[str], out: Path | str | None = None) -> list[Exported]:

@@ -219,8 +219,10 @@ def _effects(trajectories: Sequence[Trajectory]) -> Array:
                 continue
             sums = np.cumsum(np.concatenate([np.zeros((1, t.u.shape[1])), t.u]), axis=0)
             means = (sums[ahead:-1] - sums[: -1 - ahead]) / ahead
-            rows.append(np.concatenate([means, t.y[:-ahead], np.ones((len(means), 1))], axis=1))
-            changes.append(t.y[ahead:] - t.y[:-ahead])
+            known = (t.measured[ahead:] & t.measured[:-ahead]).all(axis=1)
+            row = np.concatenate([means, t.y[:-ahead], np.ones((len(means), 1))], axis=1)
+            rows.append(row[known])
+            changes.append((t.y[ahead:] - t.y[:-ahead])[known])
         if rows:
             theta = np.linalg.lstsq(np.concatenate(rows), np.concatenate(changes), rcond=None)[0]
             total += np.sign(theta[: len(total)])

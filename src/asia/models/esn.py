@@ -219,6 +219,7 @@ def _long(
             continue
         stride = max(1, len(r) * len(records) // _MOST_SAMPLES)
         rows = np.arange(first, len(r), stride)
+        rows = rows[r.counts[rows] > 0]
         features.append(_features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0])
         targets.append(r.y[rows])
         before.append(states[rows - 1])

@@ -16,6 +16,7 @@ import numpy as np
 from asia.candidate import Context, ParameterEstimates, Steps
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._data.records import refuse_gaps
 from asia.models._equations.added.extend import extended
 from asia.models._equations.added.priors import NO_PRIORS, ParameterPriors, parameter_priors
 from asia.models._equations.config import Config, GreyBoxStructure, Range
@@ -73,6 +74,7 @@ class GreyBox:
         from asia.models._equations.identified.estimates import Around
 
         fitted = self._trained()
+        refuse_gaps(trajectories)
         segments = cut_segments(self.structure, trajectories, context.horizon)
         around = Around(self.structure, fitted, segments, self._parameters_at)
         return around.estimates(self.equations())

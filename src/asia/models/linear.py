@@ -24,12 +24,13 @@ from asia.models._data.records import (
     check,
     delayed,
     past_length,
+    refuse_gaps,
     scaled,
     shortened,
     window,
 )
 from asia.models._data.scaling import Scaling
-from asia.models._data.windows import cut_windows, stretches
+from asia.models._data.windows import cut_windows, mean_square, stretches
 from asia.models._linear import levels
 from asia.models._linear.drift import drift_shift
 from asia.models._linear.estimates import ScaledRecord, invariants, system_estimates
@@ -170,6 +171,7 @@ class LinearStateSpace:
             raise UserError("linear model: not trained yet; call linear.train before estimates")
         if self.config.integrators:
             raise ValueError("linear model: with free integrators there are no static gains")
+        refuse_gaps(trajectories)
         f = self.fitted
         units = {
             f"gain y{i + 1}/u{j + 1}": f"{y.unit}/{u.unit}" if y.unit or u.unit else ""
@@ -301,7 +303,7 @@ def _window_error(
     encoder = encoder_of(used, found, context)
     cut = cut_windows([r.with_delay(delay) for r in left], context, MOST_WINDOWS)
     _, y = found.system.simulate(encoder(cut.features), cut.u)
-    return float(((y - cut.y) ** 2).mean())
+    return mean_square(y - cut.y, cut.weight)
 
 
 def fit_records(

@@ -262,7 +262,8 @@ def _train_windowed(
         size = tree_size(starts[0])
         most = _WORK / (size**2 * (context.horizon or 1) * context.ny)
         w = cut_windows(data.every, context, int(np.clip(most, *_WINDOWS)))
-        samples = StateSamples(encoder(w.features), w.u, w.y, np.ones(w.y.shape[:2]), known=True)
+        weight = np.ones(w.y.shape[:2]) if w.weight is None else w.weight
+        samples = StateSamples(encoder(w.features), w.u, w.y, weight, known=True)
         # What held the linear model to its training windows has to hold this one as well.
         ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
         time = context.sampling_time

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asia.data import Array, Trajectory
+from asia.data import Array, Trajectory, filled, spread_of
 from asia.data._magnitudes import LEAST_RANGE
 from asia.errors import UserError
 from asia.protocol._cuts import Excerpt, least_case, splits, windows
@@ -36,7 +36,7 @@ class Block:
     case: Case
     """What a candidate receives."""
     y: Array
-    """The measured outputs (H, ny)."""
+    """The measured outputs (H, ny), NaN where none was measured."""
     record: int
     """Number of the record among those that were cut, 0-based."""
     start: int
@@ -78,10 +78,28 @@ def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: in
     case = Case(
         name=record.name,
         past_u=record.u[start - rule.past_inputs : start],
-        past_y=record.y[start - rule.past_outputs : start],
+        past_y=_past_outputs(record, start, rule.past_outputs),
         u=record.u[start:stop],
     )
-    return Block(case, record.y[start:stop], index, start)
+    return Block(case, record.measured_y[start:stop], index, start)
+
+
+def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
+    """The `count` outputs before `start`. Where one was not measured it is filled from samples
+    before `start` alone, so that none of those to simulate shows. Raises UserError where there is
+    none."""
+    window = record.y[start - count : start]
+    if record.missing is None or not record.missing[start - count : start].any():
+        return window
+    known = record.measured_y[:start]
+    never = np.isnan(known).all(axis=0)
+    if never.any():
+        raise UserError(
+            f"record '{record.name}': output {int(np.argmax(never)) + 1} is not measured before "
+            f"sample {start + 1}, where a simulation starts from past outputs: cut the record so "
+            "that it begins with a measured sample"
+        )
+    return filled(known)[start - count :]
 
 
 def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...]:
@@ -121,13 +139,48 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
             )
     folds: list[Fold] = []
     for k, split in enumerate(found):
-        train = tuple(records[p.record][p.samples.start : p.samples.stop] for p in split.train)
+        parts = [part for part in split.train if _is_measured(records, part)]
+        train = tuple(records[p.record].alone(p.samples.start, p.samples.stop) for p in parts)
         held_out = _blocks(records, split.held_out, rule)
-        last = {p.record: p.samples.stop for p in split.train}
+        _check_measured(held_out, k)
+        last = {p.record: p.samples.stop for p in parts}
         followed = tuple(last.get(block.record, 0) > block.stop for block in held_out)
-        offsets = tuple(p.samples.start for p in split.train)
+        offsets = tuple(p.samples.start for p in parts)
         folds.append(Fold(k, train, held_out, _scale(train, rule, k), followed, offsets))
     return tuple(folds)
+
+
+def _is_measured(records: Sequence[Trajectory], part: Excerpt) -> bool:
+    """Whether each output was measured in it at least once."""
+    missing = records[part.record].missing
+    own = slice(part.samples.start, part.samples.stop)
+    return missing is None or not missing[own].all(axis=0).any()
+
+
+def _after_first_outputs(
+    records: Sequence[Trajectory], part: Excerpt, rule: ProtocolRule
+) -> Excerpt:
+    """From where a past window shows at least half of its samples of each output, or, without such
+    a place in the first half, from where each output was measured before."""
+    missing = records[part.record].missing
+    if missing is None or not rule.past_outputs:
+        return part
+    first = max(part.samples.start, int(missing.argmin(axis=0).max()) + 1)
+    counts = np.concatenate([np.zeros((1, missing.shape[1])), np.cumsum(~missing, axis=0)])
+    places = np.arange(first, part.samples.start + (len(part.samples) + 1) // 2)
+    shown = counts[places] - counts[np.maximum(places - rule.past_outputs, 0)]
+    enough = (shown >= rule.past_outputs / 2).all(axis=1)
+    start = int(places[np.argmax(enough)]) if enough.any() else first
+    return Excerpt(part.record, range(start, part.samples.stop))
+
+
+def _check_measured(blocks: Sequence[Block], index: int) -> None:
+    never = np.isnan(np.concatenate([b.y for b in blocks])).all(axis=0) if blocks else np.array([])
+    if never.any():
+        raise UserError(
+            f"output {int(np.argmax(never)) + 1} is never measured in what fold {index + 1} holds "
+            "out: leave the output out or use fewer folds"
+        )
 
 
 def _blocks(
@@ -136,23 +189,26 @@ def _blocks(
     return tuple(
         cut(records[part.record], window.start, window.stop, rule, part.record)
         for part in parts
-        for window in windows(part.samples, rule)
+        for window in windows(_after_first_outputs(records, part, rule).samples, rule)
     )
 
 
 def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array:
     if not train:
         raise UserError(f"fold {index + 1} has no training record longer than the past window")
-    samples = [t.y for t in train] if rule.horizon is None else [b.y for b in whole(train, rule)]
+    if rule.horizon is None:
+        samples = [t.measured_y for t in train]
+    else:
+        samples = [b.y for b in whole(train, rule)]
     y = np.concatenate(samples)
-    moves = y.max(axis=0) - y.min(axis=0) > LEAST_RANGE
+    moves = np.nanmax(y, axis=0) - np.nanmin(y, axis=0) > LEAST_RANGE
     if not moves.all():
         channel = int(np.argmin(moves)) + 1
         raise UserError(
             f"output {channel} is constant over the training samples of fold {index + 1}: "
             "its error cannot be normalised; leave the channel out or use fewer folds"
         )
-    return y.std(axis=0)
+    return spread_of(y)
 
 
 def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:

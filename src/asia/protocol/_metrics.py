@@ -77,14 +77,16 @@ class Metric:
         return signal if self.normalised else self.unit
 
     def shortfall(self, y: Array, y_hat: Array, scale: Array) -> float:
-        """What enters V: the mean of `shortfalls` over the outputs. Raises UserError as these."""
-        return float(np.mean(self.shortfalls(y, y_hat, scale)))
+        """What enters V: the mean of `shortfalls` over the outputs that have one. Raises UserError
+        as these."""
+        return mean_of_known(self.shortfalls(y, y_hat, scale))
 
     def shortfalls(self, y: Array, y_hat: Array, scale: Array) -> Array:
         """What V averages over the outputs, (ny,): 0 at best, lower is better.
 
-        y, y_hat: (samples, ny); scale: (ny,) standard deviations. Raises UserError when the
-        function gives anything but one number an output.
+        y, y_hat: (samples, ny); scale: (ny,) standard deviations. Samples where `y` is NaN do not
+        count; an output without any other has NaN. Raises UserError when the function gives
+        anything but one number an output.
         """
         values = self.values(y, y_hat)
         if self.direction == "higher":
@@ -93,13 +95,32 @@ class Metric:
 
     def values(self, y: Array, y_hat: Array) -> Array:
         """The values of the outputs, (ny,). Raises UserError as `shortfalls`."""
-        values = np.asarray(self.function(y, y_hat), dtype=np.float64)
+        values = np.asarray(by_measured(self.function, y, y_hat), dtype=np.float64)
         if values.shape != y.shape[1:]:
             raise UserError(
                 f"metric '{self.name}' gives an array of shape {values.shape}, expected "
                 f"{y.shape[1:]}, one number an output: mend its function"
             )
         return values
+
+
+def by_measured(function: Callable[[Array, Array], Array], y: Array, y_hat: Array) -> Array:
+    """`function` of y and y_hat, each (samples, ny), over the samples at which an output was
+    measured, which differ by output: (ny,); NaN for an output without any."""
+    known = ~np.isnan(y)
+    if known.all():
+        return function(y, y_hat)
+    each = [
+        function(y[k, c : c + 1], y_hat[k, c : c + 1])[0] if k.any() else np.nan
+        for c, k in enumerate(known.T)
+    ]
+    return np.array(each, dtype=np.float64)
+
+
+def mean_of_known(values: Array) -> float:
+    """Of the numbers that are not NaN; NaN where there is none."""
+    known = values[~np.isnan(values)]
+    return float(np.mean(values if len(known) == len(values) or not len(known) else known))
 
 
 def rmse(y: Array, y_hat: Array) -> Array:

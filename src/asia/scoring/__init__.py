@@ -26,7 +26,7 @@ from asia.scoring._correlation import (
 )
 from asia.scoring._diagnostics import Diagnostics, diagnose
 from asia.scoring._difference import least_significant_difference
-from asia.scoring._fit import fit_index, r2
+from asia.scoring._fit import fit_index, r2, without_gaps
 from asia.scoring._mee import GroupError, MeeTable, mee_table
 from asia.scoring._outcome import (
     Failure,
@@ -101,4 +101,5 @@ __all__ = [
     "white_band",
     "with_input",
     "with_own_past",
+    "without_gaps",
 ]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.data import Array
-from asia.errors import InternalError
+from asia.errors import InternalError, UserError
 from asia.protocol import OutputGroup
 from asia.scoring._outcome import check_reply
 
@@ -75,8 +75,19 @@ def mee_table(
         columns = [list(outputs).index(name) for name in group.outputs]
         measure = geodesic if group.distance == "geodesic" else euclidean
         distance = measure(a[..., columns], b[..., columns])
-        found.append(GroupError(group.name, tuple(distance.mean(axis=0).tolist())))
+        found.append(GroupError(group.name, tuple(_mean_of_steps(distance).tolist())))
     return MeeTable(tuple(horizons) or (a.shape[1],), tuple(found))
+
+
+def _mean_of_steps(distance: Array) -> Array:
+    """(windows, H) -> (H,), over the windows in which all outputs of the group were measured.
+    Raises UserError where a step has none."""
+    if not np.isnan(distance).any():
+        return distance.mean(axis=0)
+    never = np.isnan(distance).all(axis=0)
+    if never.any():
+        raise UserError(f"step {int(np.argmax(never)) + 1} is measured in no window")
+    return np.nanmean(distance, axis=0)
 
 
 def euclidean(a: Array, b: Array) -> Array:

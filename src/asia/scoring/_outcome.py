@@ -10,8 +10,8 @@ from itertools import chain
 import numpy as np
 
 from asia.data import Array
-from asia.errors import CandidateError, InternalError, Reason
-from asia.protocol import METRICS, find_metric
+from asia.errors import CandidateError, InternalError, Reason, UserError
+from asia.protocol import METRICS, find_metric, mean_of_known
 from asia.scoring._fit import fit_index, pooled, r2
 
 DIVERGED = 1e100
@@ -115,9 +115,9 @@ def score_fold(
     """Score the simulated blocks of one fold.
 
     y, y_hat: one (H, ny) array a block; scale (ny,). The metric of each channel is taken over all
-    samples of all blocks, divided by scale where the metric is in the unit of the output, and
-    averaged over the channels. in_parts: fill `FoldScore.parts`. Raises CandidateError for a reply
-    of the wrong size or not finite, UserError when the metric cannot be computed.
+    measured samples of all blocks, divided by scale where the metric is in the unit of the output,
+    and averaged over the channels. in_parts: fill `FoldScore.parts`. Raises CandidateError for a
+    reply of the wrong size or not finite, UserError when the metric cannot be computed.
     """
     for measured, simulated in zip(y, y_hat, strict=True):
         check_reply(simulated, measured.shape)
@@ -129,7 +129,9 @@ def score_fold(
     parts: tuple[float, ...] = ()
     if in_parts:
         cut = zip(np.array_split(a, PARTS), np.array_split(b, PARTS), strict=True)
-        parts = tuple(judge.shortfall(c, d, scale) for c, d in cut if len(c))
+        found = (judge.shortfall(c, d, scale) for c, d in cut if len(c))
+        # A part may have no measured sample.
+        parts = tuple(one for one in found if not math.isnan(one))
     indices = _defined(fit_index(a, b)), _defined(r2(a, b))
     rmse, mae = (_t(METRICS[name].values(a, b)) for name in ("rmse", "mae"))
     other = () if metric in METRICS else _t(judge.values(a, b))
@@ -149,7 +151,11 @@ def score_test(y: Sequence[Array], y_hat: Sequence[Array], metric: str, skip: in
     measure = find_metric(metric).values
     kept = [(a[skip:], b[skip:]) for a, b in zip(y, y_hat, strict=True)]
     channels = measure(pooled([a for a, _ in kept]), pooled([b for _, b in kept]))
-    each = tuple(float(np.mean(measure(a, b))) for a, b in kept)
+    each = tuple(mean_of_known(measure(a, b)) for a, b in kept)
+    if np.isnan(pooled([a for a, _ in kept])).all(axis=0).any() or any(
+        np.isnan(a).all() for a, _ in kept
+    ):
+        raise UserError("an output or a record of the test was never measured where it is scored")
     if not np.isfinite([*channels, *each]).all():
         raise CandidateError(Reason.NOT_FINITE, f"the test's {metric} is not finite")
     return TestScore(metric, float(np.mean(channels)), _t(channels), each)

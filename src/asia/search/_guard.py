@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asia.data import Array
+from asia.data import Array, spread_of
 from asia.errors import CandidateError
 from asia.evaluation import Evaluator, mean_simulation
 from asia.ledger import Experiment, GuardLooked, GuardScore, SearchView, Store
@@ -30,12 +30,12 @@ def look_at_guard(
     if last is not None and [score.experiment for score in last.scores] == wanted:
         return last
     blocks = whole(open_guard(problem), problem.protocol)
-    y = np.concatenate([record.y for record in problem.train])
+    y = np.concatenate([record.measured_y for record in problem.train])
     scores: list[GuardScore] = []
     for experiment in bests[-NEW_BESTS:]:
         found = _simulated(evaluator, store, experiment, blocks)
         if not isinstance(found, Failure):
-            found = _scored(blocks, found, y.std(axis=0), problem.protocol.metric)
+            found = _scored(blocks, found, spread_of(y), problem.protocol.metric)
         scores.append(GuardScore(experiment.number, found))
     values = [(s.outcome.value, s.experiment) for s in scores if isinstance(s.outcome, Score)]
     pick = min(values)[1] if values else None

@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from asia.data import Array, Trajectory
+from asia.data import Array, Mask, Trajectory
 from asia.errors import CandidateError, UserError
 from asia.evaluation import Evaluator, mean_simulation
 from asia.ledger import (
@@ -179,6 +179,13 @@ def _by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, 
     return tuple(np.concatenate([p for p, block in pairs if block.record == r]) for r in records)
 
 
+def _share(held: Mask, known: Mask) -> Array:
+    """Of the samples (N, ny) that are known, by output."""
+    if known.all():
+        return held.mean(axis=0)
+    return (held & known).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+
+
 @dataclass(frozen=True)
 class _TestScorer:
     evaluator: Evaluator
@@ -230,10 +237,11 @@ class _TestScorer:
             (low[skip:] <= one[skip:]) & (one[skip:] <= high[skip:])
             for one, low, high in zip(y, lower, upper, strict=True)
         ]
+        known = ~np.isnan(np.concatenate([one[skip:] for one in y]))
         return TestBands(
             model=named.model,
             level=BAND_LEVEL,
-            covered=tuple(np.concatenate(held).mean(axis=0).tolist()),
+            covered=tuple(_share(np.concatenate(held), known).tolist()),
             outside=float(np.concatenate([out[skip:] for out in outside]).mean()),
             lower=self.store.put_arrays(lower),
             upper=self.store.put_arrays(upper),

@@ -18,7 +18,14 @@ from asia.data import Array
 from asia.errors import CandidateError, Reason
 from asia.evaluation import derive_seed, rounded_score, simulate_held_out, simulate_training
 from asia.protocol import Block, Fold, ProtocolRule, whole
-from asia.scoring import FoldScore, SignedResidual, check_reply, score_fold, signed_residuals
+from asia.scoring import (
+    FoldScore,
+    SignedResidual,
+    check_reply,
+    score_fold,
+    signed_residuals,
+    without_gaps,
+)
 
 _SOURCE_NAME = "candidate.py"
 
@@ -61,7 +68,8 @@ class LocalFold:
         """Where the model is too high or too low, on the held-out or on the training part."""
         blocks = self.fold.validation if held_out else self.training
         y_hat = self.y_hat if held_out else self.training_y_hat
-        u, y = [b.case.u for b in blocks], [b.y for b in blocks]
+        u = [b.case.u for b in blocks]
+        y = [without_gaps(b.y, found) for b, found in zip(blocks, y_hat, strict=True)]
         return signed_residuals(u, y, y_hat, self.fold.scale)
 
 

@@ -15,6 +15,7 @@ from asia.scoring import (
     combine,
     with_input,
     with_own_past,
+    without_gaps,
 )
 from asia.tools._local import LocalFold
 
@@ -120,4 +121,4 @@ def _name(one: LocalFold) -> str:
 
 def _column(blocks: Sequence[Block], y_hat: Sequence[Array], output: int) -> list[Array]:
     pairs = zip(blocks, y_hat, strict=True)
-    return [block.y[:, output] - simulated[:, output] for block, simulated in pairs]
+    return [(without_gaps(b.y, found) - found)[:, output] for b, found in pairs]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -76,9 +76,7 @@ def take_in(
             + ("; ".join(notes) or "bring longer records")
         )
     names = unique_names([t.name for t in made])
-    records = tuple(
-        Trajectory(t.u, t.y, t.sampling_time, n) for t, n in zip(made, names, strict=True)
-    )
+    records = tuple(replace(t, name=n) for t, n in zip(made, names, strict=True))
     return Intake(records, found_units, tuple(notes))
 
 
@@ -213,18 +211,43 @@ def _resampled(
 
 
 def _without_missing(part: SheetPart, notes: list[str]) -> list[SheetPart]:
-    """The stretches in which every value was measured."""
-    good = np.isfinite(part.u).all(axis=1) & np.isfinite(part.y).all(axis=1)
+    """The stretches in which every input was measured; outputs may be missing, but not all of them
+    at either end."""
+    good = np.isfinite(part.u).all(axis=1)
     if good.all():
-        return [part]
-    notes.append(f"{part.where}: cut where values are missing ({int((~good).sum())} samples)")
+        return _measured_stretch(part, notes)
+    notes.append(f"{part.where}: cut where inputs are missing ({int((~good).sum())} samples)")
     rows = np.flatnonzero(good).astype(np.int64)
     if not rows.size:
         return []
-    return [
-        _cut(part, slice(int(rows[a]), int(rows[b - 1]) + 1))
-        for a, b in ((s.start, s.stop) for s in pieces(rows))
-    ]
+    stretches = (slice(int(rows[s.start]), int(rows[s.stop - 1]) + 1) for s in pieces(rows))
+    return [one for rows in stretches for one in _measured_stretch(_cut(part, rows), notes)]
+
+
+def _measured_stretch(part: SheetPart, notes: list[str]) -> list[SheetPart]:
+    """From the first sample at which outputs were measured to the last, all of them where that
+    occurs at all; [] where an output never was."""
+    known = ~np.isnan(part.y)
+    if known.all():
+        return [part]
+    if not known.any(axis=0).all():
+        notes.append(f"{part.where}: a stretch without a measured output left out")
+        return []
+    whole = known.all(axis=1) if known.all(axis=1).any() else known.any(axis=1)
+    rows = np.flatnonzero(whole)
+    kept = _cut(part, slice(int(rows[0]), int(rows[-1]) + 1))
+    lost = int(np.isnan(kept.y).sum())
+    if lost:
+        notes.append(
+            f"{part.where}: {lost} of {kept.y.size} output values were not measured; they do not "
+            "count"
+        )
+    if len(kept.u) < len(part.u):
+        notes.append(
+            f"{part.where}: {len(part.u) - len(kept.u)} samples before the first and after the "
+            "last measured output left out"
+        )
+    return [kept]
 
 
 def _many(count: int, what: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -17,6 +17,7 @@ from asia.data._trajectory import Array, Trajectory
 from asia.errors import UserError
 
 _DELIMITERS = (",", ";", "\t")
+_GAPS = ("", "nan")
 _TIME_NAMES = ("t", "time", "t_s", "time_s", "t [s]", "time [s]", "timestamp")
 
 
@@ -49,16 +50,18 @@ def read_csv(
 ) -> CsvTrajectory:
     """The columns named, in that order, of the file or of `content`. One header row; `,` `;` or tab
     between cells; a decimal comma is understood where it is not the delimiter. A column named t or
-    time is compared with `sampling_time` (s). Raises UserError naming file, line and column."""
+    time is compared with `sampling_time` (s). An output may be missing: `nan`, or an empty
+    cell but for the last. Raises UserError naming file, line and column."""
     wanted = [*inputs, *outputs]
     file = _open(path, wanted, content)
     time = next((c for c in file.columns if c.casefold() in _TIME_NAMES and c not in wanted), None)
-    values = _numbers(file, [_index(file, name) for name in wanted])
+    columns = [_index(file, name) for name in wanted]
+    values = _numbers(file, columns, frozenset(columns[len(inputs) :]))
     trajectory = Trajectory(
         values[:, : len(inputs)], values[:, len(inputs) :], sampling_time, path.stem
     )
     warnings = () if time is None else _time_warnings(file, time, sampling_time)
-    return CsvTrajectory(trajectory, warnings)
+    return CsvTrajectory(trajectory, (*warnings, *_missing_words(trajectory, path, outputs)))
 
 
 def split_csv(path: Path, wanted: Sequence[str], share: float) -> tuple[str, str]:
@@ -141,24 +144,69 @@ def _has_numbers_for_header(file: _File) -> bool:
     return any(cells and all(_doubt(c, d) is None for c in cells) for d, cells in layouts)
 
 
-def _numbers(file: _File, columns: Sequence[int]) -> Array:
+def _missing_words(record: Trajectory, path: Path, outputs: Sequence[str]) -> tuple[str, ...]:
+    if record.missing is None:
+        return ()
+    counts = zip(outputs, record.missing.sum(axis=0).tolist(), strict=True)
+    each = ", ".join(f"'{name}' at {count}" for name, count in counts if count)
+    return (f"{path.name}: not measured: {each} of {len(record)} samples, which do not count",)
+
+
+def _numbers(file: _File, columns: Sequence[int], gaps: frozenset[int] = frozenset()) -> Array:
+    """gaps: columns in which a value may be missing; it is NaN then."""
     body = file.body
     if file.delimiter != "," and "," in body:
         body = body.replace(",", ".")
+    values = _loaded(file, body, columns, None)
+    if values is None and gaps:
+        # Only a reader that is asked cell by cell takes an empty one, which is slow.
+        values = _loaded(file, body, columns, dict.fromkeys(gaps, _number_or_gap))
+    if (
+        values is None
+        or _is_ragged(file, len(values))
+        or not _is_known(values, columns, gaps)
+        or _ends_early(file, values, columns)
+    ):
+        raise UserError(_diagnosis(file, columns, gaps))
+    return values
+
+
+def _loaded(
+    file: _File,
+    body: str,
+    columns: Sequence[int],
+    converters: Mapping[int, Callable[[str], float]] | None,
+) -> Array | None:
     try:
-        values = np.loadtxt(
+        return np.loadtxt(
             io.StringIO(body),
             delimiter=file.delimiter,
             usecols=columns,
             ndmin=2,
             comments=None,
             quotechar='"',
+            converters=None if converters is None else {**converters},
         )
     except ValueError:
-        values = None
-    if values is None or not np.isfinite(values).all() or _is_ragged(file, len(values)):
-        raise UserError(_diagnosis(file, columns))
-    return values
+        return None
+
+
+def _number_or_gap(cell: str) -> float:
+    return float(cell) if cell.strip() else float("nan")
+
+
+def _is_known(values: Array, columns: Sequence[int], gaps: frozenset[int]) -> bool:
+    """No infinite value, and no missing one where none may be."""
+    needed = [place for place, column in enumerate(columns) if column not in gaps]
+    return bool(np.isfinite(values[:, needed]).all() and not np.isinf(values).any())
+
+
+def _ends_early(file: _File, values: Array, columns: Sequence[int]) -> bool:
+    """Whether a column is empty at the end: it belongs to a shorter record. `nan` is no end."""
+    if not np.isnan(values[-1]).any():
+        return False
+    last = _cells(file.body.rsplit("\n", 1)[-1], file.delimiter)
+    return any(index >= len(last) or not last[index] for index in columns)
 
 
 def _is_ragged(file: _File, rows: int) -> bool:
@@ -189,8 +237,10 @@ def _rows(file: _File, first: int = 0) -> Iterator[tuple[int, tuple[str, ...]]]:
             yield number, tuple(cell.strip() for cell in line.split(file.delimiter))
 
 
-def _diagnosis(file: _File, columns: Sequence[int]) -> str:
-    for line, cells in _rows(file):
+def _diagnosis(file: _File, columns: Sequence[int], gaps: frozenset[int]) -> str:
+    rows = list(_rows(file))
+    ends = {index: _end(rows, index) for index in columns}
+    for line, cells in rows:
         if not _fits(file, cells):
             return (
                 f"{file.path}, line {line}: {len(cells)} cells where the header has "
@@ -202,14 +252,25 @@ def _diagnosis(file: _File, columns: Sequence[int]) -> str:
             if doubt is None:
                 continue
             name = file.columns[index]
-            rest = list(_rows(file, line)) if not cells[index] else []
-            if rest and not any(later[index] for _, later in rest if index < len(later)):
+            if not cells[index] and line >= ends[index]:
                 return (
                     f"{file.path}: unequal lengths, column '{name}' ends before line {line} "
-                    f"but the file goes on to line {rest[-1][0]}: cut the file there"
+                    f"but the file goes on to line {rows[-1][0]}: cut the file there"
                 )
+            if index in gaps and line < ends[index] and cells[index].casefold() in _GAPS:
+                continue
             return f"{file.path}, line {line}, column '{name}': {doubt}"
     return f"{file.path}: the rows below the header do not read as numbers"
+
+
+def _end(rows: Sequence[tuple[int, tuple[str, ...]]], index: int) -> int:
+    """The line from which on all cells of a column are empty."""
+    end = rows[-1][0] + 1
+    for line, cells in reversed(rows):
+        if index < len(cells) and cells[index]:
+            break
+        end = line
+    return end
 
 
 def _doubt(cell: str, delimiter: str) -> str | None:

@@ -11,6 +11,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.models._arrays import AnyArray, namespace
+from asia.models._data.cuts import Indices
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import (
     ScaledData,
@@ -22,6 +23,8 @@ from asia.models._data.records import (
 
 # Regressing the missing lags on the past window needs no more windows than this.
 _MOST_WINDOWS = 4000
+# Share of the samples whose lags were all measured, from which the others are left out.
+_ENOUGH = 0.1
 
 
 @dataclass(frozen=True)
@@ -59,13 +62,23 @@ def regressors(
     record: ScaledTrajectory, lags: Lags, first: int | None = None
 ) -> tuple[Array, Array]:
     """(N, d) and targets (N, ny) of the samples from `first` (default: the memory) on; d is
-    outputs * ny + inputs * nu, outputs before inputs and the newest first."""
+    outputs * ny + inputs * nu, outputs before inputs and the newest first. Samples that were not
+    measured are left out, and those with such a lag too where enough are left."""
     start = lags.memory if first is None else first
-    rows = np.arange(start, len(record))
+    rows = _measured_rows(record, np.arange(start, len(record)), lags)
     past = record.y[rows[:, None] - np.arange(1, lags.outputs + 1)].reshape(len(rows), -1)
     back = lags.delay + np.arange(lags.inputs)
     drive = record.u[rows[:, None] - back].reshape(len(rows), -1)
     return np.concatenate([past, drive], axis=1), record.y[rows]
+
+
+def _measured_rows(record: ScaledTrajectory, rows: Indices, lags: Lags) -> Indices:
+    known = record.counts[rows] > 0
+    if known.all():
+        return rows
+    back = rows[:, None] - np.arange(1, lags.outputs + 1)
+    whole = known & (record.counts[back] > 0).all(axis=1)
+    return rows[whole if whole.sum() > _ENOUGH * len(rows) else known]
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ class ScaledTrajectory:
     """(T,), 0 where a sample does not count."""
     measured_u: Array
     """(T, nu), the inputs as past windows show them, where u is delayed."""
+    counts: Array
+    """(T,), 0 where an output was not measured; the `weight` of a whole fit."""
 
     def __len__(self) -> int:
         return len(self.u)
@@ -37,7 +39,11 @@ class ScaledTrajectory:
         """`length` samples from `first` on."""
         rows = slice(first, first + length)
         return ScaledTrajectory(
-            self.u[rows], self.y[rows], self.weight[rows], self.measured_u[rows]
+            self.u[rows],
+            self.y[rows],
+            self.weight[rows],
+            self.measured_u[rows],
+            self.counts[rows],
         )
 
     def with_delay(self, delay: int) -> ScaledTrajectory:
@@ -80,9 +86,25 @@ def check(trajectories: Sequence[Trajectory], context: Context) -> None:
 
 
 def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledTrajectory]:
-    """All samples of each record, z-scored, every sample counting."""
-    pairs = [(scaling.inputs(t.u), scaling.outputs(t.y)) for t in trajectories]
-    return [ScaledTrajectory(u, y, np.ones(len(y)), u) for u, y in pairs]
+    """All samples of each record, z-scored. A sample counts where every output was measured."""
+    found: list[ScaledTrajectory] = []
+    for t in trajectories:
+        u, y = scaling.inputs(t.u), scaling.outputs(t.y)
+        counts = measured_samples(t)
+        found.append(ScaledTrajectory(u, y, counts, u, counts))
+    return found
+
+
+def measured_samples(record: Trajectory) -> Array:
+    """(T,), 1 where every output was measured, else 0."""
+    return np.asarray(record.measured.all(axis=1), dtype=np.float64)
+
+
+def refuse_gaps(trajectories: Sequence[Trajectory]) -> None:
+    """Raises ValueError where outputs were not measured: the correlation of the residuals in time
+    would have to be known there."""
+    if any(t.missing is not None for t in trajectories):
+        raise ValueError("standard errors need records in which every output was measured")
 
 
 def window(past_u: AnyArray, past_y: AnyArray) -> AnyArray:

@@ -68,7 +68,7 @@ def segments(
         np.stack([r.y[k - context.n_past_y : k] for r, k, _ in pieces]),
         side_by_side([r.u[k:end] for r, k, end in pieces]),
         side_by_side([r.y[k:end] for r, k, end in pieces]),
-        side_by_side([np.ones(end - k) for _, k, end in pieces]),
+        side_by_side([r.counts[k:end] for r, k, end in pieces]),
     )
 
 

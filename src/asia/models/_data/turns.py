@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data import Array, Mask, Trajectory
 from asia.errors import UserError
 from asia.models._data.records import ScaledData, ScaledTrajectory, scaled
 from asia.models._data.scaling import Scaling
@@ -48,7 +48,7 @@ class SignalTurns:
     def turned(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
         """Each record as it is, followed by what it becomes under the other elements."""
         return [
-            replace(t, u=t.u @ turn_u.T, y=t.y @ turn_y.T)
+            replace(t, u=t.u @ turn_u.T, y=t.y @ turn_y.T, missing=_turned(t.missing, turn_y))
             for t in trajectories
             for turn_u, turn_y in self._elements()
         ]
@@ -78,6 +78,10 @@ class SignalTurns:
         )
         found = simulate(*turned).reshape(len(self), count, u.shape[1], -1)
         return np.mean([y @ turn for y, turn in zip(found, self.outputs, strict=True)], axis=0)
+
+
+def _turned(missing: Mask | None, turn: Array) -> Mask | None:
+    return None if missing is None else missing @ (turn.T != 0)
 
 
 @dataclass(frozen=True)

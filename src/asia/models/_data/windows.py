@@ -24,6 +24,8 @@ class HorizonWindows(NamedTuple):
     """Inputs after them (W, H, nu)."""
     y: Any
     """Outputs after them (W, H, ny)."""
+    weight: Any = None
+    """(W, H), 0 where an output was not measured; None where all samples count."""
 
 
 def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
@@ -38,13 +40,16 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
     features: list[Array] = []
     u: list[Array] = []
     y: list[Array] = []
+    counts: list[Array] = []
     for r, count in zip(usable, places, strict=True):
         starts = np.arange((count - 1) % stride // 2, count, stride)
         simulated = rows(past + starts, horizon)
         features.append(windows(r, context)[starts])
         u.append(r.u[simulated])
         y.append(r.y[simulated])
-    return HorizonWindows(np.concatenate(features), np.concatenate(u), np.concatenate(y))
+        counts.append(r.counts[simulated])
+    weight = _weight(np.concatenate(counts))
+    return HorizonWindows(np.concatenate(features), np.concatenate(u), np.concatenate(y), weight)
 
 
 def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> HorizonWindows:
@@ -60,7 +65,20 @@ def whole_windows(records: ScaledData, context: Context, horizon: int, most: int
         np.stack([features[i][k] for i, k in places]),
         np.stack([piece.u for piece in pieces]),
         np.stack([piece.y for piece in pieces]),
+        _weight(np.stack([piece.counts for piece in pieces])),
     )
+
+
+def mean_square(error: Array, weight: Array | None) -> float:
+    """Of errors (W, H, ny) where weight (W, H) is 1."""
+    if weight is None:
+        return float((error**2).mean())
+    total = max(float(weight.sum()) * error.shape[-1], 1.0)
+    return float((weight[..., None] * error**2).sum()) / total
+
+
+def _weight(counts: Array) -> Array | None:
+    return None if counts.all() else counts
 
 
 def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:

@@ -160,7 +160,7 @@ def _finish(
     rest = np.maximum(1e-3 * np.abs(high), 1e-6 * scales.x_scale)
     span = np.maximum(high - low, rest)
     scales = scales._replace(low=low - 10.0 * span, high=high + 10.0 * span)
-    deviation = _deviation(structure, (y - segments.y)[inside])
+    deviation = _deviation(structure, (y - segments.y)[segments.counts > 0])
     deviation = np.maximum(deviation, 1e-3 * scales.y_scale)
     prior = window_prior(structure, segments, scales, x, deviation)
     return FittedEquations(z, scales, prior, history, x0=x0)

@@ -175,7 +175,10 @@ def _errors(
 ) -> jax.Array:
     """(N,) for parameters theta (n,)."""
     y = rollout(cell, {**fixed, **packing.unpack(theta)}, windows.features, windows.u)
-    return (y - windows.y)[:, _EVERY - 1 :: _EVERY].ravel()
+    error = y - windows.y
+    if windows.weight is not None:
+        error = windows.weight[..., None] * error
+    return error[:, _EVERY - 1 :: _EVERY].ravel()
 
 
 @partial(jax.jit, static_argnums=(0, 1))

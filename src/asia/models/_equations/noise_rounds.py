@@ -45,7 +45,7 @@ class NoiseRounds:
         z, scales = found.theta[best, : structure.layout.size], starts.scales.of_rows(best)
         x0 = initial_states(structure, starts, found, best)
         y = self._simulate(z[None], scales.for_rows(), x0[None])[0][0]
-        mask, floor = segments.mask, np.full(structure.ny, LEAST_DEVIATION)
+        mask, floor = segments.counts, np.full(structure.ny, LEAST_DEVIATION)
         if structure.measured:
             # The simulation starts at the first measurement, so that no error is left there.
             mask = mask * (np.arange(mask.shape[1]) > 0)

@@ -49,9 +49,9 @@ class SimulationError:
         in units of `y_scale`; None for least squares."""
         self._structure, self._segments, self._starts = structure, segments, starts
         self._active, self._simulate, self._whiten = active, simulate, whiten
-        mask = segments.mask / np.sqrt(segments.mask.sum() * structure.ny)
+        mask = segments.counts / np.sqrt(segments.counts.sum() * structure.ny)
         self._weight = mask[..., None]
-        samples = segments.mask.sum() * structure.ny
+        samples = segments.counts.sum() * structure.ny
         ridge = structure.config.ridge
         self._prior_weight = np.sqrt(ridge) if whiten is None else whiten.unit / np.sqrt(samples)
         self._last: tuple[Array, NormalEquations] | None = None

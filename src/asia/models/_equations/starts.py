@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from asia.data import Array, Trajectory
 from asia.models._data.cuts import side_by_side, spread
+from asia.models._data.records import measured_samples
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales
 from asia.models._solvers.minimise import Minimum
@@ -39,6 +40,8 @@ class RecordPieces(NamedTuple):
     """(S, T, ny)."""
     mask: Array
     """(S, T), 0 in the padding."""
+    counts: Array
+    """(S, T), 0 in the padding and where an output was not measured."""
 
 
 class Starts(NamedTuple):
@@ -84,7 +87,8 @@ def cut_segments(
     if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
         # As in simulation, where the input of the last past sample is not known.
         u[:, 0] = u[:, 1]
-    return RecordPieces(u, side_by_side([t.y for t in pieces], "edge"), mask)
+    counts = side_by_side([measured_samples(t) for t in pieces])
+    return RecordPieces(u, side_by_side([t.y for t in pieces], "edge"), mask, counts)
 
 
 def _most_windows(structure: GreyBoxStructure, length: int) -> int:
@@ -183,7 +187,7 @@ def _ranking(segments: RecordPieces, scales: Scales, outputs: Array) -> NDArray[
     """Starts from the smallest simulation error to the greatest."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = (outputs - segments.y) / scales.y_scale[:, 0]
-        cost = (error**2 * segments.mask[:, :, None]).sum(axis=(1, 2, 3))
+        cost = (error**2 * segments.counts[:, :, None]).sum(axis=(1, 2, 3))
     return np.argsort(cost, kind="stable")
 
 

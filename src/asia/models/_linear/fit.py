@@ -144,7 +144,7 @@ def unseen_error(
     for r in (r for r in records if len(r) > start):
         x0 = encoder(windows(r, context)[:1])
         _, y = fitted.system.simulate(x0, r.u[None, start:])
-        total += float(((y[0] - r.y[start:]) ** 2).sum())
+        total += float((r.counts[start:, None] * (y[0] - r.y[start:]) ** 2).sum())
     return total
 
 

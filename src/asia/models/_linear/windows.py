@@ -14,7 +14,7 @@ import numpy as np
 
 from asia.data import Array
 from asia.models._data.encoder import Encoder, affine
-from asia.models._data.windows import HorizonWindows
+from asia.models._data.windows import HorizonWindows, mean_square
 from asia.models._linear.system import LinearSystem
 
 # Beyond this size one-step least squares is kept: the refinement's cost grows with the square.
@@ -95,7 +95,7 @@ class WindowPredictor:
     def error(self, windows: HorizonWindows) -> float:
         """Mean squared simulation error; infinite where it diverges."""
         with np.errstate(all="ignore"):
-            error = float(((self.simulate(windows) - windows.y) ** 2).mean())
+            error = mean_square(self.simulate(windows) - windows.y, windows.weight)
         return error if np.isfinite(error) else float("inf")
 
     def system(self) -> tuple[LinearSystem, Encoder]:
@@ -125,6 +125,9 @@ def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowP
         x = x @ s + u @ from_u + y @ from_y
     phi = np.concatenate(rows)
     target = np.swapaxes(windows.y, 0, 1).reshape(len(phi), -1)
+    if windows.weight is not None:
+        known = windows.weight.T.ravel() > 0
+        phi, target = phi[known], target[known]
     gram = phi.T @ phi + ridge * len(phi) * np.eye(phi.shape[1])
     rest = held(lags)
     theta = rest + np.linalg.solve(gram, phi.T @ (target - phi @ rest))
@@ -144,7 +147,9 @@ def refined(
 ) -> WindowPredictor:
     """Levenberg-Marquardt on the mean squared simulation error over the windows' horizon, plus
     `ridge` times the squared distance from `held`."""
-    rest = held(start.lags)
+    rest, samples = held(start.lags), windows.y.size
+    if windows.weight is not None:
+        samples = max(float(windows.weight.sum()) * windows.y.shape[-1], 1.0)
 
     def objective(model: WindowPredictor) -> float:
         return model.error(windows) + ridge * float(((model.theta - rest) ** 2).sum())
@@ -152,8 +157,8 @@ def refined(
     current, cost, damping = start, objective(start), 1e-3
     for _ in range(iterations if np.isfinite(cost) else 0):
         gram, gradient = _normal_equations(current, windows)
-        gram = gram / windows.y.size + ridge * np.eye(len(gram))
-        gradient = gradient / windows.y.size - ridge * (current.theta - rest).ravel()
+        gram = gram / samples + ridge * np.eye(len(gram))
+        gradient = gradient / samples - ridge * (current.theta - rest).ravel()
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-30))
         scaled, right = gram / np.outer(scale, scale), gradient / scale
         before = cost
@@ -178,7 +183,7 @@ def _regressors(x: Array, u: Array) -> Array:
 def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
     """J' J (P, P) and J' e (P,), of which no Jacobian is held."""
     # Either way is as dear as its largest products: by lags samples^2, by steps samples ny^3.
-    if windows.u.shape[1] < 2 * model.lags.ny**3:
+    if windows.weight is None and windows.u.shape[1] < 2 * model.lags.ny**3:
         return normal_by_lags(model, windows)
     return normal_by_steps(model, windows)
 
@@ -229,9 +234,12 @@ def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Ar
         for j in range(ny):
             moved[:, j, j::ny] += phi
         y = phi @ model.theta
-        rows = moved.reshape(-1, size)
+        rows, error = moved.reshape(-1, size), windows.y[:, k] - y
+        if windows.weight is not None:
+            error = windows.weight[:, k, None] * error
+            rows = np.repeat(windows.weight[:, k], lags.ny)[:, None] * rows
         gram += rows.T @ rows
-        gradient += rows.T @ (windows.y[:, k] - y).ravel()
+        gradient += rows.T @ error.ravel()
         x = x @ s + u @ from_u + y @ from_y
         sensitivity = np.matmul(s.T, sensitivity) + np.matmul(from_y.T, moved)
     return gram, gradient

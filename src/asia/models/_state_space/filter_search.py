@@ -168,8 +168,9 @@ def _start(
             v = middle[:, None] / size
             through = two(np.concatenate([v, np.tanh(v * slope + shift)], axis=1))
             skip = min(_SETTLE, len(v) // 4)
-            rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[skip:])
-            targets.append(r.y[skip:, 0])
+            known = np.flatnonzero(r.counts[skip:] > 0) + skip
+            rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[known])
+            targets.append(r.y[known, 0])
         x, y = np.concatenate(rows), np.concatenate(targets)
     if not np.isfinite(x).all():
         return None

@@ -61,7 +61,7 @@ def past_fit(
             x, y = structure.simulate(fit.params, x0[None], record.u[None])
             features.append(windows(record, context))
             states.append(x[0, skip - back : len(record) - back])
-            errors.append(y[0] - record.y)
+            errors.append((y[0] - record.y)[record.counts > 0])
     encoder = fit_encoder(features, states, hidden, context.seed)
     left = np.concatenate([encoder(f) - x for f, x in zip(features, states, strict=True)])
     spread = np.concatenate(states).std(axis=0)

@@ -163,8 +163,9 @@ def _shared_start(
         v = middle / size
         through = two(np.concatenate([v, template.features(function, v)], axis=1))
         skip = min(_SETTLE, len(v) // 4)
-        rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[skip:])
-        targets.append(r.y[skip : len(v)])
+        known = np.flatnonzero(r.counts[skip : len(v)] > 0) + skip
+        rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[known])
+        targets.append(r.y[known])
     x, y = np.concatenate(rows), np.concatenate(targets)
     if not np.isfinite(x).all():
         return None

@@ -45,13 +45,13 @@ def prepare(
     values = dict(
         zip(
             (*inputs, *outputs),
-            [*_columns([t.u for t in records]), *_columns([t.y for t in records])],
+            [*_columns([t.u for t in records]), *_columns([t.measured_y for t in records])],
             strict=True,
         )
     )
     # Six digits are enough, and a person reads them.
-    offset = {n: float(f"{v.mean():.6g}") for n, v in values.items()} if wish.detrend else {}
-    spread = {n: float(f"{v.std():.6g}") for n, v in values.items()} if wish.scale else {}
+    offset = {n: float(f"{np.nanmean(v):.6g}") for n, v in values.items()} if wish.detrend else {}
+    spread = {n: float(f"{np.nanstd(v):.6g}") for n, v in values.items()} if wish.scale else {}
     return replace(first, offset=offset, scale={n: s for n, s in spread.items() if s > 0})
 
 

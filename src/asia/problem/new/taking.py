@@ -83,6 +83,8 @@ def _plain(paths: Sequence[Path], wanted: Wanted, step: float) -> tuple[Trajecto
     found = [read_csv(path, wanted.inputs, wanted.outputs, step) for path in paths]
     if wanted.time != "none" and any(one.warnings for one in found):
         return None
+    if any(one.trajectory.missing is not None for one in found):
+        return None
     return tuple(one.trajectory for one in found)
 
 
@@ -97,7 +99,7 @@ def _reads_plainly(
         found is not None
         and len(found) == len(records)
         and all(
-            np.array_equal(a.u, b.u) and np.array_equal(a.y, b.y)
+            np.array_equal(a.u, b.u) and np.array_equal(a.measured_y, b.measured_y, equal_nan=True)
             for a, b in zip(found, records, strict=True)
         )
     )

@@ -54,7 +54,7 @@ def draw_data(problem: Problem) -> Figure:
     panels: list[Axes] = list(grid.T.ravel())
     for axes, (signal, held, channel) in zip(panels, signals, strict=False):
         records = [problem.train[i] for i in chosen]
-        values = [(r.u if held else r.y)[:, channel] for r in records]
+        values = [(r.u if held else r.measured_y)[:, channel] for r in records]
         _channel(axes, values, axis, held)
         axes.set_ylabel(axis_label(signal))
         _folds(axes, folds, dict(zip(chosen, axis.times, strict=True)), axis, problem)

@@ -24,7 +24,7 @@ from asia.report._drawing.style import (
     shown,
 )
 from asia.report._pictures.simulation import lowest, worst_fits
-from asia.scoring import Correlation, with_input, with_own_past
+from asia.scoring import Correlation, with_input, with_own_past, without_gaps
 
 _MOST_ROWS = 4
 _MOST_INPUTS = 3
@@ -38,7 +38,9 @@ def draw_residuals(
     outputs = fold_outputs(run.store, experiment, folds)
     blocks = [b for fold in folds for b in fold.validation]
     simulated = [y_hat for fold in outputs for y_hat in fold]
-    residual = [b.y - y_hat for b, y_hat in zip(blocks, simulated, strict=True)]
+    residual = [
+        without_gaps(b.y, y_hat) - y_hat for b, y_hat in zip(blocks, simulated, strict=True)
+    ]
     inputs = [b.case.u for b in blocks]
     assert experiment.score is not None
     chosen = lowest(worst_fits(experiment.score), _MOST_ROWS)

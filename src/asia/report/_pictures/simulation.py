@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from asia.data import Array, Signal
+from asia.data import Array, Signal, spread_of
 from asia.ledger import Experiment, Run, TestedModel, Unsealed
 from asia.problem.load import Problem
 from asia.protocol import Fold, find_metric
@@ -158,7 +158,7 @@ def _draw_test_windows(
     edges = _edges(opened, lambda digest: opened_windows(run, opened, digest))
     fits = fit_index(np.concatenate(measured), np.concatenate(ensemble))
     channels = lowest([float(f) if np.isfinite(f) else np.inf for f in fits], MOST_PANELS)
-    scale = np.concatenate(measured).std(axis=0)
+    scale = spread_of(np.concatenate(measured))
     scale = np.where(scale > 0, scale, 1.0)
     windows = list(telling(measured, ensemble, scale))
     panels = tuple(

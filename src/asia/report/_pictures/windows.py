@@ -25,7 +25,7 @@ def telling(
     the mean of |error| / scale over samples and outputs; measured, simulated: (H, ny) a window,
     scale (ny,)."""
     pairs = zip(measured, simulated, strict=True)
-    errors = np.array([float(np.mean(np.abs(y - y_hat) / scale)) for y, y_hat in pairs])
+    errors = np.array([_mean_error(y - y_hat, scale) for y, y_hat in pairs])
     order = np.argsort(errors, kind="stable")
     places = {"best": 0, "median": len(order) // 2, "worst": len(order) - 1}
     seen: set[int] = set()
@@ -34,6 +34,14 @@ def telling(
         if index not in seen:
             seen.add(index)
             yield word, index
+
+
+def _mean_error(error: Array, scale: Array) -> float:
+    """Over what was measured; 0 where nothing was."""
+    sizes = (np.abs(error) / scale)[~np.isnan(error)] if np.isnan(error).any() else None
+    if sizes is None:
+        return float(np.mean(np.abs(error) / scale))
+    return float(np.mean(sizes)) if sizes.size else 0.0
 
 
 def draw_horizon(

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
     from asia.candidate import Context, Model
-    from asia.data import Array, Trajectory
+    from asia.data import Array, Mask, Trajectory
     from asia.sandbox.walls import lockdown
     from asia.sandbox.worker import compilation, curve, figures, portable, wire
 else:
@@ -193,7 +193,7 @@ class _Session:
     def _fit(
         self,
         source: str,
-        records: list[tuple[Array, Array, float, str]],
+        records: list[tuple[Array, Array, float, str, Mask | None]],
         known: dict[str, Any],
         scored: bool,
     ) -> bytes:
@@ -337,10 +337,12 @@ def _called(frames: traceback.StackSummary, place: int) -> bool:
     return any(frame.filename == _SOURCE_NAME for frame in frames[:place])
 
 
-def _trajectory(u: Array, y: Array, sampling_time: float, name: str) -> Trajectory:
+def _trajectory(
+    u: Array, y: Array, sampling_time: float, name: str, missing: Mask | None
+) -> Trajectory:
     from asia.data import Trajectory
 
-    return Trajectory(u, y, sampling_time, name)
+    return Trajectory(u, y, sampling_time, name, missing)
 
 
 def _context(

@@ -93,7 +93,7 @@ class Worker:
         self._start()
         deadline = time.monotonic() + self._limits.fit_seconds
         context = replace(context, deadline=min(context.deadline, deadline))
-        records = [(t.u, t.y, t.sampling_time, t.name) for t in trajectories]
+        records = [(t.u, t.y, t.sampling_time, t.name, t.missing) for t in trajectories]
         with self._clock.activity(Activity.IMPORT):
             self._send("fit", (source, records, _plain(context), score is not None), deadline, late)
             self._head(deadline, late, (ReplyKind.STARTED,))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asia.data import Array, Trajectory
+from asia.data import Array, Trajectory, filled
 from asia.errors import CandidateError
 from asia.protocol import Block, Case
 from asia.scoring.dossier import HORIZONS, SMALL, LinearResponse, impulse_response
@@ -100,12 +100,13 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     each = max(1, _STARTS // len(long))
     found: list[Block] = []
     for block in long:
+        y = filled(block.y)
         for at in np.linspace(past, len(block.y) - _AHEAD, each).astype(int).tolist():
             case = replace(
                 block.case,
                 past_u=block.case.u[at - given.past_inputs : at],
-                past_y=block.y[at - given.past_outputs : at],
+                past_y=y[at - given.past_outputs : at],
                 u=block.case.u[at : at + _AHEAD],
             )
-            found.append(Block(case, block.y[at : at + _AHEAD], 0, block.start + at))
+            found.append(Block(case, y[at : at + _AHEAD], 0, block.start + at))
     return found

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asia.data import Array, Trajectory
+from asia.data import Array, Trajectory, filled
 from asia.errors import CandidateError, UserError
 from asia.evaluation import Evaluator
 from asia.ledger import (
@@ -124,7 +124,8 @@ class _Validation:
             for block, error in zip(fold.validation, errors.blocks, strict=True)
         ]
         blocks = tuple(
-            SimulatedBlock(b.case.u, b.y, b.y - error, b.record, b.start) for b, error in pairs
+            SimulatedBlock(b.case.u, filled(b.y), filled(b.y) - error, b.record, b.start)
+            for b, error in pairs
         )
         found = self._simulations(blocks)
         checks = list(self._of_residuals(found))
@@ -142,9 +143,12 @@ class _Validation:
         if not blocks:
             raise UserError(f"record '{record.name}' is too short: it holds no case to simulate")
         y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
-        pairs = [(b, b.y - y) for b, y in zip(blocks, y_hat, strict=True)]
+        pairs = [(b, filled(b.y - y)) for b, y in zip(blocks, y_hat, strict=True)]
         found = self._simulations(
-            tuple(SimulatedBlock(b.case.u, b.y, b.y - e, b.record, b.start) for b, e in pairs)
+            tuple(
+                SimulatedBlock(b.case.u, y + error, y, b.record, b.start)
+                for (b, error), y in zip(pairs, y_hat, strict=True)
+            )
         )
         region = region_of([(r.u, r.y) for r in self.evaluator.records])
         ahead = () if self.evaluator.horizon is None else (self._of_windows(pairs),)
@@ -180,7 +184,7 @@ class _Validation:
     def _of_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
         """Every window begins anew."""
         past = self.problem.protocol.past_outputs
-        hold = np.stack([b.y - b.case.past_y[-1] for b, _ in pairs]) if past else None
+        hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
         return check_ahead(np.stack([error for _, error in pairs]), hold, self.evaluator.scale)
 
     def _ahead(self) -> Check:
@@ -200,8 +204,8 @@ class _Validation:
             except CandidateError:
                 continue
             for block, reply in zip(blocks, replies, strict=True):
-                model_errors.append(block.y - reply)
-                hold_errors.append(block.y - block.case.past_y[-1])
+                model_errors.append(filled(block.y - reply))
+                hold_errors.append(filled(block.y - block.case.past_y[-1]))
         if not model_errors:
             return no_steps_ahead("no held-out part has room for a start, or no answer was finite")
         scale = self.evaluator.scale

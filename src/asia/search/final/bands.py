@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data import Array
+from asia.data import Array, filled
 from asia.evaluation import Evaluator
 from asia.ledger import Experiment, SearchView, Store, Use
 from asia.protocol import Case, Fold
@@ -73,4 +73,4 @@ def _missed(
             strict=True,
         ):
             left -= weight * y_hat
-    return tuple(total)
+    return tuple(filled(one) for one in total)

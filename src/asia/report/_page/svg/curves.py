@@ -48,7 +48,7 @@ def draw_curves(curves: Curves) -> Html:
     y, y_hat = curves.measured, curves.simulated
     low, high = _limits(y, y_hat)
     error = y - y_hat
-    most = float(np.abs(error).max()) or 1.0
+    most = float(np.nanmax(np.abs(error), initial=0.0)) or 1.0
     upper = _panel(_HEIGHT, Scale(low, high, _HEIGHT, 0), [("measured", y), ("model", y_hat)])
     lower = _panel(_STRIP, Scale(-most, most, _STRIP, 0), [("error", error)])
     end = curves.start + curves.step * len(y)
@@ -91,6 +91,8 @@ def legend(words: Sequence[tuple[str, str]]) -> Html:
 
 def _limits(*values: Array) -> tuple[float, float]:
     """Those of the measured output; a simulation that leaves them far behind is cut off."""
+    known = [v[~np.isnan(v)] for v in values]
+    values = tuple(v if v.size else values[-1] for v in known)
     low, high = float(values[0].min()), float(values[0].max())
     room = 0.5 * (high - low) or 1.0
     least, most = (float(f([f(v) for v in values])) for f in (np.min, np.max))
@@ -122,7 +124,20 @@ def _panel(height: int, scale: Scale, lines: Sequence[tuple[str, Array]]) -> Htm
 
 
 def _line(name: str, values: Array, scale: Scale) -> Html:
-    points = thinned(values.tolist(), _COLUMNS)
+    """With a gap where a value is NaN; a value on its own is a dash of one sample."""
     across = Scale(0, max(len(values) - 1, 1), 0, _WIDTH)
-    places = [f"{round(across.at(i))} {round(scale.at(v))}" for i, v in points]
-    return tag("path", d=f"M{'L'.join(places)}", class_=f"line {name}")
+    parts: list[str] = []
+    for first, last in _stretches(values):
+        points = thinned(values[first:last].tolist(), _COLUMNS)
+        places = [f"{round(across.at(first + i))} {round(scale.at(v))}" for i, v in points]
+        parts.append(f"M{'L'.join(places)}" + ("h1" if len(places) == 1 else ""))
+    return tag("path", d="".join(parts), class_=f"line {name}")
+
+
+def _stretches(values: Array) -> list[tuple[int, int]]:
+    """First sample, and the one after the last, of the stretches without NaN."""
+    known = ~np.isnan(values)
+    if known.all():
+        return [(0, len(values))]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
