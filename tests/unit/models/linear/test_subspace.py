@@ -16,7 +16,7 @@ def record(length: int, noise: float = 0.0) -> ScaledTrajectory:
     u = rng.standard_normal((length, 1))
     y = filtered(u)
     y = y / y.std() + noise * rng.standard_normal(y.shape)
-    return ScaledTrajectory(u, y, np.ones(length), u)
+    return ScaledTrajectory(u, y, np.ones(length), u, np.ones(length))
 
 
 def test_every_method_finds_the_poles_of_clean_data() -> None:
