@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia._text import say
+from asia.cli._asking import InitAnswers, completed
 from asia.cli._options.shared import Keys
 from asia.errors import UserError
 
@@ -20,7 +20,15 @@ SEAL_FRACTION = 0.2
 LISTS = ("--train", "--test", "--inputs", "--outputs", "--columns")
 
 
-Train = Annotated[list[Path], typer.Option(help="Files with training records.")]
+Train = Annotated[
+    list[Path] | None, typer.Option(help="Files with training records. Asked for on a terminal.")
+]
+Inputs = Annotated[list[str] | None, typer.Option(help="Input columns. Asked for on a terminal.")]
+Outputs = Annotated[list[str] | None, typer.Option(help="Output columns. Asked for on a terminal.")]
+Yes = Annotated[
+    bool,
+    typer.Option("--yes", help="Ask nothing: take the columns that are found, and seal a test."),
+]
 Step = Annotated[
     float | None,
     typer.Option(help="Sampling time in seconds, above 0. Left out: found from the time stamps."),
@@ -61,9 +69,9 @@ Scale = Annotated[
 
 def init(
     name: Annotated[Path, typer.Argument(help="Directory to make; its name is the problem's.")],
-    train: Train,
-    inputs: Annotated[list[str], typer.Option(help="Input columns.")],
-    outputs: Annotated[list[str], typer.Option(help="Output columns.")],
+    train: Train = None,
+    inputs: Inputs = None,
+    outputs: Outputs = None,
     sampling_time: Step = None,
     test: Annotated[list[Path] | None, typer.Option(help="Test records.")] = None,
     seal: Sealed = None,
@@ -76,6 +84,7 @@ def init(
     detrend: Detrend = False,
     scale: Scale = False,
     keys: Keys = None,
+    yes: Yes = False,
 ) -> None:
     """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y"""
     from asia.problem.load import Preparation, Wanted, init_problem, key_folder
@@ -85,28 +94,26 @@ def init(
         raise UserError(
             f"--sampling-time is {sampling_time:g}: expected a number of seconds above 0"
         )
-    if not test and seal is None and sys.stdin.isatty():
-        seal = typer.confirm(
-            "No --test given. Seal the last 20 % of each record as the test?", default=True
-        )
-    if seal:
+    given = InitAnswers(train or [], test or [], inputs or [], outputs or [], sampling_time, seal)
+    answers = completed(given, wanted, yes=yes)
+    if answers.seal:
         from asia.search import check_hidden_from_workers
 
         check_hidden_from_workers(key_folder(keys))
     made = init_problem(
         name,
-        train=train,
-        test=test or [],
-        inputs=inputs,
-        outputs=outputs,
-        sampling_time=sampling_time,
-        seal_fraction=SEAL_FRACTION if seal and not test else None,
-        seal=bool(seal),
+        train=answers.train,
+        test=answers.test,
+        inputs=answers.inputs,
+        outputs=answers.outputs,
+        sampling_time=answers.sampling_time,
+        seal_fraction=SEAL_FRACTION if answers.seal and not answers.test else None,
+        seal=bool(answers.seal),
         keys=keys,
         wanted=wanted,
         preparation=Preparation(delay, decimate, detrend, scale),
     )
-    _print_made(made, name, has_test=bool(test))
+    _print_made(made, name, has_test=bool(answers.test))
 
 
 def _print_made(made: NewProblem, name: Path, *, has_test: bool) -> None:

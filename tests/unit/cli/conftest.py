@@ -41,6 +41,22 @@ def command_line(*words: object) -> Done:
     return Done(code, out.getvalue(), err.getvalue())
 
 
+class Terminal:
+    """A person who answers in turn."""
+
+    def __init__(self, *answers: str) -> None:
+        self.answers = list(answers)
+
+    def isatty(self) -> bool:
+        return True
+
+    def readline(self, *_: object) -> str:
+        return self.answers.pop(0) + "\n"
+
+    def fileno(self) -> int:
+        raise OSError
+
+
 @dataclass(frozen=True)
 class Searched:
     """A finished search of one experiment: what it printed, and a copy of it to change at will."""

@@ -13,23 +13,7 @@ from asia.sandbox import Isolation
 from asia.search import prepare, search
 from tests.unit.search.toy import Scripted, arx, write_problem
 
-from .conftest import Asia
-
-
-class Terminal:
-    """A person who answers in turn."""
-
-    def __init__(self, *answers: str) -> None:
-        self.answers = list(answers)
-
-    def isatty(self) -> bool:
-        return True
-
-    def readline(self, *_: object) -> str:
-        return self.answers.pop(0) + "\n"
-
-    def fileno(self) -> int:
-        raise OSError
+from .conftest import Asia, Terminal
 
 
 @pytest.fixture(scope="module")

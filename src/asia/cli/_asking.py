@@ -1,0 +1,128 @@
+"""What asia init asks on a terminal, with what it found in the files as the default."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from asia._text import say
+from asia.errors import UserError
+
+if TYPE_CHECKING:
+    from asia.data.intake.survey import FileColumns
+    from asia.problem.load import Wanted
+
+
+@dataclass(frozen=True)
+class InitAnswers:
+    """What a new problem is made of."""
+
+    train: list[Path]
+    test: list[Path]
+    inputs: list[str]
+    outputs: list[str]
+    sampling_time: float | None
+    """s; None: found from the time stamps."""
+    seal: bool | None
+    """None: not decided."""
+
+
+def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
+    """What is missing, asked on a terminal; with `yes` the defaults are taken. Raises UserError
+    where neither is possible."""
+    asks = sys.stdin.isatty() and not yes
+    answers = given
+    if not given.train:
+        answers = _with_files(given, asks=asks)
+    answers = replace(answers, inputs=_split(answers.inputs), outputs=_split(answers.outputs))
+    if not answers.inputs or not answers.outputs:
+        if not asks and not yes:
+            missing = "--inputs" if not answers.inputs else "--outputs"
+            raise UserError(
+                f"{missing} is missing: name the columns, or take what is found with --yes"
+            )
+        answers = _with_columns(answers, wanted, asks=asks)
+    if not answers.test and answers.seal is None:
+        answers = replace(answers, seal=_sealed(asks=asks, yes=yes))
+    return answers
+
+
+def _with_files(given: InitAnswers, *, asks: bool) -> InitAnswers:
+    from asia.data.intake.survey import record_files, split_names
+
+    if not asks:
+        raise UserError("--train is missing: name the files with training records")
+    train, tests = record_files(Path())
+    text = typer.prompt("Files with training records", default=_joined(train) or None)
+    chosen = [Path(name) for name in split_names(text, [str(p) for p in train])]
+    if given.test or not tests:
+        return replace(given, train=chosen)
+    text = typer.prompt('Files with test records ("none" without)', default=_joined(tests))
+    kept = [] if text.strip() == "none" else [Path(n) for n in split_names(text)]
+    return replace(given, train=chosen, test=kept)
+
+
+def _with_columns(answers: InitAnswers, wanted: Wanted, *, asks: bool) -> InitAnswers:
+    from asia.data.intake.survey import survey
+
+    found = survey(answers.train[0], wanted)
+    if asks:
+        times = f"; sample times in {found.time}" if found.time else ""
+        say(f"{answers.train[0]} has {', '.join(found.names)}{times}")
+    outputs = answers.outputs or [n for n in found.outputs if n not in answers.inputs]
+    inputs = answers.inputs or [n for n in found.inputs if n not in outputs]
+    if not answers.inputs:
+        inputs = _columns("Inputs", inputs, found, asks=asks)
+    if not answers.outputs:
+        left = [n for n in outputs if n not in inputs]
+        outputs = _columns("Outputs", left, found, asks=asks)
+    step = answers.sampling_time
+    if step is None and not found.timed and asks:
+        step = _sampling_time()
+    return replace(answers, inputs=inputs, outputs=outputs, sampling_time=step)
+
+
+def _columns(what: str, default: Sequence[str], found: FileColumns, *, asks: bool) -> list[str]:
+    from asia.data.intake.survey import split_names
+
+    if not asks:
+        say(f"{what.lower():<8} {', '.join(default)}")
+        return list(default)
+    while True:
+        text = typer.prompt(what, default=", ".join(default) or None)
+        names = split_names(text, found.names)
+        unknown = [name for name in names if name not in found.names]
+        if names and not unknown:
+            return names
+        say(f"no column '{unknown[0]}'; there are {', '.join(found.names)}" if unknown else "")
+
+
+def _sampling_time() -> float:
+    while True:
+        step: float = typer.prompt(
+            "No time stamps were found. Sampling time in seconds", type=float
+        )
+        if 0 < step < inf:
+            return step
+        say("expected a number above 0")
+
+
+def _sealed(*, asks: bool, yes: bool) -> bool | None:
+    if asks:
+        question = "No test records. Seal the last 20 % of each record as the test?"
+        return typer.confirm(question, default=True)
+    return True if yes else None
+
+
+def _split(names: Sequence[str]) -> list[str]:
+    return [part.strip() for name in names for part in name.split(",") if part.strip()]
+
+
+def _joined(paths: Sequence[Path]) -> str:
+    return ", ".join(map(str, paths))

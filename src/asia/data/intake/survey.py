@@ -1,0 +1,84 @@
+"""What the files of a folder hold, before anybody has said which columns are which."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from asia.data.intake.formats.table import FORMATS, file_format
+from asia.data.intake.sheet import Sheet, Wanted, find_column, split_unit
+from asia.data.intake.stamps import time_column
+from asia.errors import UserError
+
+_INPUT = re.compile(r"(u|in|input)[ _.]?\d*")
+_OUTPUT = re.compile(r"(y|out|output)[ _.]?\d*")
+_MOST_FILES = 50
+
+
+@dataclass(frozen=True)
+class FileColumns:
+    """The columns of a file, and a guess at what they are."""
+
+    names: tuple[str, ...]
+    """All but that of the sample times, without their units."""
+    time: str | None
+    """The column with the sample times."""
+    timed: bool
+    """Whether the file tells its sampling time."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """By their names; where these say nothing, all but the last."""
+        return self._named(_INPUT) or tuple(n for n in self.names if n not in self.outputs)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """By their names; where these say nothing, those that are no inputs, or the last one."""
+        found = self._named(_OUTPUT)
+        if not found and self._named(_INPUT):
+            found = tuple(n for n in self.names if n not in self._named(_INPUT))
+        return found or self.names[-1:]
+
+    def _named(self, pattern: re.Pattern[str]) -> tuple[str, ...]:
+        return tuple(n for n in self.names if pattern.fullmatch(n.casefold()))
+
+
+def survey(path: Path, wanted: Wanted) -> FileColumns:
+    """The columns of a file with records. Raises UserError."""
+    fmt = file_format(path)
+    sheets = fmt.read(path, wanted)
+    whole = Sheet(path.stem, {n: c for s in sheets for n, c in s.columns.items()}, where=str(path))
+    time = time_column(whole, wanted)
+    experiment = wanted.experiment and find_column(list(whole.columns), wanted.experiment)
+    left = [n for n in whole.columns if n and n not in (time, experiment)]
+    if len(left) < 2:
+        raise UserError(
+            f"{path} has {len(left)} columns beside the time: an input and an output are needed"
+        )
+    timed = time is not None or any(
+        s.sampling_time is not None or any(c.seconds is not None for c in s.columns.values())
+        for s in sheets
+    )
+    return FileColumns(tuple(split_unit(n)[0] for n in left), time, timed)
+
+
+def record_files(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Files in a folder that may hold records, in the order of their names: for training, and those
+    whose names say that they are for a test. Empty where there are too many to be meant."""
+    suffixes = {s for fmt in FORMATS for s in fmt.suffixes if s != "/"}
+    found = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in suffixes)
+    if len(found) > _MOST_FILES:
+        return [], []
+    tests = [p for p in found if "test" in p.stem.casefold()]
+    return [p for p in found if p not in tests], tests
+
+
+def split_names(text: str, known: Sequence[str] = ()) -> list[str]:
+    """Names of columns or files in an answer: one that is known, or several between commas, or
+    else between blanks."""
+    if text.strip() in known:
+        return [text.strip()]
+    parts = text.split(",") if "," in text else text.split()
+    return [part.strip() for part in parts if part.strip()]
