@@ -27,6 +27,7 @@ from asia.errors import UserError
 
 Use = Literal["train", "test"]
 _SAME = 1e-3
+_EXACT = 1e-6
 _GAP = 2.5
 
 
@@ -144,7 +145,7 @@ def _on_grid(one: _Timed, step: float, use: Use, notes: list[str]) -> list[Sheet
     if one.clock is None:
         whole = [part]
     else:
-        if one.clock.coarse:
+        if one.clock.coarse and one.clock.jitter > _EXACT:
             notes.append(f"{part.where}: stamps rounded to coarse steps lie on a grid")
         cuts = pieces(places(_stamps(part), own))
         if len(cuts) > 1:
