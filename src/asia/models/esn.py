@@ -21,7 +21,15 @@ from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import ScaledData, check, past_length, scaled, window, windows
+from asia.models._data.records import (
+    ScaledData,
+    check,
+    past_length,
+    scaled,
+    window,
+    window_rows,
+    windows,
+)
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import Stretches, segments
 from asia.models._solvers.least_squares import LeastSquares
@@ -212,7 +220,7 @@ def _long(
     targets: list[Array] = []
     before: list[Array] = []
     seen: list[Array] = []
-    for r in records:
+    for r, at in zip(records, window_rows(records, context), strict=True):
         states = reservoir.run(np.zeros((1, len(reservoir.leak))), r.u[None])[0]
         first = max(min(config.washout, 3 * len(r) // 4), past, 1)
         if first >= len(r):
@@ -222,8 +230,9 @@ def _long(
         rows = rows[r.counts[rows] > 0]
         features.append(_features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0])
         targets.append(r.y[rows])
-        before.append(states[rows - 1])
-        seen.append(windows(r, context)[rows - past])
+        known = np.isin(rows - past, np.arange(len(r) - past)[at])
+        before.append(states[rows[known] - 1])
+        seen.append(windows(r, context)[rows[known] - past])
     return fit_encoder(seen, before), features, targets
 
 

@@ -13,6 +13,9 @@ from asia.errors import UserError
 from asia.protocol._cuts import Excerpt, least_case, splits, windows
 from asia.protocol._rules import ProtocolRule
 
+# Share of a past window that was measured, and the part of a block in which that is looked for.
+_STARTS = ((1.0, 0.25), (0.75, 0.25), (0.5, 0.5))
+
 
 @dataclass(frozen=True)
 class Case:
@@ -160,8 +163,10 @@ def _is_measured(records: Sequence[Trajectory], part: Excerpt) -> bool:
 def _after_first_outputs(
     records: Sequence[Trajectory], part: Excerpt, rule: ProtocolRule
 ) -> Excerpt:
-    """From where a past window shows at least half of its samples of each output, or, without such
-    a place in the first half, from where each output was measured before."""
+    """From where all samples of a past window were measured, if that is within the first quarter;
+    without such a place, from where three quarters or half of them were, and without that, from
+    where each output was measured before. A start from filled outputs is a bad start for any
+    model, so that V would speak of the gaps."""
     missing = records[part.record].missing
     if missing is None or not rule.past_outputs:
         return part
@@ -169,9 +174,12 @@ def _after_first_outputs(
     counts = np.concatenate([np.zeros((1, missing.shape[1])), np.cumsum(~missing, axis=0)])
     places = np.arange(first, part.samples.start + (len(part.samples) + 1) // 2)
     shown = counts[places] - counts[np.maximum(places - rule.past_outputs, 0)]
-    enough = (shown >= rule.past_outputs / 2).all(axis=1)
-    start = int(places[np.argmax(enough)]) if enough.any() else first
-    return Excerpt(part.record, range(start, part.samples.stop))
+    for share, within in _STARTS:
+        near = places < part.samples.start + within * len(part.samples)
+        enough = near & (shown >= share * rule.past_outputs).all(axis=1)
+        if enough.any():
+            return Excerpt(part.record, range(int(places[np.argmax(enough)]), part.samples.stop))
+    return Excerpt(part.record, range(first, part.samples.stop))
 
 
 def _check_measured(blocks: Sequence[Block], index: int) -> None:

@@ -18,6 +18,7 @@ from asia.models._data.records import (
     ScaledTrajectory,
     past_length,
     window,
+    window_rows,
     windows,
 )
 
@@ -134,8 +135,9 @@ def fit_history(
     stride = max(1, sum(len(r) for r in records) // _MOST_WINDOWS)
     features: list[Array] = []
     targets: list[Array] = []
-    for r, y in zip(records, signals, strict=True):
+    for r, y, at in zip(records, signals, window_rows(records, context), strict=True):
         rows = np.arange(first, len(r), stride)
+        rows = rows[np.isin(rows - past, np.arange(max(0, len(r) - past))[at])]
         if len(rows) == 0:
             continue
         old_u = r.u[rows[:, None] - lags.past_inputs + np.arange(missing_u)]

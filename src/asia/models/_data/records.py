@@ -16,6 +16,9 @@ from asia.models._arrays import AnyArray, namespace
 from asia.models._data.cuts import Indices, side_by_side, spread
 from asia.models._data.scaling import Scaling
 
+# Share of the past windows that must be measured for the others to be left out.
+_ENOUGH = 0.1
+
 
 @dataclass(frozen=True)
 class ScaledTrajectory:
@@ -116,6 +119,22 @@ def window(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
 def windows(record: ScaledTrajectory, context: Context) -> Array:
     """Past window before each sample from `past_length` on: (T - past_length, d)."""
     return windows_before(record, np.arange(past_length(context), len(record)), context)
+
+
+def window_rows(records: ScaledData, context: Context) -> list[Indices | slice]:
+    """For each record, which rows of its `windows` show measured outputs alone; all rows of all
+    records where too few do."""
+    past = past_length(context)
+    if all(r.counts.all() for r in records):
+        return [slice(None)] * len(records)
+    found: list[Indices | slice] = []
+    for r in records:
+        lost = np.concatenate([[0], np.cumsum(r.counts == 0)])
+        rows = np.arange(past, len(r))
+        found.append(np.flatnonzero(lost[rows] == lost[rows - context.n_past_y]))
+    enough = _ENOUGH * sum(max(0, len(r) - past) for r in records)
+    few = sum(len(rows) for rows in found if not isinstance(rows, slice)) < enough
+    return [slice(None)] * len(records) if few else found
 
 
 def windows_before(record: ScaledTrajectory, rows: Indices, context: Context) -> Array:

@@ -12,7 +12,13 @@ from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.cuts import side_by_side
 from asia.models._data.encoder import BlockedRidge, Encoder, fit_encoder
-from asia.models._data.records import ScaledData, contiguous_splits, past_length, windows
+from asia.models._data.records import (
+    ScaledData,
+    contiguous_splits,
+    past_length,
+    window_rows,
+    windows,
+)
 from asia.models._linear.integrators import free_entries, integrating_starts
 from asia.models._linear.response import DrivenRecords, Response
 from asia.models._linear.subspace import spread_poles, starts
@@ -122,17 +128,22 @@ def encoder_of(
     """Past window -> state, from the model's own states on the records it was fitted to.
     regression: that on the past windows of these records, where it is known."""
     states = DrivenRecords(records).response(fitted.system, fitted.x0).states
-    pairs = [(r, x) for r, x in zip(records, states, strict=True) if len(r) > past_length(context)]
+    past = past_length(context)
+    pairs = [(r, x) for r, x in zip(records, states, strict=True) if len(r) > past]
+    rows = window_rows([r for r, _ in pairs], context)
     return fit_encoder(
-        [windows(r, context) for r, _ in pairs],
-        [x[past_length(context) :] for _, x in pairs],
+        [windows(r, context)[at] for (r, _), at in zip(pairs, rows, strict=True)],
+        [x[past:][at] for (_, x), at in zip(pairs, rows, strict=True)],
         regression=regression,
     )
 
 
 def _regression_of(records: ScaledData, context: Context) -> BlockedRidge:
     long = [r for r in records if len(r) > past_length(context)]
-    return BlockedRidge(np.concatenate([windows(r, context) for r in long]))
+    rows = window_rows(long, context)
+    return BlockedRidge(
+        np.concatenate([windows(r, context)[at] for r, at in zip(long, rows, strict=True)])
+    )
 
 
 def unseen_error(

@@ -14,7 +14,7 @@ from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.cuts import side_by_side
 from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import ScaledData, past_length, windows
+from asia.models._data.records import ScaledData, past_length, window_rows, windows
 from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
 from asia.models._noise.weighting import ErrorWeighting
@@ -152,8 +152,10 @@ def state_encoder(
     """Map from the past window to the state, from the fitted model's own states on the records."""
     skip = past_length(context)
     long = [i for i, r in enumerate(records) if len(r) > skip]
+    rows = window_rows([records[i] for i in long], context)
     states = [
-        structure.simulate(fit.params, fit.x0[i, None], records[i].u[None])[0][0, skip:]
-        for i in long
+        structure.simulate(fit.params, fit.x0[i, None], records[i].u[None])[0][0, skip:][at]
+        for i, at in zip(long, rows, strict=True)
     ]
-    return fit_encoder([windows(records[i], context) for i in long], states, hidden, context.seed)
+    features = [windows(records[i], context)[at] for i, at in zip(long, rows, strict=True)]
+    return fit_encoder(features, states, hidden, context.seed)

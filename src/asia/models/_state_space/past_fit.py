@@ -17,7 +17,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import ScaledData, past_length, windows
+from asia.models._data.records import ScaledData, past_length, window_rows, windows
 from asia.models._state_space.structure import StateSpaceStructure
 
 if TYPE_CHECKING:
@@ -56,11 +56,11 @@ def past_fit(
     """Map from the past window to the state before its last samples, and how that is fitted."""
     skip, back = past_length(context), window_samples(context)
     features, states, errors = list[Array](), list[Array](), list[Array]()
-    for record, x0 in zip(records, fit.x0, strict=True):
+    for record, x0, at in zip(records, fit.x0, window_rows(records, context), strict=True):
         if len(record) > skip:
             x, y = structure.simulate(fit.params, x0[None], record.u[None])
-            features.append(windows(record, context))
-            states.append(x[0, skip - back : len(record) - back])
+            features.append(windows(record, context)[at])
+            states.append(x[0, skip - back : len(record) - back][at])
             errors.append((y[0] - record.y)[record.counts > 0])
     encoder = fit_encoder(features, states, hidden, context.seed)
     left = np.concatenate([encoder(f) - x for f, x in zip(features, states, strict=True)])
