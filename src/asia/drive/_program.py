@@ -98,6 +98,16 @@ your own machine time: a gain within it is luck. {sealed}{_simulated(problem)}
 """
 
 
+def _gaps(problem: Problem) -> str:
+    """Of a problem with missing outputs."""
+    if all(record.missing is None for record in problem.train):
+        return ""
+    return (
+        "`t.measured` (T, ny) is False where an output was not measured: there `t.y` is a\n"
+        "straight line, and the score does not count.\n"
+    )
+
+
 def _contract(problem: Problem) -> str:
     rule, budget = problem.protocol, problem.budget
     horizon = "None" if rule.horizon is None else str(rule.horizon)
@@ -106,18 +116,17 @@ def _contract(problem: Problem) -> str:
 {_CONTRACT}
 
 Arrays are float64 in physical units. `trajectories` are this fold's training records: `t.u`
-(T, nu), `t.y` (T, ny), `t.name`, `t.sampling_time`, `len(t)`, and `t.measured` (T, ny), False where
-an output was not measured: there `t.y` is a straight line, and the score does not count. `u[:, k]`
-and `y_hat[:, k]` are the same sample; `past_*[:, -1]` is the one before. `context` has `inputs` and
-`outputs` (signals with `name` and `unit`), `sampling_time` (s), `n_past_u` = {rule.past_inputs},
-`n_past_y` = {rule.past_outputs}, `horizon` = {horizon} (samples of a window; None for whole
-blocks), `metric`, `physics` (below, or None), `symmetry`, `seed` (int, for everything random),
-`deadline` (float, on the clock of `time.monotonic()`), `threads` (int) and `log(step, loss)`. The
-model may have `parameters()`, a dict of at most 64 names and floats: you are shown them fold by
-fold. A fit may take {budget.fit_seconds:g} s on one core and {budget.memory_mb} MB. End it by a
-number of iterations, not by the clock. {", ".join(installed_libraries())} and the model library
+(T, nu), `t.y` (T, ny), `t.name`, `t.sampling_time`, `len(t)`. `u[:, k]` and `y_hat[:, k]` are the
+same sample; `past_*[:, -1]` is the one before. `context` has `inputs` and `outputs` (signals with
+`name` and `unit`), `sampling_time` (s), `n_past_u` = {rule.past_inputs}, `n_past_y` =
+{rule.past_outputs}, `horizon` = {horizon} (samples of a window; None for whole blocks), `metric`,
+`physics` (below, or None), `symmetry`, `seed` (int, for everything random), `deadline` (float, on
+the clock of `time.monotonic()`), `threads` (int) and `log(step, loss)`. The model may have
+`parameters()`, a dict of at most 64 names and floats: you are shown them fold by fold. A fit
+may take {budget.fit_seconds:g} s on one core and {budget.memory_mb} MB. End it by a number of
+iterations, not by the clock. {", ".join(installed_libraries())} and the model library
 `asia.models` can be imported, see `models.md`. A fit has no network and no files. {MODEL_RULES}
-"""
+{_gaps(problem)}"""
 
 
 def _how(problem: Problem, experiments: int) -> str:

@@ -24,16 +24,15 @@ from asia.models._data.records import (
     check,
     delayed,
     past_length,
-    refuse_gaps,
     scaled,
     shortened,
     window,
 )
 from asia.models._data.scaling import Scaling
-from asia.models._data.windows import cut_windows, mean_square, stretches
+from asia.models._data.windows import cut_windows, stretches
 from asia.models._linear import levels
 from asia.models._linear.drift import drift_shift
-from asia.models._linear.estimates import ScaledRecord, invariants, system_estimates
+from asia.models._linear.estimates import delayed_records, invariants, system_estimates
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
@@ -45,7 +44,7 @@ from asia.models._linear.fit import (
 from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
 from asia.models._linear.periodic.fit import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import WindowPredictor
+from asia.models._linear.windows import WindowPredictor, simulation_error
 
 if TYPE_CHECKING:
     from asia.models._solvers.least_squares import LevenbergMarquardt
@@ -171,14 +170,13 @@ class LinearStateSpace:
             raise UserError("linear model: not trained yet; call linear.train before estimates")
         if self.config.integrators:
             raise ValueError("linear model: with free integrators there are no static gains")
-        refuse_gaps(trajectories)
         f = self.fitted
         units = {
             f"gain y{i + 1}/u{j + 1}": f"{y.unit}/{u.unit}" if y.unit or u.unit else ""
             for i, y in enumerate(context.outputs)
             for j, u in enumerate(context.inputs)
         }
-        records = [_delayed_record(t, f) for t in trajectories]
+        records = delayed_records(trajectories, f.scaling, f.delay)
 
         def report(system: LinearSystem) -> list[ParameterEstimate]:
             found = invariants(system, f.scaling).items()
@@ -190,14 +188,6 @@ class LinearStateSpace:
 
 def _parameters(f: FittedLinear) -> dict[str, float]:
     return invariants(f.system, f.scaling) | {"delay [samples]": float(f.delay)}
-
-
-def _delayed_record(trajectory: Trajectory, fitted: FittedLinear) -> ScaledRecord:
-    """Without the samples whose delayed input was not measured."""
-    u = fitted.scaling.inputs(trajectory.u)
-    y = fitted.scaling.outputs(trajectory.y)
-    late = fitted.delay
-    return ScaledRecord(u[: len(u) - late], y[late:])
 
 
 def _simulated(f: FittedLinear, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -301,9 +291,8 @@ def _window_error(
     """Mean squared error of the state-space model on windows of records it was not fitted to."""
     found, delay, used = fit_records(kept, context, config, refinement)
     encoder = encoder_of(used, found, context)
-    cut = cut_windows([r.with_delay(delay) for r in left], context, MOST_WINDOWS)
-    _, y = found.system.simulate(encoder(cut.features), cut.u)
-    return mean_square(y - cut.y, cut.weight)
+    late = [r.with_delay(delay) for r in left]
+    return simulation_error(found.system, encoder, cut_windows(late, context, MOST_WINDOWS))
 
 
 def fit_records(

@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
-from asia.data import Array
+from asia.data import Array, Trajectory
 from asia.models import uncertainty
+from asia.models._data.records import refuse_gaps
 from asia.models._data.scaling import Scaling
 from asia.models._linear.system import LinearSystem
 
@@ -31,6 +32,18 @@ class ScaledRecord:
     """(T, nu)."""
     y: Array
     """(T, ny)."""
+
+
+def delayed_records(
+    trajectories: Sequence[Trajectory], scaling: Scaling, delay: int
+) -> list[ScaledRecord]:
+    """Without the samples whose delayed input was not measured. Raises ValueError where outputs
+    were not measured."""
+    refuse_gaps(trajectories)
+    return [
+        ScaledRecord(scaling.inputs(t.u)[: len(t) - delay], scaling.outputs(t.y)[delay:])
+        for t in trajectories
+    ]
 
 
 def system_estimates(

@@ -176,6 +176,12 @@ def refined(
     return current
 
 
+def simulation_error(system: LinearSystem, encoder: Encoder, windows: HorizonWindows) -> float:
+    """Mean squared error of simulations that begin with the encoder's states."""
+    y = system.simulate(encoder(windows.features), windows.u)[1]
+    return mean_square(y - windows.y, windows.weight)
+
+
 def _regressors(x: Array, u: Array) -> Array:
     return np.concatenate([x, u, np.ones((len(x), 1))], axis=1)
 

@@ -10,8 +10,7 @@ import pytest
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.survey import record_files, split_names, survey
 from asia.problem.load import load_problem
-
-from .conftest import Asia, Terminal
+from tests.unit.cli.conftest import Asia, Terminal
 
 
 @pytest.fixture(autouse=True)

@@ -1,6 +1,6 @@
 """Fits to records with missing outputs, against fits to whole records.
 
-    python benchmarks/models/masked.py [--seeds 0 1 2] [--share 0.3]
+    python benchmarks/data/masked.py [--seeds 0 1 2] [--share 0.3]
 
 Three systems: a third-order linear one, a tank with a square-root outflow, and two inputs on two
 coupled outputs. A linear model of order 3 and a polynomial NARX model are fitted three times: to
