@@ -290,9 +290,8 @@ def _window_error(
 ) -> float:
     """Mean squared error of the state-space model on windows of records it was not fitted to."""
     found, delay, used = fit_records(kept, context, config, refinement)
-    encoder = encoder_of(used, found, context)
-    late = [r.with_delay(delay) for r in left]
-    return simulation_error(found.system, encoder, cut_windows(late, context, MOST_WINDOWS))
+    cut = cut_windows([r.with_delay(delay) for r in left], context, MOST_WINDOWS)
+    return simulation_error(found.system, encoder_of(used, found, context), cut)
 
 
 def fit_records(
