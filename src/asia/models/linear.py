@@ -44,7 +44,7 @@ from asia.models._linear.fit import (
 from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
 from asia.models._linear.periodic.fit import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import WindowPredictor, simulation_error
+from asia.models._linear.windows import WindowPredictor, window_error
 
 if TYPE_CHECKING:
     from asia.models._solvers.least_squares import LevenbergMarquardt
@@ -291,7 +291,7 @@ def _window_error(
     """Mean squared error of the state-space model on windows of records it was not fitted to."""
     found, delay, used = fit_records(kept, context, config, refinement)
     cut = cut_windows([r.with_delay(delay) for r in left], context, MOST_WINDOWS)
-    return simulation_error(found.system, encoder_of(used, found, context), cut)
+    return window_error(found.system, encoder_of(used, found, context), cut)
 
 
 def fit_records(

@@ -176,7 +176,7 @@ def refined(
     return current
 
 
-def simulation_error(system: LinearSystem, encoder: Encoder, windows: HorizonWindows) -> float:
+def window_error(system: LinearSystem, encoder: Encoder, windows: HorizonWindows) -> float:
     """Mean squared error of simulations that begin with the encoder's states."""
     y = system.simulate(encoder(windows.features), windows.u)[1]
     return mean_square(y - windows.y, windows.weight)
