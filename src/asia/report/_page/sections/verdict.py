@@ -23,12 +23,12 @@ def doubts(subject: Subject) -> Iterator[str]:
         return
     value = best.score.value
     for name, words in (
-        ("training mean", "the model is hardly better than the mean of the data"),
-        ("linear model", "the model is hardly better than a linear one"),
+        ("training mean", "than the mean of the data"),
+        ("linear model", "than a linear one"),
     ):
         rung = subject.rung(name)
         if rung is not None and value > _BETTER * rung[1]:
-            yield words
+            yield f"the model is {'worse' if value > rung[1] else 'hardly better'} {words}"
             break
     if view.started.isolation == "process":
         yield "candidates ran without walls and could have read the answers"
@@ -90,14 +90,13 @@ def _nothing(subject: Subject) -> Html:
 def _found(subject: Subject, best: Experiment) -> Html:
     view = subject.view
     count = subject.over("evaluated", "experiment", "count", "count")
+    several, alone = len(view.finished) > 1, ") is the only candidate for "
     return join(
         (
             tag("b", said(best.proposed.title)),
             " (experiment ",
             tag("a", subject.name(best), href=f"#e{best.number}"),
-            ") is the best of ",
-            count,
-            " candidates for ",
+            *((") is the best of ", count, " candidates for ") if several else (alone,)),
             said(view.started.problem),
             ".",
             *_method(subject, best),
