@@ -12,9 +12,9 @@ import numpy as np
 
 from asia.data._digest import data_digest
 from asia.data._trajectory import Array, Signal, Trajectory
-from asia.problem._advice import data_doubts, delay_lines
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Problem, Seal
+from asia.problem.advice.data import data_doubts, delay_lines
 from asia.problem.frequency import response_lines
 from asia.problem.knowledge import correction_lines, prior_lines, symmetry_lines
 from asia.protocol._cuts import splits, windows

@@ -178,7 +178,6 @@ def test_bad_words(
         ("run", "toy", "--seed", "-1"),
         ("check",),
         ("nonsense",),
-        ("init", "new"),
     ],
 )
 def test_bad_usage(problem: Path, tmp_path: Path, asia: Asia, words: tuple[str, ...]) -> None:

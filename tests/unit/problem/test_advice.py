@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from asia.data import Array, Signal, Trajectory
-from asia.problem._advice import data_doubts, delay_lines
 from asia.problem._problem import Problem
+from asia.problem.advice.data import data_doubts, delay_lines
 from asia.problem.load import load_problem
 
 SAMPLES = 1000

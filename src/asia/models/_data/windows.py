@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,10 @@ class HorizonWindows(NamedTuple):
     """Outputs after them (W, H, ny)."""
     weight: Any = None
     """(W, H), 0 where an output was not measured; None where all samples count."""
+
+    def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
+        """With every array changed."""
+        return HorizonWindows(*(None if a is None else change(a) for a in self))
 
 
 def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:

@@ -81,7 +81,7 @@ def fit_equations(
     every = _WindowErrors(cell, kept, packing, windows, settings)
     few = every
     if rounds > 1 and len(windows.u) >= _MANY:
-        quarter = HorizonWindows(*(a[::4] for a in windows))
+        quarter = windows.each(lambda a: a[::4])
         few = _WindowErrors(cell, kept, packing, quarter, settings)
     state = _EquationSearch(theta0, float("inf"), method.damping)
     ridge = np.where(learned, settings.ridge, _SMALL * settings.ridge + 1e-6)
@@ -139,7 +139,7 @@ class _WindowErrors:
         settings: TermPenalties,
     ) -> None:
         self._kept, self._packing, self._threshold = dict(kept), packing, settings.robust
-        windows = HorizonWindows(*(np.asarray(a, np.float32) for a in windows))
+        windows = windows.each(lambda a: np.asarray(a, np.float32))
         fixed = {"fixed": kept["fixed"]}
         self._program = partial(_errors, cell, packing, fixed, windows)
         self._linearised = partial(_derivatives, cell, packing, fixed, windows)

@@ -1,0 +1,1 @@
+"""What `asia check` says of the data beside their figures."""
