@@ -1,4 +1,4 @@
-"""Test samples that are copies of training samples."""
+"""Test samples that are copies of training samples, or beyond what training inputs reach."""
 
 from __future__ import annotations
 
@@ -30,6 +30,17 @@ def shared_samples(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> i
         _covered(len(record), _is_in(hashes, copied) & moves)
         for record, (hashes, moves) in zip(test, own, strict=True)
     )
+
+
+def samples_outside(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> tuple[int, ...]:
+    """For each input, test samples beyond the least or the greatest value of the training records,
+    by more than a hundredth of their range."""
+    u = [record.u for record in train]
+    low = np.min([values.min(axis=0) for values in u], axis=0)
+    high = np.max([values.max(axis=0) for values in u], axis=0)
+    edge = 0.01 * (high - low)
+    outside = [((r.u < low - edge) | (r.u > high + edge)).sum(axis=0) for r in test]
+    return tuple(int(count) for count in np.sum(outside, axis=0))
 
 
 def _is_in(values: NDArray[np.uint64], ordered: NDArray[np.uint64]) -> NDArray[np.bool_]:

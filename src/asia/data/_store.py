@@ -49,7 +49,8 @@ class SealedFile:
 class SealHead:
     """What a store tells without its key. sha256: digest of the records, as in a ledger; inputs,
     outputs, sampling_time (s): how they were read for it; shared_samples: how many also occurred in
-    the training records when they were sealed; payload_sha256: of all that follows, "" inside."""
+    the training records when they were sealed; outside_inputs: for each input, how many were beyond
+    the range of the training records; payload_sha256: of all that follows, "" inside."""
 
     key: KeyName
     sha256: Digest
@@ -58,6 +59,7 @@ class SealHead:
     sampling_time: Annotated[float, Field(gt=0)]
     files: Annotated[tuple[SealedFile, ...], Field(min_length=1)]
     shared_samples: Annotated[int, Field(ge=0)]
+    outside_inputs: tuple[Annotated[int, Field(ge=0)], ...] = ()
     payload_sha256: Digest | Literal[""] = ""
     format: Literal["asia-sealed-1"] = _FORMAT
 

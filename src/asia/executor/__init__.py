@@ -140,7 +140,17 @@ def _dask(setting: str) -> Executor:
     return DaskExecutor(f"tcp:{setting}" if setting.startswith("//") else setting)
 
 
-EXECUTORS: dict[str, Callable[[str], Executor]] = {"local": _local, "dask": _dask}
+def _dask_slurm(setting: str) -> Executor:
+    from asia.executor.slurm import slurm_executor
+
+    return slurm_executor(setting)
+
+
+EXECUTORS: dict[str, Callable[[str], Executor]] = {
+    "local": _local,
+    "dask": _dask,
+    "dask-slurm": _dask_slurm,
+}
 """The built-in executors by name; what stands behind the name and a colon is given to them."""
 
 
@@ -151,8 +161,9 @@ def executor_names() -> tuple[str, ...]:
 
 def make_executor(name: str) -> Executor:
     """The executor of that name, with its own settings: `local:N` with N workers,
-    `dask://HOST:PORT` or `dask:FILE` on a Dask cluster. Raises UserError when there is none, or an
-    installed package brings something else by that name."""
+    `dask://HOST:PORT` or `dask:FILE` on a Dask cluster, `dask-slurm` or `dask-slurm:FILE` on
+    workers that Slurm starts. Raises UserError when there is none, or an installed package brings
+    something else by that name."""
     built_in, _, setting = name.partition(":")
     if built_in in EXECUTORS:
         return EXECUTORS[built_in](setting)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from itertools import combinations
 from typing import Literal
 
@@ -14,7 +13,8 @@ from asia.data._digest import data_digest
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Problem, Seal
-from asia.problem.advice.data import data_doubts, delay_lines
+from asia.problem.advice.data import answer_lines, answers, data_doubts, missing_lines
+from asia.problem.advice.sealed import scored_samples, sealed_doubts
 from asia.problem.frequency import response_lines
 from asia.problem.knowledge import correction_lines, prior_lines, symmetry_lines
 from asia.protocol._cuts import splits, windows
@@ -26,7 +26,6 @@ _ORDER_SAMPLES = 10_000
 _STUCK = 0.01
 _OVERSAMPLED = 0.005
 _TOGETHER = 0.999
-_FEW_SCORED = 50
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ class CheckReport:
             f"problem {p.name}, sampled every {p.sampling_time:g} s",
             *(_signal_line(s) for s in self.signals),
             *(f"record {r.name}: {r.samples} samples, {r.seconds:g} s" for r in self.records),
-            "missing values: none (a record with one is refused)",
+            *missing_lines(p),
             *self.delays,
             *self.response,
             *(_fold_line(f) for f in self.folds),
@@ -151,7 +150,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
         warnings=(*problem.warnings, *_doubts(problem, seal, signals, in_workspace=in_workspace)),
         in_workspace=in_workspace,
         response=response_lines(problem),
-        delays=delay_lines(problem),
+        delays=answer_lines(problem, answers(problem)),
     )
 
 
@@ -246,25 +245,7 @@ def _doubts(
         doubts.append("there is no description: agents that read know nothing of the system")
     if problem.protocol.past_outputs == 0:
         doubts.append("past_outputs is 0: a model cannot know the state it starts from")
-    if seal.sha256 is None and not in_workspace:
-        doubts.append("there is no test data: the winner cannot be judged on unseen records")
-    doubts += [
-        f"test record '{name}' has {scored} samples to score, after the past window and "
-        f"protocol.test.skip: fewer than {_FEW_SCORED} tell little of a model"
-        for name, scored in zip(seal.names, _scored(seal, problem.protocol), strict=True)
-        if scored < _FEW_SCORED
-    ]
-    doubts += [
-        f"[protocol.test.figures] {figure.name} names no test record (they are "
-        f"{', '.join(seal.names)}): there will be no official figures"
-        for figure in problem.protocol.test.figures
-        if seal.names and not any(fnmatchcase(n, p) for n in seal.names for p in figure.records)
-    ]
-    if seal.shared_samples:
-        doubts.append(
-            f"{seal.shared_samples} test samples also occur, in runs of ten or more, in the "
-            "training records: the test is not unseen"
-        )
+    doubts += sealed_doubts(problem, seal, in_workspace=in_workspace)
     return doubts
 
 
@@ -332,10 +313,6 @@ def _residuals_lines(rule: ProtocolRule) -> list[str]:
     ]
 
 
-def _scored(seal: Seal, rule: ProtocolRule) -> tuple[int, ...]:
-    return tuple(max(length - rule.past - rule.test.skip, 0) for length in seal.lengths)
-
-
 def _signal_line(s: SignalCheck) -> str:
     if s.constant:
         return f"{s.role} {s.signal.label}: constant at {s.minimum:.4g}"
@@ -370,7 +347,7 @@ def _seal_lines(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> list[s
         records = ", ".join(f"{name} ({length} samples, {n} windows)" for name, length, n in sizes)
         table = "" if not rule.test.groups else f"; {_table_summary(rule)}"
         return [f"test, sealed: {records}; {sum(counts)} windows{table}; {digest}"]
-    sizes = zip(seal.names, seal.lengths, _scored(seal, rule), strict=True)
+    sizes = zip(seal.names, seal.lengths, scored_samples(seal, rule), strict=True)
     records = ", ".join(
         f"{name} ({length} samples, {scored} scored)" for name, length, scored in sizes
     )

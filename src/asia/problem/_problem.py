@@ -41,6 +41,8 @@ class Seal:
     shared_samples: int = 0
     """Test samples inside runs of consecutive samples, inputs and outputs, that also occur in a
     training record."""
+    outside_inputs: tuple[int, ...] = ()
+    """For each input, test samples beyond the range of the training records; empty if not known."""
     guard: str | None = None
     """Digest of the guard records; None without any."""
 

@@ -143,8 +143,9 @@ def methods_paragraph(directory: Path) -> str:
 
 
 def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
-    """Draw the training records, folds and past windows into `directory/data.png` and `.pdf`, and
-    the problem's equations, if it has any, into `equations`.
+    """Draw the training records, folds and past windows into `directory/data.png` and `.pdf`,
+    levels by frequency into `response`, correlations of inputs with outputs into `delays`, and the
+    problem's equations, if it has any, into `equations`.
 
     Returns the paths written. Raises UserError when the records do not make folds.
     """

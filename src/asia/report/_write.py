@@ -10,19 +10,21 @@ from matplotlib.figure import Figure
 
 from asia.data import Signal
 from asia.ledger import Run, TestedModel, control, metric_of, open_run
+from asia.problem.advice.data import answers
 from asia.problem.frequency import responses
 from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
 from asia.report._board import read_board
 from asia.report._drawing.style import DPI, drawing
 from asia.report._pictures.boards import draw_boards
-from asia.report._pictures.data import draw_data
+from asia.report._pictures.checked.data import draw_data
+from asia.report._pictures.checked.delays import draw_answers
+from asia.report._pictures.checked.equations import draw_equations
+from asia.report._pictures.checked.response import draw_responses
 from asia.report._pictures.dossier import draw_dossier
-from asia.report._pictures.equations import draw_equations
 from asia.report._pictures.evidence.ablation import draw_ablation
 from asia.report._pictures.progress import draw_progress
 from asia.report._pictures.residuals import draw_residuals
-from asia.report._pictures.response import draw_responses
 from asia.report._pictures.simulation import draw_simulation, draw_test
 from asia.report._pictures.standing import draw_standing
 from asia.report._pictures.tried import draw_tried, draw_tried_residuals
@@ -60,6 +62,9 @@ def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
     found = responses(problem)
     if any(one is not None for one in found):
         drawn.append(("response", lambda: draw_responses(problem, found)))
+    delays = answers(problem)
+    if delays:
+        drawn.append(("delays", lambda: draw_answers(problem, delays)))
     physics = problem.physics
     if physics is not None:
         drawn.append(("equations", lambda: draw_equations(physics)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from asia.data import Trajectory
-from asia.data._copies import shared_samples
+from asia.data._copies import samples_outside, shared_samples
 from asia.data._digest import data_digest
 from asia.errors import UserError
 from asia.problem._problem import Problem, Seal, prepared
@@ -38,6 +38,7 @@ def seal(problem: Problem) -> Seal:
             names=tuple(r.name for r in records),
             lengths=tuple(len(r) for r in records),
             shared_samples=shared_samples(records, problem.train),
+            outside_inputs=samples_outside(records, problem.train),
         )
     _check_lengths(problem, found)
     return found

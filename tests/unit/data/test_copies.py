@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.data import Trajectory
-from asia.data._copies import shared_samples
+from asia.data._copies import samples_outside, shared_samples
 
 
 def brute(test: list[Trajectory], train: list[Trajectory]) -> int:
@@ -38,3 +38,12 @@ def test_copied_samples_are_counted(seed: int, levels: int, copied: int) -> None
     test[0] = np.concatenate([test[0], part, test[0][:3]])
     made = [[Trajectory(x[:, :1], x[:, 1:], 1.0, "r") for x in xs] for xs in (test, train)]
     assert shared_samples(*made) == brute(*made)
+
+
+def test_samples_beyond_the_training_inputs_are_counted() -> None:
+    def record(*u: list[float]) -> Trajectory:
+        return Trajectory(np.array(u).T, np.zeros((len(u[0]), 1)), 1.0, "r")
+
+    train = [record([0.0, 1.0], [5.0, 5.0]), record([-1.0, 0.0], [5.0, 6.0])]
+    test = [record([-1.01, -1.1, 1.0], [5.0, 4.0, 7.0]), record([2.0], [5.5])]
+    assert samples_outside(test, train) == (2, 2)

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from asia.errors import UserError
+from asia.executor import make_executor
 from asia.ledger import open_run, verify
 from tests.unit.search.toy import write_problem
 
@@ -63,11 +65,17 @@ class SlurmNode:
         self.processes.append(started)
 
     def ready(self) -> bool:
+        return self._ask("sinfo", "--noheader", "-o", "%t") == "idle"
+
+    def jobs(self) -> str:
+        """Those that wait or run."""
+        return self._ask("squeue", "--noheader")
+
+    def _ask(self, *command: str) -> str:
         found = subprocess.run(
-            ["sinfo", "--noheader", "-o", "%t"],
-            env=self.environment, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        return found.stdout.strip() == "idle"
+            command, env=self.environment, capture_output=True, text=True, check=False
+        )
+        return found.stdout.strip()
 
 
 @contextmanager
@@ -105,9 +113,13 @@ def one_node(folder: Path) -> Iterator[SlurmNode]:
             process.wait(30)
 
 
+needs_slurm = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="slurmd needs root")
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
-@pytest.mark.skipif(os.geteuid() != 0, reason="slurmd needs root")
+@needs_slurm
+@needs_root
 def test_a_job_of_slurm_runs_a_search(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     folder = tmp_path / "slurm"
@@ -121,10 +133,56 @@ def test_a_job_of_slurm_runs_a_search(tmp_path: Path) -> None:
         )  # fmt: skip
         said = (tmp_path / "job.txt").read_text()
         assert done.returncode == 0, said
-    directory = tmp_path / "runs" / "job"
+    check_run(tmp_path / "runs" / "job")
+    assert not list(tmp_path.glob(".asia-scheduler-*")), said
+
+
+@pytest.mark.slow
+@needs_slurm
+@needs_root
+def test_a_search_asks_slurm_for_its_workers(tmp_path: Path) -> None:
+    pytest.importorskip("dask_jobqueue")
+    folder = tmp_path / "slurm"
+    folder.mkdir()
+    write_problem(tmp_path / "toy", experiments=2)
+    skipped = 'job_directives_skip = ["--mem"]'
+    (tmp_path / "workers.toml").write_text(f'jobs = 2\nwalltime = "00:10:00"\n{skipped}\n')
+    asia = Path(sys.executable).with_name("asia")
+    words = ["toy", "--agent", "random", "--name", "asked", "--parallel", "2"]
+    with one_node(folder) as node:
+        done = subprocess.run(
+            [asia, "run", *words, "--executor", "dask-slurm:workers.toml"],
+            cwd=tmp_path, env=node.environment, check=False, timeout=300,
+            capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert "waiting for the first worker" in done.stderr
+        end = time.monotonic() + 60.0
+        while node.jobs():
+            assert time.monotonic() < end, "the jobs outlived the search"
+            time.sleep(0.5)
+    check_run(tmp_path / "runs" / "asked")
+
+
+def check_run(directory: Path) -> None:
     verify(directory)
     finished = open_run(directory).view.finished
     assert len(finished) == 2
     machines = {fold.machine for e in finished if e.result for fold in e.result.folds}
     assert machines == {socket.gethostname()}
-    assert not list(tmp_path.glob(".asia-scheduler-*")), said
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("jobs = 0", "jobs = 0: expected a number of Slurm jobs"),
+        ("jobs = ", "workers.toml: "),
+        ('colour = "red"', "colour"),
+    ],
+)
+def test_wrong_settings_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    pytest.importorskip("dask_jobqueue")
+    file = tmp_path / "workers.toml"
+    file.write_text(text)
+    with pytest.raises(UserError, match=said):
+        make_executor(f"dask-slurm:{file}")

@@ -7,7 +7,7 @@ import pytest
 
 from asia.data import Array, Signal, Trajectory
 from asia.problem._problem import Problem
-from asia.problem.advice.data import data_doubts, delay_lines
+from asia.problem.advice.data import answer_lines, answers, data_doubts
 from asia.problem.load import load_problem
 
 SAMPLES = 1000
@@ -39,7 +39,7 @@ def of(tanks: Problem, u: Array, y: Array) -> Problem:
 def test_a_clean_record_has_its_delay_and_no_doubts(tanks: Problem, seed: int) -> None:
     problem = of(tanks, *clean(seed))
     assert data_doubts(problem) == []
-    (line,) = delay_lines(problem)
+    (line,) = answer_lines(problem, answers(problem))
     assert line.endswith("99 % band: u 3")
 
 
@@ -72,5 +72,8 @@ def test_feedback_is_told_from_an_open_loop(tanks: Problem) -> None:
 def test_feedback_to_a_sine_is_not_judged(tanks: Problem) -> None:
     u = np.sin(2 * np.pi * np.arange(SAMPLES) / 37)
     problem = of(tanks, u, np.roll(u, 3))
-    assert any(line.startswith("feedback: not judged for input u") for line in delay_lines(problem))
+    assert any(
+        line.startswith("feedback: not judged for input u")
+        for line in answer_lines(problem, answers(problem))
+    )
     assert not any("follows earlier" in doubt for doubt in data_doubts(problem))

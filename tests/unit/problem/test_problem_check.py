@@ -82,7 +82,8 @@ def test_doubts_are_said(tanks: Problem) -> None:
     u[:, 2] = 1.0
     y = np.clip(random.standard_normal((1000, 1)), -9, 1)
     problem = replace(with_signals(tanks, u, y), description=" ", warnings=("clock",))
-    report = check_problem(problem, Seal("0" * 64, ("t",), (1024,), shared_samples=7))
+    seal = Seal("0" * 64, ("t",), (1000,), shared_samples=7, outside_inputs=(10, 11, 0))
+    report = check_problem(problem, seal)
     text = "\n".join(report.warnings)
     for expected in (
         "clock",
@@ -91,9 +92,17 @@ def test_doubts_are_said(tanks: Problem) -> None:
         "inputs u0 and u1 move together",
         "there is no description",
         "7 test samples also occur",
+        "11 of 1000 test samples of input u1 are beyond",
     ):
         assert expected in text
-    assert len(report.warnings) == 6
+    assert len(report.warnings) == 7
+
+
+def test_missing_outputs_are_counted(tanks: Problem) -> None:
+    u = np.random.default_rng(0).standard_normal((1000, 1))
+    y = np.where(np.arange(1000)[:, None] % 10 == 3, np.nan, u)
+    lines = check_problem(with_signals(tanks, u, y), Seal(None)).lines()
+    assert "missing outputs, in samples, left out of fit and V: tank2_level 100 of 1000" in lines
 
 
 def test_constant_signal_has_no_shares(tanks: Problem) -> None:

@@ -22,7 +22,7 @@ from asia.ledger import open_run
 from asia.problem.load import Seal, load_problem, lock_text
 from asia.report import draw_problem, write_report
 from asia.report._drawing.style import drawing, plain
-from asia.report._pictures.data import draw_data
+from asia.report._pictures.checked.data import draw_data
 from asia.report._write import pictures, save
 
 from .made_up import BENCHMARK, Outcomes, Shape, make_problem, write_run
@@ -243,7 +243,7 @@ def test_a_changed_artifact_is_refused(tmp_path: Path) -> None:
 
 def test_draw_problem_writes_the_data(tmp_path: Path) -> None:
     written = draw_problem(make_problem(MIMO), tmp_path / "here")
-    names = ["data.png", "data.pdf", "response.png", "response.pdf"]
+    names = [f"{n}.{kind}" for n in ("data", "response", "delays") for kind in ("png", "pdf")]
     assert [p.name for p in written] == names
     assert all(p.parent == tmp_path / "here" and p.stat().st_size > 5000 for p in written)
 

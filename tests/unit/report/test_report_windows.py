@@ -26,8 +26,8 @@ from asia.report import (
     leaderboard,
 )
 from asia.report._drawing.style import drawing
+from asia.report._pictures.checked.data import draw_data
 from asia.report._pictures.comparison import draw_arms
-from asia.report._pictures.data import draw_data
 from asia.report._pictures.growth import ErrorCurve, Growth, Marks, draw_growth
 from asia.report._pictures.standing import draw_standing
 from asia.report._pictures.windows import telling

@@ -32,7 +32,8 @@ class EngineOptions:
     executor: Annotated[
         str,
         typer.Option(
-            help="Where folds are fitted: local, local:N at once, dask://HOST:PORT, dask:FILE."
+            help="Where folds are fitted: local, local:N at once, dask://HOST:PORT, dask:FILE, "
+            "dask-slurm:FILE."
         ),
     ] = "local"
 

@@ -77,6 +77,7 @@ class SealedStore(Source):
             names=unique_names([Path(file.name).stem for file in head.files]),
             lengths=tuple(file.samples for file in head.files),
             shared_samples=head.shared_samples,
+            outside_inputs=head.outside_inputs,
         )
 
     def check_openable(self) -> None:

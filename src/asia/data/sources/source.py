@@ -63,6 +63,8 @@ class Outline:
     """Their numbers of samples."""
     shared_samples: int
     """How many of their samples also occur, in runs of ten or more, in the training records."""
+    outside_inputs: tuple[int, ...] = ()
+    """For each input, how many of their samples are beyond the range of the training records."""
 
 
 def _no_empty_name(value: str) -> str:

@@ -1,12 +1,13 @@
-"""What training records tell of delay, feedback, drift, steps of a converter and outliers."""
+"""Missing outputs, delay, feedback, drift, converter steps and outliers of training records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from asia.data._delay import find_delay, find_feedback
+from asia.data._delay import FoundDelay, find_delay, find_feedback
 from asia.data._trajectory import Array, Trajectory
 from asia.problem._problem import Problem
 
@@ -19,24 +20,42 @@ _STEP = 0.05
 _SPIKE = 10.0
 
 
-def delay_lines(problem: Problem) -> tuple[str, ...]:
-    """After how many samples each output answers each input, and where feedback is not judged."""
+@dataclass(frozen=True)
+class Answer:
+    """How an output answers an input, by their names."""
+
+    given: str
+    output: str
+    delay: FoundDelay
+
+
+def answers(problem: Problem) -> tuple[Answer, ...]:
+    """Every output with every input, where both move; none for short records."""
     if min(len(r) for r in problem.train) < _SHORTEST:
         return ()
     records = _first_samples(problem)
+    return tuple(
+        Answer(given.name, output.name, find_delay(records, i, j))
+        for j, output in enumerate(problem.outputs)
+        for i, given in enumerate(problem.inputs)
+        if _moves(records, i, j)
+    )
+
+
+def answer_lines(problem: Problem, found: Sequence[Answer]) -> tuple[str, ...]:
+    """After how many samples each output answers each input, and where feedback is not judged."""
     lines: list[str] = []
-    for j, output in enumerate(problem.outputs):
-        lags = [
-            (given.name, find_delay(records, i, j).lag)
-            for i, given in enumerate(problem.inputs)
-            if _moves(records, i, j)
-        ]
+    for output in problem.outputs:
+        lags = [(a.given, a.delay.lag) for a in found if a.output == output.name]
         said = ", ".join(f"{n} {'not found' if lag is None else lag}" for n, lag in lags)
         if lags:
             lines.append(
                 f"delay of output {output.name} in samples, the first correlation beyond its 99 % "
                 f"band: {said}"
             )
+    if not found:
+        return ()
+    records = _first_samples(problem)
     blind = [
         given.name
         for i, given in enumerate(problem.inputs)
@@ -47,6 +66,19 @@ def delay_lines(problem: Problem) -> tuple[str, ...]:
             f"feedback: not judged for input {', '.join(blind)}, which no short filter makes white"
         )
     return tuple(lines)
+
+
+def missing_lines(problem: Problem) -> list[str]:
+    """How many samples of each output are missing."""
+    measured = np.concatenate([r.measured for r in problem.train])
+    found = [
+        f"{output.name} {int(lost)} of {len(measured)}"
+        for output, lost in zip(problem.outputs, (~measured).sum(axis=0), strict=True)
+        if lost
+    ]
+    if not found:
+        return ["missing values: none"]
+    return [f"missing outputs, in samples, left out of fit and V: {', '.join(found)}"]
 
 
 def data_doubts(problem: Problem) -> list[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia._files import sync_folder
-from asia.data._copies import shared_samples
+from asia.data._copies import samples_outside, shared_samples
 from asia.data._digest import data_digest
 from asia.data._store import (
     SUFFIX,
@@ -83,6 +83,7 @@ class Sealing:
                 for content, record in zip(self.contents, records, strict=True)
             ),
             shared_samples=shared_samples(records, train),
+            outside_inputs=samples_outside(records, train),
         )
         key = key_path(keys, name)
         try:

@@ -1,0 +1,1 @@
+"""What `asia check` draws."""
