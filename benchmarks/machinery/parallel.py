@@ -1,13 +1,17 @@
 """By how much several experiments in flight shorten a search, in one run, over one worker.
 
     python benchmarks/machinery/parallel.py --experiments 30 --seconds 2
+    python benchmarks/machinery/parallel.py --problem cascaded_tanks --agent random
 
 1. Candidates that compute for about `--seconds` a fold: one worker; two, with two experiments in
    flight; two workers of a Dask cluster with one core each (extra `dask`).
 2. Candidates that sleep: one worker; eight, with sixteen experiments in flight.
 
 Searches of one kind have the same candidates, so V must be the same in all of them. The last line
-of each kind says so. Valid only on a machine without other load; the load is printed.
+of each kind says so. With `--problem`, an agent searches a built-in problem instead, with one
+worker, two, and two of Dask; the best V of each search is printed beside what a better one needs.
+The candidates of `random` do not depend on results, so its V must be the same. Valid only on a
+machine without other load; the load is printed.
 """
 
 from __future__ import annotations
@@ -26,11 +30,11 @@ from pathlib import Path
 
 import numpy as np
 
-from asia.agents import AgentView, Proposal
+from asia.agents import Agent, AgentView, Proposal, make_agent
 from asia.errors import UserError
 from asia.executor import Executor, make_executor
 from asia.executor.dask import DaskExecutor
-from asia.ledger import SearchView
+from asia.ledger import SearchView, floor_words
 from asia.problem.load import Problem, load_problem
 from asia.search import prepare, search
 
@@ -91,7 +95,7 @@ def made_problem(folder: Path, experiments: int) -> Problem:
 
 
 def timed(
-    problem: Problem, agent: Listed, runs: Path, parallel: int, executor: Executor
+    problem: Problem, agent: Agent, runs: Path, parallel: int, executor: Executor
 ) -> tuple[float, SearchView]:
     """Seconds from the first proposal to the last result, and the search."""
     times: list[float] = []
@@ -170,13 +174,45 @@ def compare(root: Path, kind: str, spend: str, seconds: float, experiments: int)
     print(f"{kind}: V is {'the same' if same else 'NOT the same'} in all searches")
 
 
+def compare_searches(root: Path, name: str, agent: str, experiments: int) -> None:
+    problem = load_problem(name)
+    problem = replace(problem, budget=replace(problem.budget, experiments=experiments))
+    walls: list[float] = []
+    found: list[SearchView] = []
+
+    def run(what: str, parallel: int, executor: Executor) -> None:
+        wall, view = timed(problem, make_agent(agent), root / what, parallel, executor)
+        walls.append(wall)
+        found.append(view)
+        best = view.best.score if view.best else None
+        print(
+            f"{name}, {agent}, {what}: {wall:.0f} s, speed-up {walls[0] / wall:.2f}, "
+            f"{len(view.finished)} experiments, V {best.value if best else 'none'}, "
+            f"needed: {floor_words(view)}",
+            flush=True,
+        )
+
+    run("one worker", 1, make_executor("local:1"))
+    run("two workers", 2, make_executor("local:2"))
+    if importlib.util.find_spec("distributed") is not None:
+        with dask_workers(root, 2) as executor:
+            run("two Dask workers", 2, executor)
+    same = all(values(one) == values(found[0]) for one in found)
+    print(f"{name}, {agent}: V is {'the same' if same else 'NOT the same'} in all experiments")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--experiments", type=int, default=30)
     parser.add_argument("--seconds", type=float, default=2.0, help="of a fold's fit, about")
+    parser.add_argument("--problem", help="a built-in problem, for searches by an agent")
+    parser.add_argument("--agent", default="random")
     options = parser.parse_args()
     print(f"load before {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     with tempfile.TemporaryDirectory() as folder:
+        if options.problem:
+            compare_searches(Path(folder), options.problem, options.agent, options.experiments)
+            return
         for kind, spend in (("compute", COMPUTE), ("sleep", SLEEP)):
             compare(Path(folder), kind, spend, options.seconds, options.experiments)
     print(f"load after {os.getloadavg()[0]:.1f}")
