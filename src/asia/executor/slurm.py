@@ -8,9 +8,11 @@ import os
 import sys
 import time
 import tomllib
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
+from asia._nearest import suggestion
 from asia._text import say
 from asia.errors import UserError
 from asia.executor.dask import DaskExecutor
@@ -67,14 +69,17 @@ def _read(file: Path) -> dict[str, Any]:
 
 def _cluster(settings: dict[str, Any], file: Path | None) -> Any:
     make: Any = importlib.import_module("dask_jobqueue").SLURMCluster
-    fixed = {"nanny": False, "death_timeout": _DEATH_SECONDS, "python": sys.executable}
-    try:
-        return make(**(fixed | settings))
-    except (TypeError, ValueError) as error:
+    core: Any = importlib.import_module("dask_jobqueue.core")
+    taken = (make.job_cls.__init__, core.Job.__init__, core.JobQueueCluster.__init__)
+    known = {name for function in taken for name in signature(function).parameters}
+    for name in settings.keys() - known:
         raise UserError(
-            f"--executor dask-slurm:{file or ''}: {error}; expected jobs and arguments of "
+            f"--executor dask-slurm:{file}: there is no setting '{name}'"
+            f"{suggestion(name, sorted(known))}: expected jobs and arguments of "
             "dask_jobqueue.SLURMCluster, such as queue, account, cores, memory, walltime"
-        ) from None
+        )
+    fixed = {"nanny": False, "death_timeout": _DEATH_SECONDS, "python": sys.executable}
+    return make(**(fixed | settings))
 
 
 def _started(cluster: Any, jobs: int) -> None:

@@ -13,7 +13,7 @@ from asia.data._digest import data_digest
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.problem._digest import protocol_digest
 from asia.problem._problem import Problem, Seal
-from asia.problem.advice.data import answer_lines, answers, data_doubts, missing_lines
+from asia.problem.advice.data import data_doubts, delay_lines, input_delays, missing_lines
 from asia.problem.advice.sealed import scored_samples, sealed_doubts
 from asia.problem.frequency import response_lines
 from asia.problem.knowledge import correction_lines, prior_lines, symmetry_lines
@@ -150,7 +150,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
         warnings=(*problem.warnings, *_doubts(problem, seal, signals, in_workspace=in_workspace)),
         in_workspace=in_workspace,
         response=response_lines(problem),
-        delays=answer_lines(problem, answers(problem)),
+        delays=delay_lines(problem, input_delays(problem)),
     )
 
 

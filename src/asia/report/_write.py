@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from asia.data import Signal
 from asia.ledger import Run, TestedModel, control, metric_of, open_run
-from asia.problem.advice.data import answers
+from asia.problem.advice.data import input_delays
 from asia.problem.frequency import responses
 from asia.problem.load import Problem, load_lock
 from asia.protocol import make_folds
@@ -18,7 +18,7 @@ from asia.report._board import read_board
 from asia.report._drawing.style import DPI, drawing
 from asia.report._pictures.boards import draw_boards
 from asia.report._pictures.checked.data import draw_data
-from asia.report._pictures.checked.delays import draw_answers
+from asia.report._pictures.checked.delays import draw_delays
 from asia.report._pictures.checked.equations import draw_equations
 from asia.report._pictures.checked.response import draw_responses
 from asia.report._pictures.dossier import draw_dossier
@@ -62,9 +62,9 @@ def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
     found = responses(problem)
     if any(one is not None for one in found):
         drawn.append(("response", lambda: draw_responses(problem, found)))
-    delays = answers(problem)
+    delays = input_delays(problem)
     if delays:
-        drawn.append(("delays", lambda: draw_answers(problem, delays)))
+        drawn.append(("delays", lambda: draw_delays(problem, delays)))
     physics = problem.physics
     if physics is not None:
         drawn.append(("equations", lambda: draw_equations(physics)))

@@ -34,7 +34,7 @@ def test_an_installed_package_brings_one(bring):
 
     bring(Far)
     assert isinstance(make_executor("far"), Far)
-    assert executors.executor_names() == ("local", "dask", "far")
+    assert executors.executor_names() == ("local", "dask", "dask-slurm", "far")
 
 
 @pytest.mark.parametrize("thing", [3, dict])

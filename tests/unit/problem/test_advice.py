@@ -7,7 +7,7 @@ import pytest
 
 from asia.data import Array, Signal, Trajectory
 from asia.problem._problem import Problem
-from asia.problem.advice.data import answer_lines, answers, data_doubts
+from asia.problem.advice.data import data_doubts, delay_lines, input_delays
 from asia.problem.load import load_problem
 
 SAMPLES = 1000
@@ -39,7 +39,7 @@ def of(tanks: Problem, u: Array, y: Array) -> Problem:
 def test_a_clean_record_has_its_delay_and_no_doubts(tanks: Problem, seed: int) -> None:
     problem = of(tanks, *clean(seed))
     assert data_doubts(problem) == []
-    (line,) = answer_lines(problem, answers(problem))
+    (line,) = delay_lines(problem, input_delays(problem))
     assert line.endswith("99 % band: u 3")
 
 
@@ -74,6 +74,6 @@ def test_feedback_to_a_sine_is_not_judged(tanks: Problem) -> None:
     problem = of(tanks, u, np.roll(u, 3))
     assert any(
         line.startswith("feedback: not judged for input u")
-        for line in answer_lines(problem, answers(problem))
+        for line in delay_lines(problem, input_delays(problem))
     )
     assert not any("follows earlier" in doubt for doubt in data_doubts(problem))

@@ -21,28 +21,28 @@ _SPIKE = 10.0
 
 
 @dataclass(frozen=True)
-class Answer:
-    """How an output answers an input, by their names."""
+class InputDelay:
+    """After how long an output answers an input, by their names."""
 
     given: str
     output: str
     delay: FoundDelay
 
 
-def answers(problem: Problem) -> tuple[Answer, ...]:
+def input_delays(problem: Problem) -> tuple[InputDelay, ...]:
     """Every output with every input, where both move; none for short records."""
     if min(len(r) for r in problem.train) < _SHORTEST:
         return ()
     records = _first_samples(problem)
     return tuple(
-        Answer(given.name, output.name, find_delay(records, i, j))
+        InputDelay(given.name, output.name, find_delay(records, i, j))
         for j, output in enumerate(problem.outputs)
         for i, given in enumerate(problem.inputs)
         if _moves(records, i, j)
     )
 
 
-def answer_lines(problem: Problem, found: Sequence[Answer]) -> tuple[str, ...]:
+def delay_lines(problem: Problem, found: Sequence[InputDelay]) -> tuple[str, ...]:
     """After how many samples each output answers each input, and where feedback is not judged."""
     lines: list[str] = []
     for output in problem.outputs:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from asia.problem.advice.data import Answer
+from asia.problem.advice.data import InputDelay
 from asia.problem.load import Problem
 from asia.report._drawing.style import BLUE, INK, ORANGE, entitle, picture_width, plain, quiet_grid
 
@@ -16,7 +17,7 @@ _MOST = 4
 _AFTER = 20
 
 
-def draw_answers(problem: Problem, found: Sequence[Answer]) -> Figure:
+def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
     """A panel for each output and input, of at most four of each; only the first lags."""
     outputs = list(dict.fromkeys(a.output for a in found))[:_MOST]
     inputs = list(dict.fromkeys(a.given for a in found))[:_MOST]
@@ -34,6 +35,7 @@ def draw_answers(problem: Problem, found: Sequence[Answer]) -> Figure:
         if lag is not None:
             axes.plot([lag], [answer.delay.correlation[lag]], "o", ms=4.0, color=ORANGE)
         quiet_grid(axes)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     for axes, name in zip(grid[:, 0], outputs, strict=True):
         axes.set_ylabel(plain(name, 14))
     for axes, name in zip(grid[0], inputs, strict=True):
