@@ -164,9 +164,10 @@ def solve_linear_part(records: ScaledData, a: Array, c: Array) -> LinearFit:
     n, nu, ny = len(a), records[0].u.shape[1], records[0].y.shape[1]
     zero = LinearSystem(a, np.zeros((n, nu)), c, np.zeros((ny, nu)), np.zeros(ny))
     driven = DrivenRecords(records)
-    targets = np.concatenate([(r.y * r.weight[:, None]).ravel() for r in records])
-    jacobian = driven.response(zero, np.zeros((len(records), n))).jacobian_but_poles()
-    theta = _damped_solve(jacobian, targets, 1e-8)
+    normal, gradient = driven.response(zero, np.zeros((len(records), n))).normal_equations(
+        poles=False
+    )
+    theta = _damped_step(normal, gradient, 1e-8)
     b, d, offset, x0 = np.split(theta, np.cumsum([n * nu, ny * nu, ny]))
     system = LinearSystem(a, b.reshape(n, nu), c, d.reshape(ny, nu), offset)
     return normalised(driven.response(system, x0.reshape(-1, n)))
@@ -228,17 +229,11 @@ def refine(
     for iteration in range(refinement.iterations):
         if log is not None:
             log(iteration, float(np.sqrt(current.error)))
-        jacobian, residual = _linearised(current, prior)
-        jacobian[:, : current.system.a.size] *= free
-        cost = float(residual @ residual)
-        scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-        scale = np.where(scale > 0, scale, 1.0)
-        scaled = jacobian / scale
-        normal, gradient = scaled.T @ scaled, scaled.T @ residual
+        normal, gradient = _normal_equations(current, prior, free)
+        cost = float(current.residual @ current.residual) + prior * float((current.x0**2).sum())
         proposal, proposed = current, cost
         while damping < 1e8:
-            step = np.linalg.solve(normal + damping * np.eye(len(normal)), gradient) / scale
-            proposal = _moved(current, step)
+            proposal = _moved(current, _damped_step(normal, gradient, damping))
             proposed = _penalised(proposal, prior, held)
             if proposed < cost:
                 break
@@ -260,14 +255,16 @@ def _penalised(response: Response, prior: float, integrators: int) -> float:
     return weighted + prior * float((response.x0**2).sum())
 
 
-def _linearised(current: Response, prior: float) -> tuple[Array, Array]:
-    jacobian, root, free = current.jacobian(), float(np.sqrt(prior)), current.x0.size
-    pull = np.zeros((free, jacobian.shape[1]))
-    pull[:, -free:] = root * np.eye(free)
-    return (
-        np.concatenate([jacobian, pull]),
-        np.append(current.residual, -root * current.x0),
-    )
+def _normal_equations(current: Response, prior: float, free: Array) -> tuple[Array, Array]:
+    """With the prior on initial states, and zeros for entries of A that are held."""
+    normal, gradient = current.normal_equations()
+    last = current.x0.size
+    normal[-last:, -last:] += prior * np.eye(last)
+    gradient[-last:] -= prior * current.x0.ravel()
+    normal[: free.size] *= free[:, None]
+    normal[:, : free.size] *= free
+    gradient[: free.size] *= free
+    return normal, gradient
 
 
 def _moved(current: Response, step: Array) -> Response:
@@ -280,9 +277,9 @@ def _moved(current: Response, step: Array) -> Response:
     return current.driven.response(LinearSystem(a, b, c, d, offset), x0)
 
 
-def _damped_solve(matrix: Array, target: Array, ridge: float) -> Array:
-    scale = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+def _damped_step(normal: Array, gradient: Array, damping: float) -> Array:
+    """Of the scaled normal equations."""
+    scale = np.sqrt(np.diagonal(normal))
     scale = np.where(scale > 0, scale, 1.0)
-    scaled = matrix / scale
-    normal = scaled.T @ scaled + ridge * np.eye(matrix.shape[1])
-    return np.linalg.solve(normal, scaled.T @ target) / scale
+    scaled = normal / (scale[:, None] * scale) + damping * np.eye(len(normal))
+    return np.linalg.solve(scaled, gradient / scale) / scale

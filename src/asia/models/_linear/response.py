@@ -137,9 +137,19 @@ class Response:
         initial states of all records."""
         return np.concatenate([self._derivatives(i, True) for i in range(len(self.x0))])
 
-    def jacobian_but_poles(self) -> Array:
-        """The same without A and C."""
-        return np.concatenate([self._derivatives(i, False) for i in range(len(self.x0))])
+    def normal_equations(self, *, poles: bool = True) -> tuple[Array, Array]:
+        """Products of the `jacobian` with itself and with the `residual`, record by record; without
+        `poles`, of its columns but those of A and C."""
+        normal, gradient, first = np.zeros((0, 0)), np.zeros(0), 0
+        for i in range(len(self.x0)):
+            slopes = self._derivatives(i, poles)
+            if i == 0:
+                normal, gradient = np.zeros((slopes.shape[1],) * 2), np.zeros(slopes.shape[1])
+            rest = self.residual[first : first + len(slopes)]
+            first += len(slopes)
+            normal += slopes.T @ slopes
+            gradient += slopes.T @ rest
+        return normal, gradient
 
     def _derivatives(self, i: int, poles: bool) -> Array:
         record, powers, system = self.driven.records[i], self._powers(i), self.system
@@ -162,7 +172,8 @@ class Response:
         full = np.concatenate([part.reshape(length, ny, -1) for part in parts], axis=2)
         if self.driven.weightings is not None:
             full = self.driven.weightings[i].jacobian(self.misfit(i)[None], full[None])[0]
-        return (full * record.weight[:, None, None]).reshape(length * ny, -1)
+        full *= record.weight[:, None, None]
+        return full.reshape(length * ny, -1)
 
 
 def transform_size(samples: int) -> int:

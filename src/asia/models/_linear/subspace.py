@@ -15,6 +15,9 @@ import numpy as np
 from asia.data import Array
 from asia.models._data.records import ScaledData
 
+# Columns of the Hankel matrices that are held at a time.
+_CHUNK = 8192
+
 
 @dataclass(frozen=True)
 class Observability:
@@ -79,36 +82,36 @@ def _hankel(values: Array, first: int, blocks: int, columns: int) -> Array:
 
 
 def _oblique_projection(records: ScaledData, horizon: int) -> Observability | None:
-    past: list[Array] = []
-    future_u: list[Array] = []
-    future_y: list[Array] = []
-    for r in records:
-        columns = len(r) - 2 * horizon
-        if columns < 1:
-            continue
-        past.append(
-            np.concatenate([_hankel(r.u, 0, horizon, columns), _hankel(r.y, 0, horizon, columns)])
-        )
-        future_u.append(_hankel(r.u, horizon, horizon, columns))
-        future_y.append(_hankel(r.y, horizon, horizon, columns))
-    if not past:
+    """From the products of the Hankel matrices alone, which are small for any number of samples."""
+    nu, ny = records[0].u.shape[1], records[0].y.shape[1]
+    past, future_u = horizon * (nu + ny), horizon * nu
+    columns = [len(r) - 2 * horizon for r in records]
+    if sum(max(count, 0) for count in columns) < 2 * (past + future_u):
         return None
-    z, uf, yf = (np.concatenate(part, axis=1) for part in (past, future_u, future_y))
-    if z.shape[1] < 2 * (len(z) + len(uf)):
-        return None
-    regressors = np.concatenate([z, uf])
-    gram = regressors @ regressors.T
-    gram += 1e-8 * np.trace(gram) / len(gram) * np.eye(len(gram))
-    gain = np.linalg.solve(gram, regressors @ yf.T).T
-    oblique = gain[:, : len(z)] @ z
+    gram = np.zeros((2 * past, 2 * past))
+    for r, count in zip(records, columns, strict=True):
+        for first in range(0, count, _CHUNK):
+            size = min(_CHUNK, count - first)
+            rows = [
+                _hankel(values, first + ahead, horizon, size)
+                for ahead in (0, horizon)
+                for values in (r.u, r.y)
+            ]
+            part = np.concatenate(rows)
+            gram += part @ part.T
+    known = past + future_u
+    regressors = gram[:known, :known]
+    ridge = 1e-8 * np.trace(regressors) / known * np.eye(known)
+    gain = np.linalg.solve(regressors + ridge, gram[:known, known:]).T[:, :past]
     # MOESP weighting: the part of the projection that future inputs cannot explain.
-    cross = np.linalg.lstsq(uf.T, oblique.T, rcond=None)[0]
-    oblique = oblique - (uf.T @ cross).T
-    return _factor(oblique, records[0].y.shape[1])
+    inputs, cross = gram[past:known, past:known], gram[past:known, :past]
+    unexplained = gram[:past, :past] - cross.T @ np.linalg.pinv(inputs, hermitian=True) @ cross
+    return _factor(gain @ unexplained @ gain.T, ny)
 
 
-def _factor(matrix: Array, ny: int) -> Observability:
-    left, singular, _ = np.linalg.svd(matrix @ matrix.T)
+def _factor(product: Array, ny: int) -> Observability:
+    """product: of a Hankel-like matrix and its transpose."""
+    left, singular, _ = np.linalg.svd(product)
     keep = singular > 1e-14 * singular[0]
     return Observability(left[:, keep] * singular[keep] ** 0.25, ny)
 
@@ -119,21 +122,18 @@ def _realisation(records: ScaledData, max_order: int) -> Observability | None:
     lags = min(2 * max_order + 10, total // (4 * (nu + ny)), min(len(r) for r in records) // 2)
     if lags < 2:
         return None
-    rows: list[Array] = []
-    targets: list[Array] = []
+    many = lags * (nu + ny) + nu
+    gram, moment = np.zeros((many, many)), np.zeros((many, ny))
     for r in records:
-        k = np.arange(lags, len(r))
-        back = k[:, None] - np.arange(1, lags + 1)
-        rows.append(
-            np.concatenate(
-                [r.y[back].reshape(len(k), -1), r.u[back].reshape(len(k), -1), r.u[k]], 1
-            )
-        )
-        targets.append(r.y[k])
-    regressors, y = np.concatenate(rows), np.concatenate(targets)
-    gram = regressors.T @ regressors
-    gram += 1e-6 * len(y) * np.eye(len(gram))
-    theta = np.linalg.solve(gram, regressors.T @ y)
+        for first in range(lags, len(r), _CHUNK):
+            k = np.arange(first, min(first + _CHUNK, len(r)))
+            back = k[:, None] - np.arange(1, lags + 1)
+            lagged = [r.y[back].reshape(len(k), -1), r.u[back].reshape(len(k), -1), r.u[k]]
+            regressors = np.concatenate(lagged, 1)
+            gram += regressors.T @ regressors
+            moment += regressors.T @ r.y[k]
+    gram += 1e-6 * sum(max(len(r) - lags, 0) for r in records) * np.eye(many)
+    theta = np.linalg.solve(gram, moment)
     return _from_arx(np.asarray(theta, np.float64), lags, nu, ny, max_order)
 
 
@@ -151,4 +151,4 @@ def _from_arx(theta: Array, lags: int, nu: int, ny: int, max_order: int) -> Obse
     if not np.isfinite(markov).all() or np.abs(markov).max() > 1e6:
         return None
     hankel = np.block([[markov[1 + i + j] for j in range(blocks - 1)] for i in range(blocks)])
-    return _factor(hankel, ny)
+    return _factor(hankel @ hankel.T, ny)
