@@ -1,6 +1,6 @@
 # make demo: the simulated two-tank problem, set-up included. make test: the checks of every change.
-# make test-all: those that take long, the documentation among them. make docs: the documentation as
-# a site, in build/site.
+# make test-all: the slower ones, and the documentation. make test-long: those that take longest,
+# before a release. make docs: the documentation as a site, in build/site.
 PYTHON ?= python3
 BIN := .venv/bin
 RUNS ?= runs
@@ -9,7 +9,7 @@ RUNS ?= runs
 WORKERS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN))))
 PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations 15
 
-.PHONY: demo test test-all lint docs format clean
+.PHONY: demo test test-all test-long lint docs format clean
 
 .venv/ready: pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -32,6 +32,9 @@ test: .venv/ready-dev
 
 test-all: .venv/ready-dev docs
 	$(PYTEST) -m slow
+
+test-long: .venv/ready-docs
+	$(PYTEST) -m long
 
 lint: .venv/ready-dev
 	$(BIN)/ruff check .

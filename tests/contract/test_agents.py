@@ -4,6 +4,7 @@ from asia.agents import AGENTS
 from asia.testing import check_agent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

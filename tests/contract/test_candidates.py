@@ -30,6 +30,7 @@ def small(answer: str = "y", noise: str = "0") -> str:
     return SMALL.replace("ANSWER", answer).replace("NOISE", noise)
 
 
+@pytest.mark.slow
 def test_an_honest_candidate_conforms() -> None:
     check_candidate(small())
 

@@ -21,6 +21,7 @@ def test_every_family_has_one_row():
 QUICK = {"linear", "narx", "arx"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "row",
     [

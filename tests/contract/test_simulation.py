@@ -225,6 +225,7 @@ def answered_elsewhere(models: dict[str, Any], folder: Path) -> None:
             np.testing.assert_array_equal(answer, model.simulate(*request), name)
 
 
+@pytest.mark.slow
 def test_networks_are_loaded_and_simulated_without_jax(tmp_path: Path) -> None:
     answered_elsewhere({row.name: shaken(row) for row in NETWORKS}, tmp_path)
 
@@ -234,6 +235,7 @@ def test_trained_models_are_loaded_and_simulated_without_jax(tmp_path: Path) -> 
     answered_elsewhere({row.name: trained(row) for row in ROWS}, tmp_path)
 
 
+@pytest.mark.slow
 def test_models_are_built_without_jax() -> None:
     """As the process that checks a source does, and the one that opens a run."""
     lines = [f"import {row.package}.{row.name}" for row in ROWS]

@@ -65,6 +65,7 @@ def test_a_golden_ledger_is_printed(run: Path) -> None:
     assert journal(view).count("**Hypothesis:**") == len(judged)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS, indirect=True, ids=lambda v: v.name)
 def test_a_golden_search_goes_on_to_the_end_it_would_have_had(
     version: Path, monkeypatch: pytest.MonkeyPatch

@@ -59,6 +59,7 @@ FAILS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GAINS_NOTHING)
 def test_attack_gains_nothing(open_arena, name):
     open_arena.gains_nothing(GAINS_NOTHING[name])

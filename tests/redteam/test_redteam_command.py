@@ -24,6 +24,7 @@ def run(*words: str):
     return CliRunner().invoke(app, ["redteam", *words])
 
 
+@pytest.mark.slow
 @needs_level
 def test_the_command_prints_a_table_and_a_verdict():
     done = run("--attack", "2", "--attack", "34", "--level", str(ONE_LEVEL), "--no-prove")
@@ -95,6 +96,7 @@ def test_the_level_of_another_system_is_not_for_attacks(monkeypatch):
     assert "no level of namespace, landlock works here" in str(done.exception)
 
 
+@pytest.mark.slow
 @needs_level
 def test_two_interrupts_leave_nothing_behind(tmp_path):
     command = [str(Path(sys.executable).with_name("asia")), "redteam", "--no-prove"]

@@ -22,6 +22,7 @@ def test_every_public_name_is_there() -> None:
         _ = asia.nothing  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("real_linear_rung")
 def test_a_search_from_python(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy")

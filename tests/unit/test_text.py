@@ -44,6 +44,7 @@ def test_markdown_shows_a_line_as_it_is(text: str, shown: str) -> None:
     assert not re.search(r"[`*\[\]<>|~@&]", re.sub(r"\\.", "", line))
 
 
+@pytest.mark.slow
 def test_nothing_is_written_past_the_one_place() -> None:
     """Terminals are written to by `asia._text` and by the console that takes all for plain text."""
     own = {PACKAGE / "_text.py", PACKAGE / "cli" / "_output" / "terminal.py"}

@@ -151,6 +151,7 @@ def test_successive_halving_promotes_the_best_third_and_no_other() -> None:
     assert len(promoted) <= -(-len(families(known)) // 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [simulation(physics=False), windows()])
 def test_validation_mode_stops_every_gradient_method_by_the_held_out_part(known: Facts) -> None:
     known = replace(known, early_stopping="validation")
@@ -184,6 +185,7 @@ def test_a_family_that_ran_away_or_out_of_time_gets_a_second_chance() -> None:
     assert recipe_of(calmer).number("learning_rate", 1) < 5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "known",
     [simulation(physics=True), simulation(physics=False, samples=50_000), windows(), body()],
@@ -196,6 +198,7 @@ def test_sixty_proposals_are_sixty_configurations(known: Facts) -> None:
     assert any(t.value is None for t in trials)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [simulation(physics=True), simulation(physics=False), windows()])
 def test_no_two_proposals_have_the_same_title(known: Facts) -> None:
     def better_each_time(proposal: Proposal, number: int) -> Trial:

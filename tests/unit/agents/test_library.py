@@ -39,6 +39,7 @@ PROBLEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
 @pytest.mark.parametrize("row", all_families(), ids=lambda row: row.name)
 def test_what_a_row_gives_is_accepted(row: Family, known: Facts) -> None:
@@ -88,6 +89,7 @@ def test_a_row_varies_settings_that_exist(row: Family) -> None:
         assert space.find("features") is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
 def test_what_the_expert_proposes_is_accepted(known: Facts) -> None:
     for done in search(ExpertAgent, known, 60):

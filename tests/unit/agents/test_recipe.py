@@ -32,6 +32,7 @@ recipes = st.builds(
 )
 
 
+@pytest.mark.slow
 @given(recipe=recipes)
 def test_a_recipe_survives_its_source(recipe: Recipe) -> None:
     source = recipe.source("Anything.")

@@ -28,6 +28,7 @@ def tuned(trials: tuple[Trial, ...]) -> list[Trial]:
     return [t for t in trials if plain_title(t.title).endswith(f": {TUNED}")]
 
 
+@pytest.mark.slow
 def test_tuning_takes_at_most_a_fifth_of_the_budget(trials: tuple[Trial, ...]) -> None:
     assert 3 <= len(tuned(trials)) <= 10
 

@@ -98,6 +98,7 @@ def compared(toy: Problem, tmp_path_factory: pytest.TempPathFactory) -> Compared
     return Compared(plan, log, bench(plan, log))
 
 
+@pytest.mark.slow
 def test_every_search_is_a_run_of_its_own(compared: Compared) -> None:
     names = [line.split()[1] for line in compared.log.runs]
     assert names == [
@@ -170,6 +171,7 @@ def test_pictures(compared: Compared) -> None:
     assert all(p.parent == compared.plan.directory for p in compared.result.pictures)
 
 
+@pytest.mark.slow
 def test_the_same_call_again_repeats_nothing(compared: Compared) -> None:
     before = {p: p.read_bytes() for p in compared.plan.runs.glob("*/ledger.jsonl")}
     log = Log()
@@ -205,6 +207,7 @@ def test_a_killed_comparison_goes_on(compared: Compared, toy: Problem, tmp_path:
     assert mine == {key: values for key, values in full.items() if key != "random"}
 
 
+@pytest.mark.slow
 def test_only_the_declared_run_is_unsealed(compared: Compared) -> None:
     declared = compared.plan.directory / "bench.json"
     assert json.loads(declared.read_text()) == {

@@ -114,6 +114,7 @@ DISGUISES: dict[str, Callable[[bytes], list[str]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disguise", DISGUISES.values(), ids=DISGUISES)
 def test_a_kilobyte_in_statements_alike_is_refused(disguise: Callable[[bytes], list[str]]):
     def table(size: int) -> str:
@@ -124,6 +125,7 @@ def test_a_kilobyte_in_statements_alike_is_refused(disguise: Callable[[bytes], l
         check_source(table(1024))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 def test_a_source_that_brings_a_record_along_is_refused(table: str):
     with pytest.raises(CandidateError) as caught:
@@ -133,12 +135,14 @@ def test_a_source_that_brings_a_record_along_is_refused(table: str):
     assert "training records" in caught.value.reason.advice
 
 
+@pytest.mark.slow
 def test_what_the_library_writes_stays_far_below_the_bounds():
     sources = library_sources()
     assert len(sources) > 500
     assert (np.max([figures(source) for source in sources], axis=0) * MARGIN < MOST).all()
 
 
+@pytest.mark.slow
 def test_a_family_written_out_by_hand_passes():
     for path in (Path(asia.__file__).parent / "models").rglob("*.py"):
         found = figures(path.read_text())

@@ -31,6 +31,7 @@ def hasty() -> Generator[None]:
     sys.setswitchinterval(interval)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("hasty")
 def test_threads_do_not_disturb_each_other() -> None:
     found: list[str] = []

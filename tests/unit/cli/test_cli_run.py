@@ -98,6 +98,7 @@ def test_runs_may_come_from_the_environment(
     assert "run toy-random-s0" in asia("status").out
 
 
+@pytest.mark.slow
 def test_unseal_once(searched: Searched, asia: Asia) -> None:
     words = ("unseal", searched.name, "--runs", searched.runs)
     unasked = asia(*words)
@@ -204,6 +205,7 @@ def test_version(asia: Asia) -> None:
     assert asia("--version").out == f"asia {__version__}\n"
 
 
+@pytest.mark.slow
 def test_strict_isolation_is_told(tmp_path: Path, asia: Asia) -> None:
     problem = write_problem(tmp_path / "toy")
     words = ("--agent", "random", "--experiments", 1, "--runs", tmp_path / "runs")
@@ -216,6 +218,7 @@ def test_strict_isolation_is_told(tmp_path: Path, asia: Asia) -> None:
     assert ", strict" in asia("show", run, "1").out
 
 
+@pytest.mark.slow
 def test_where_the_seconds_went(searched: Searched, asia: Asia, tmp_path: Path) -> None:
     done = asia("status", searched.directory, "--profile")
     assert done.code == 0, done.err

@@ -71,6 +71,7 @@ def test_sources_and_output_of_candidates(hostile: Path, tmp_path: Path, asia: A
     assert HOSTILE in plain.out
 
 
+@pytest.mark.slow
 def test_names_in_a_problem(hostile: Path) -> None:
     name = f"a{HOSTILE}\nfold 9: holds out all.csv"
     os.rename(hostile / "train.csv", hostile / name)
@@ -83,6 +84,7 @@ def test_names_in_a_problem(hostile: Path) -> None:
     assert not any(line.startswith("fold 9") for line in written.splitlines())
 
 
+@pytest.mark.slow
 def test_words_of_an_error(hostile: Path) -> None:
     text = (hostile / "problem.toml").read_text()
     escaped = "".join(c if c.isascii() and c.isprintable() else f"\\u{ord(c):04x}" for c in HOSTILE)
@@ -100,6 +102,7 @@ class Words:
         return Proposal(arx(2), forged, forged, forged, forged)
 
 
+@pytest.mark.slow
 def test_words_of_an_agent(hostile: Path, tmp_path: Path, asia: Asia) -> None:
     runs = tmp_path / "runs"
     agent = "tests.unit.cli.test_cli_terminal:Words"

@@ -42,6 +42,7 @@ def opened(run: str) -> bool:
     return open_run(Path("runs") / run).view.unsealing is not None
 
 
+@pytest.mark.slow
 def test_a_script_says_yes_to_each(run: str, asia: Asia) -> None:
     done = asia("unseal", run, "--yes")
     assert done.code == 2
@@ -54,6 +55,7 @@ def test_a_script_says_yes_to_each(run: str, asia: Asia) -> None:
     assert opened(run)
 
 
+@pytest.mark.slow
 def test_a_person_is_told_why_and_asked(
     run: str, asia: Asia, monkeypatch: pytest.MonkeyPatch
 ) -> None:

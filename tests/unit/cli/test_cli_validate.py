@@ -42,6 +42,7 @@ def new_record(path: Path, gain: float) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_line_a_check_and_a_summary_at_the_end(run: Path, asia: Asia) -> None:
     done = asia("validate", run)
     assert done.code == 0, done.err
@@ -63,6 +64,7 @@ def test_a_line_a_check_and_a_summary_at_the_end(run: Path, asia: Asia) -> None:
     assert verify(run).records == len(open_run(run).lines)
 
 
+@pytest.mark.slow
 def test_the_ledger_has_a_dossier_once_and_the_report_shows_it(run: Path, asia: Asia) -> None:
     asia("validate", run)
     before = len(open_run(run).lines)
@@ -86,6 +88,7 @@ def test_a_search_that_is_not_finished_keeps_no_dossier(
     assert len(open_run(part).lines) == end
 
 
+@pytest.mark.slow
 def test_a_new_record_that_the_model_gets_wrong(run: Path, tmp_path: Path, asia: Asia) -> None:
     good = asia("validate", run, "--record", new_record(tmp_path / "good.csv", 1.0))
     assert good.out.splitlines()[-1].endswith("fail 0")

@@ -34,6 +34,7 @@ def words(problem: Path, runs: Path) -> tuple[object, ...]:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_run_says_it_at_the_start_on_every_line_and_at_the_end(told: Searched) -> None:
     assert told.printed.code == 0, told.printed.err
     lines = told.printed.out.splitlines()
@@ -47,6 +48,7 @@ def test_run_says_it_at_the_start_on_every_line_and_at_the_end(told: Searched) -
     assert "not leak-free; 4 validation scores were given" in end
 
 
+@pytest.mark.slow
 def test_json_lines_say_it(told: Searched) -> None:
     again = command_line(*words(told.problem, told.runs), "--json")
     events = [json.loads(line) for line in again.out.splitlines()]
@@ -71,6 +73,7 @@ def test_show_and_diff_say_it(told: Searched, asia: Asia) -> None:
     assert asia("diff", "1", "1", "--runs", told.runs).out.count(f"{CALLED} = ") == 2
 
 
+@pytest.mark.slow
 def test_an_inner_search_says_nothing_of_it(searched: Searched, asia: Asia) -> None:
     for command in (("status",), ("show",)):
         out = asia(*command, "--runs", searched.runs).out

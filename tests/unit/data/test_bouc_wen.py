@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from asia.data import Signal
 from asia.data.sources import Channels
@@ -12,6 +13,7 @@ from asia.testing import check_source
 CHANNELS = Channels((Signal("force"),), (Signal("displacement"),), 1 / 750)
 
 
+@pytest.mark.slow
 def test_it_is_a_source() -> None:
     check_source(lambda: Simulated(0, 1, "bouc_wen"), CHANNELS)
 

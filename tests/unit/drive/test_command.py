@@ -21,6 +21,7 @@ def problem(tmp_path: Path) -> Path:
     return write_problem(tmp_path / "toy", experiments=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("format_", "tokens"), [("claude", 2 * 115), ("codex", 2 * 110), ("gemini", 220)]
 )
@@ -44,6 +45,7 @@ def test_an_agent_drives_a_search(problem: Path, format_: str, tokens: int) -> N
     assert "V = " in stream
 
 
+@pytest.mark.slow
 def test_a_token_cap_ends_an_agent_in_flight(problem: Path) -> None:
     view = go(problem, fake("claude", "greedy"), replace(RULES, tokens=5000))
     assert view.stopped is not None
@@ -53,6 +55,7 @@ def test_a_token_cap_ends_an_agent_in_flight(problem: Path) -> None:
     assert 5000 <= view.usage.tokens < 5000 + 2 * 1015
 
 
+@pytest.mark.slow
 def test_a_hang_is_stuck(problem: Path) -> None:
     view = go(problem, fake("codex", "hang"), replace(RULES, stuck_minutes=0.02))
     assert view.stopped is not None
@@ -60,12 +63,14 @@ def test_a_hang_is_stuck(problem: Path) -> None:
     assert "no new experiment" in view.stopped.detail
 
 
+@pytest.mark.slow
 def test_time_is_capped(problem: Path) -> None:
     view = go(problem, fake("gemini", "hang"), replace(RULES, minutes=0.05))
     assert view.stopped is not None
     assert view.stopped.reason == "time"
 
 
+@pytest.mark.slow
 def test_an_agent_that_leaves_at_once_is_asked_twice(problem: Path) -> None:
     view = go(problem, fake("claude", "leave"))
     assert view.stopped is not None
@@ -93,6 +98,7 @@ def test_cost_of_a_resumed_session_is_not_counted_twice(problem: Path) -> None:
     assert view.usage.cost is None or view.usage.cost <= 0.05 + 1e-9
 
 
+@pytest.mark.slow
 def test_a_search_stopped_by_a_cap_goes_on(problem: Path) -> None:
     first = go(problem, fake("claude", "hang"), replace(RULES, minutes=0.02))
     assert first.stopped is not None
@@ -103,6 +109,7 @@ def test_a_search_stopped_by_a_cap_goes_on(problem: Path) -> None:
     assert open_run(problem.parent / "runs" / "toy-claude-s0").view.complete
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not JAILED, reason="no namespaces here")
 def test_the_jail_shows_the_workspace_and_the_socket_alone(
     problem: Path, monkeypatch: pytest.MonkeyPatch

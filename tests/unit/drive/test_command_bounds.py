@@ -30,6 +30,7 @@ def streamed(problem: Path) -> bytes:
     return b"".join(store.get(e.lines) for e in events if isinstance(e, Streamed))
 
 
+@pytest.mark.slow
 def test_the_prompt_does_not_go_through_a_link(problem: Path) -> None:
     outside = problem.parent / "outside"
     outside.write_text("mine")
@@ -41,6 +42,7 @@ def test_the_prompt_does_not_go_through_a_link(problem: Path) -> None:
     assert "PROGRAM.md" in (folder / "PROMPT.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_workspace_is_never_taken_for_a_run(problem: Path) -> None:
     go(problem, fake("claude", "leave"))
     runs = problem.parent / "runs"
@@ -53,6 +55,7 @@ def test_a_workspace_is_never_taken_for_a_run(problem: Path) -> None:
         go(problem, fake("claude", "leave"))
 
 
+@pytest.mark.slow
 def test_a_key_is_written_nowhere(problem: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MY_KEY", KEY)
     rules = replace(RULES, variables=("MY_KEY",))
@@ -63,6 +66,7 @@ def test_a_key_is_written_nowhere(problem: Path, monkeypatch: pytest.MonkeyPatch
         assert not path.is_file() or KEY.encode() not in path.read_bytes()
 
 
+@pytest.mark.slow
 def test_half_a_character_in_a_stream_is_no_crash(problem: Path) -> None:
     code = 'print(\'{"type":"result","subtype":"\' + chr(92) + \'ud800\' + chr(92) + \'u001b"}\')'
     view = go(problem, says(code))
@@ -86,6 +90,7 @@ def test_totals_of_a_resumed_session_hold_the_earlier_ones() -> None:
     assert stream.totals == Usage(100, 30, 0, 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not JAILED, reason="no namespaces here")
 def test_a_configuration_is_a_copy(problem: Path) -> None:
     code = (
@@ -97,6 +102,7 @@ def test_a_configuration_is_a_copy(problem: Path) -> None:
     assert (problem.parent / ".claude" / "login").read_text() == "a token"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not JAILED, reason="no namespaces here")
 def test_the_jail_has_limits(problem: Path) -> None:
     code = (

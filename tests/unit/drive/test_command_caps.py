@@ -26,6 +26,7 @@ def problem(tmp_path: Path) -> Path:
     return write_problem(tmp_path / "toy", experiments=3)
 
 
+@pytest.mark.slow
 def test_a_killed_session_does_not_reset_the_money_cap(problem: Path) -> None:
     first = go(problem, says(PAID), replace(RULES, cost=5.0, minutes=5))
     assert len(first.sessions) == 2  # 9.8 USD are spent
@@ -41,6 +42,7 @@ def test_a_killed_session_does_not_reset_the_money_cap(problem: Path) -> None:
     assert "9.80 of 19.00 USD, and up to 10.20" in third.stopped.detail
 
 
+@pytest.mark.slow
 def test_a_resumed_session_is_paid_once_with_a_cap(problem: Path) -> None:
     rules = replace(with_config(problem), cost=10.0)
     view = go(problem, fake("claude", "twice", dollars=("--budget", "{dollars}")), rules)
@@ -48,6 +50,7 @@ def test_a_resumed_session_is_paid_once_with_a_cap(problem: Path) -> None:
     assert costs == [pytest.approx(0.03), pytest.approx(0.02)]
 
 
+@pytest.mark.slow
 def test_an_interrupted_session_is_charged(problem: Path) -> None:
     def interrupt(event: Event, view: SearchView) -> None:
         if isinstance(event, Evaluated) and event.experiment == 2:
@@ -60,6 +63,7 @@ def test_an_interrupted_session_is_charged(problem: Path) -> None:
     assert kinds.index("session_started") < kinds.index("streamed") < kinds.index("session_ended")
 
 
+@pytest.mark.slow
 def test_a_session_that_a_crash_cut_off_is_charged_later(problem: Path) -> None:
     go(problem, fake("claude", "search"), replace(RULES, cost=5.0))
     directory = problem.parent / "runs" / "toy-claude-s0"
@@ -83,16 +87,19 @@ def test_failures_of_an_earlier_sitting_do_not_count(tmp_path: Path) -> None:
     assert len(second.finished) > len(first.finished)
 
 
+@pytest.mark.slow
 def test_a_child_that_keeps_the_output_open_does_not_hold_the_search(problem: Path) -> None:
     code = "import subprocess;subprocess.Popen(['sleep','40'],start_new_session=True)"
     assert ends(lambda: go(problem, says(code), CommandRules(jail=False, minutes=5)), 30.0)
 
 
+@pytest.mark.slow
 def test_a_finished_run_returns(problem: Path) -> None:
     go(problem, fake("claude", "search"))
     assert ends(lambda: go(problem, fake("claude", "search")))
 
 
+@pytest.mark.slow
 def test_time_is_capped_while_candidates_wait(tmp_path: Path) -> None:
     """An agent that hands in faster than is judged is watched all the same."""
     problem = write_problem(tmp_path / "toy", experiments=40)

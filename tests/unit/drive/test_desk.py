@@ -42,6 +42,7 @@ def place(served: tuple[Place, str]) -> Place:
     return served[0]
 
 
+@pytest.mark.slow
 def test_a_submission_is_judged_and_found_by_its_ticket(served: tuple[Place, str]) -> None:
     place, ticket = served
     assert place.desk.submission(ticket) == Submission(ticket, "done", experiment=2)
@@ -134,6 +135,7 @@ def test_the_baseline_counts_before_it_is_judged(tmp_path: Path) -> None:
         place.desk.submit(candidate(2))
 
 
+@pytest.mark.slow
 def test_the_baseline_costs_nothing_before_it_is_judged(tmp_path: Path) -> None:
     place = ordered(tmp_path)
     prepared = prepare_request(SearchRequest.load(place.directory), place.directory.parent, None)
@@ -224,6 +226,7 @@ def test_the_search_is_called_where_it_is_needed_only(served: tuple[Place, str])
     assert calls == [place.directory.resolve()] * 2
 
 
+@pytest.mark.slow
 def test_a_search_that_never_began_is_started_first(tmp_path: Path) -> None:
     place = ordered(tmp_path)
     with pytest.raises(UserError, match="no ledger"):

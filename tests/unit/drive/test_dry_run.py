@@ -32,6 +32,7 @@ def files(directory: Path) -> dict[str, bytes]:
     return {str(p): p.read_bytes() for p in directory.rglob("*") if p.is_file()}
 
 
+@pytest.mark.slow
 def test_a_dry_run_leaves_the_run_as_it_was(place: Place) -> None:
     before = files(place.directory)
     found = place.desk.dry_run(TALKS)

@@ -34,6 +34,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return searched(tmp_path_factory.mktemp("plain"))
 
 
+@pytest.mark.slow
 def test_training_samples_alone_are_simulated(run: Path) -> None:
     shown = RunDesk(run).simulated(2)
     problem = load_problem(run.parents[1] / "toy")
@@ -47,6 +48,7 @@ def test_training_samples_alone_are_simulated(run: Path) -> None:
         assert np.array_equal(y, record[case.start : case.start + len(y)])
 
 
+@pytest.mark.slow
 def test_held_out_samples_are_shown_where_the_problem_says_so(tmp_path: Path) -> None:
     directory = searched(tmp_path, '[protocol]\nresiduals = "held_out"\n')
     shown = RunDesk(directory).simulated(2)
@@ -66,6 +68,7 @@ def test_what_has_no_score_is_not_drawn(run: Path) -> None:
         RunDesk(run).simulated(3)
 
 
+@pytest.mark.slow
 def test_pictures_lie_in_the_folder(run: Path, tmp_path: Path) -> None:
     with DeskServer(tmp_path / "s", RunDesk(run)):
         shown = SocketDesk(tmp_path / "s").simulated(2)

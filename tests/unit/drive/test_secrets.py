@@ -108,6 +108,7 @@ def holding(folder: Path, secret: str) -> list[Path]:
     return [path for path in files if secret.encode() in path.read_bytes()]
 
 
+@pytest.mark.slow
 def test_a_search_with_a_language_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PLANTED_KEY", KEY)
     monkeypatch.setenv(BYSTANDER, PLANTED)
@@ -133,6 +134,7 @@ def test_a_search_with_a_language_model(tmp_path: Path, monkeypatch: pytest.Monk
         assert holding(tmp_path / "runs", secret) == []
 
 
+@pytest.mark.slow
 def test_the_process_behind_a_desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", KEY)
     monkeypatch.setenv(BYSTANDER, PLANTED)
@@ -151,6 +153,7 @@ def test_the_process_behind_a_desk(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         end_searches(place.directory)
 
 
+@pytest.mark.slow
 def test_a_coding_agent_and_its_own_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It must have its key; what it prints of it is not kept, and it gets no other."""
     monkeypatch.setenv("ANTHROPIC_API_KEY", KEY)

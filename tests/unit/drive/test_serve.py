@@ -56,6 +56,7 @@ def test_a_search_that_fails_at_once_says_why(place: Place) -> None:
     assert searches(place.directory) == []
 
 
+@pytest.mark.slow
 def test_a_killed_search_is_taken_up_again_where_it_was(place: Place) -> None:
     desk = RunDesk(place.directory, start_search)
     submission = desk.submit(candidate(2))
@@ -158,6 +159,7 @@ def test_a_larger_order_reaches_a_search_that_ends(
     assert [p.problem.budget.experiments for p in seen] == [4, 9]
 
 
+@pytest.mark.slow
 def test_an_order_for_a_run_that_exists(tmp_path: Path) -> None:
     place = ordered(tmp_path, experiments=1)
     serve(place.directory)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
@@ -83,6 +84,7 @@ def value(evaluation: Evaluation) -> float:
     return evaluation.outcome.value
 
 
+@pytest.mark.slow
 def test_folds_that_tell_each_other_their_records_are_found_out(tmp_path: Path) -> None:
     judge, cheat = evaluator(), source(tmp_path)
     found = judge.evaluate(cheat)
@@ -97,6 +99,7 @@ def test_folds_that_tell_each_other_their_records_are_found_out(tmp_path: Path) 
     assert judge.objection(source(None), honest.folds) is None
 
 
+@pytest.mark.slow
 def test_what_is_scored_elsewhere_is_asked_the_same() -> None:
     """A test or guard record tells no model what comes later."""
     judge = evaluator()

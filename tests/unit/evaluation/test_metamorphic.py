@@ -147,6 +147,7 @@ def test_inputs_of_the_future_are_found_out(horizon: int | None):
     assert "causality" in kinds(ahead, horizon)
 
 
+@pytest.mark.slow
 def test_a_look_ahead_at_few_places_takes_more_lengths(monkeypatch: pytest.MonkeyPatch):
     """Every tenth sample: three lengths miss it, more of them do not."""
 

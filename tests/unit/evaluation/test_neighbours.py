@@ -119,6 +119,7 @@ def test_it_gains_nothing_in_time_order() -> None:
     assert value(forgetful) == value(judge.evaluate(HOLD))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("remember", ["True", "False"])
 def test_a_curve_through_other_windows_is_refused(remember: str) -> None:
     """A fresh worker knows other ones."""

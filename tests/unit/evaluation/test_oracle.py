@@ -122,6 +122,7 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> dict[Channel, list[tuple[str, Any, 
     return requests
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("isolation", LEVELS)
 @pytest.mark.parametrize("horizon", [None, 20])
 def test_the_best_score_told_is_the_score_of_the_fold(
@@ -134,6 +135,7 @@ def test_the_best_score_told_is_the_score_of_the_fold(
     assert found.validation_scores == 24
 
 
+@pytest.mark.slow
 def test_stopping_by_it_saves_a_fit_that_goes_astray() -> None:
     sound = descent(61, rate=1.0)
     astray = sound.replace(
@@ -232,6 +234,7 @@ def fit(trajectories, context):
 """
 
 
+@pytest.mark.slow
 def test_a_reloaded_model_is_not_compiled_again() -> None:
     found = evaluator().evaluate(COMPILED)
     assert value(found) > 0
@@ -280,6 +283,7 @@ def test_a_model_that_fails_while_scored_fails_the_candidate(
     assert found.validation_scores == 2
 
 
+@pytest.mark.slow
 def test_time_spent_on_scores_counts_as_the_fits() -> None:
     slow = asking("context.validation_score(Model())", "time.sleep(600)")
     assert failure(evaluator(fit_seconds=3.0).evaluate(slow)).reason is Reason.FIT_TIMEOUT

@@ -26,6 +26,7 @@ def simulated(samples: int, late: int, windows: int = 1):  # type: ignore[no-unt
     return blocks, y_hat
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("samples", "windows"), [(600, 1), (9000, 1), (50, 100)])
 def test_a_missing_delay_is_named(samples: int, windows: int) -> None:
     blocks, y_hat = simulated(samples, 3, windows)

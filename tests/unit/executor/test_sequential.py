@@ -48,6 +48,7 @@ def prepared(root: Path, *, strict: bool) -> Prepared:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strict", [True, False])
 def test_folds_run_one_by_one_when_asked(tmp_path: Path, at_once: list[int], strict: bool) -> None:
     ready = prepared(tmp_path, strict=strict)
@@ -61,6 +62,7 @@ def test_folds_run_one_by_one_when_asked(tmp_path: Path, at_once: list[int], str
     assert words is strict
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_as_it_began(tmp_path: Path) -> None:
     ready = prepared(tmp_path, strict=True)
     search(ready, Scripted((arx(2), arx(3))), lambda *event: None, lambda view: None)

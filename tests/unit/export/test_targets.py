@@ -28,6 +28,7 @@ def precision() -> Iterator[None]:
     jax.config.update("jax_enable_x64", before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_every_family_lowers(name: str) -> None:
     given = ready(MODELS[name]())
@@ -46,6 +47,7 @@ def offered(target: str) -> str:
     return target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("name", QUICK)
 def test_files_simulate_as_the_model(target: str, name: str, tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> asia.SystemIdentifier:
     return found.fit([u for u, _ in records], [y for _, y in records], sampling_time=STEP)
 
 
+@pytest.mark.slow
 def test_it_simulates_predicts_and_scores(fitted: asia.SystemIdentifier) -> None:
     u, y = a_record(3)
     assert fitted.score(u, y) > 99.0
@@ -51,6 +52,7 @@ def test_it_simulates_predicts_and_scores(fitted: asia.SystemIdentifier) -> None
     assert (banded.lower < banded.upper).all()
 
 
+@pytest.mark.slow
 def test_a_prediction_stands_at_its_sample_and_uses_nothing_later(
     fitted: asia.SystemIdentifier,
 ) -> None:
@@ -76,6 +78,7 @@ def test_the_same_records_and_settings_resume(fitted: asia.SystemIdentifier) -> 
     assert again.run_.lines == fitted.run_.lines
 
 
+@pytest.mark.slow
 def test_the_command_line_finds_the_same(fitted: asia.SystemIdentifier, tmp_path: Path) -> None:
     directory = next((Path(fitted.runs) / "problems").glob("records-*"))
     done = command_line(
@@ -119,6 +122,7 @@ def test_a_notebook_shows_value_model_and_picture(fitted: asia.SystemIdentifier)
     assert "def fit" in fitted.source_
 
 
+@pytest.mark.slow
 def test_the_model_is_exported(fitted: asia.SystemIdentifier, tmp_path: Path) -> None:
     (written,) = fitted.export("numpy", tmp_path)
     assert written.folder == tmp_path / "numpy"

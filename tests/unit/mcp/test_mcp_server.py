@@ -77,6 +77,7 @@ async def search(client: Client, directory: Path) -> None:
     verify(directory)
 
 
+@pytest.mark.slow
 def test_a_client_drives_a_whole_search(setting: Setting) -> None:
     async def main() -> None:
         async with Client(make_server(setting.opened())) as client:
@@ -120,6 +121,7 @@ def test_the_tools_are_few_short_and_annotated(setting: Setting) -> None:
     anyio.run(main)
 
 
+@pytest.mark.slow
 def test_what_an_agent_does_wrong_is_told_in_words_it_can_use(setting: Setting) -> None:
     async def main() -> None:
         async with Client(make_server(setting.opened())) as client:
@@ -148,6 +150,7 @@ def test_what_an_agent_does_wrong_is_told_in_words_it_can_use(setting: Setting) 
     anyio.run(main)
 
 
+@pytest.mark.slow
 def test_words_of_a_candidate_are_bounded_wherever_they_are_shown(setting: Setting) -> None:
     loud = "def fit(t, c):\n    raise ValueError('\\x1b[31m' + 5000 * 'y')\n"
 
@@ -168,6 +171,7 @@ def test_words_of_a_candidate_are_bounded_wherever_they_are_shown(setting: Setti
     anyio.run(main)
 
 
+@pytest.mark.slow
 def test_taking_back(setting: Setting) -> None:
     async def main() -> None:
         async with Client(make_server(setting.opened())) as client:
@@ -190,6 +194,7 @@ def test_taking_back(setting: Setting) -> None:
     anyio.run(main)
 
 
+@pytest.mark.slow
 def test_a_person_steers_and_stops_it(setting: Setting) -> None:
     async def main() -> None:
         async with Client(make_server(setting.opened())) as client:

@@ -46,6 +46,7 @@ def servers(setting: Setting) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 def test_a_search_over_stdio(setting: Setting) -> None:
     async def main() -> None:
         async with Client(stdio(setting)) as client:
@@ -147,6 +148,7 @@ def test_a_search_over_http(setting: Setting) -> None:
         ).status_code in (400, 403, 421)
 
 
+@pytest.mark.slow
 def test_a_token_is_made_up_and_told_once(setting: Setting) -> None:
     with http(setting) as (url, said):
         token = said.removeprefix("asia: token ").strip()

@@ -20,6 +20,7 @@ from tests.unit.models.systems.fitting import (
 SMALL = esn.Config(units=40, members=2, longest=10.0)
 
 
+@pytest.mark.slow
 def test_half_the_error_of_the_best_linear_model() -> None:
     data = case(rectifying, noise=0.01)
     line = fitted(linear, linear.Config(order=2), data, None)

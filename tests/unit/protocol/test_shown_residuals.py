@@ -24,6 +24,7 @@ def toy(directory: Path, setting: str = SHOWN) -> Path:
     return directory
 
 
+@pytest.mark.slow
 def test_the_setting_is_recorded_and_printed_with_v(tmp_path: Path) -> None:
     problem, agent = toy(tmp_path / "toy"), Scripted((arx(2),))
     directory = asia.run(problem, agent=agent, runs=tmp_path / "runs", experiments=2).directory
@@ -40,6 +41,7 @@ def test_the_setting_is_recorded_and_printed_with_v(tmp_path: Path) -> None:
     assert load_lock(directory / "problem.lock.toml").protocol.residuals == "held_out"
 
 
+@pytest.mark.slow
 def test_v_carries_both_marks(tmp_path: Path) -> None:
     problem, runs = toy(tmp_path / "toy"), tmp_path / "runs"
     agent = Scripted(())
@@ -80,6 +82,7 @@ def test_the_ladder_and_held_out_residuals_rule_each_other_out(tmp_path: Path) -
         load_problem(toy(tmp_path / "other", SHOWN.replace("held_out", "all")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", ["train", "held_out"])
 def test_held_out_residuals_are_said_where_the_problem_shows_them(
     tmp_path: Path, setting: str

@@ -112,6 +112,7 @@ def test_progress_can_be_read(tmp_path: Path, outcomes: Outcomes) -> None:
         assert_readable(draw())
 
 
+@pytest.mark.slow
 def test_progress_shows_what_the_ledger_tells(tmp_path: Path) -> None:
     figure = draw_all(tmp_path / "run", Shape(), FIVE, 0)["progress"]
     (axes,) = figure.axes
@@ -150,6 +151,7 @@ def test_a_huge_value_does_not_squeeze_the_others(tmp_path: Path) -> None:
     assert list(curves["off scale"].get_xdata()) == [6]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "trajectories"),
     [
@@ -167,6 +169,7 @@ def test_every_picture_can_be_read(tmp_path: Path, shape: Shape, trajectories: i
             assert len(figure.axes) <= 16
 
 
+@pytest.mark.slow
 def test_simulation_titles_give_the_recorded_errors(tmp_path: Path) -> None:
     problem = make_problem(MIMO)
     run = open_run(write_run(tmp_path / "run", problem, FIVE))
@@ -180,6 +183,7 @@ def test_simulation_titles_give_the_recorded_errors(tmp_path: Path) -> None:
         assert f"{fold.rmse[0]:.3g} m, fit {fold.fit_index[0]:.1f} %" in titles
 
 
+@pytest.mark.slow
 def test_the_sealed_test_is_drawn_only_once_opened(tmp_path: Path) -> None:
     before = draw_all(tmp_path / "a", BENCHMARK, FIVE[:1], 0)
     after = draw_all(tmp_path / "b", BENCHMARK, FIVE[:1], 1)
@@ -187,6 +191,7 @@ def test_the_sealed_test_is_drawn_only_once_opened(tmp_path: Path) -> None:
     assert set(after) == {*before, "test", "leaderboard"}
 
 
+@pytest.mark.slow
 def test_own_data_under_a_benchmarks_name_is_not_ranked(tmp_path: Path) -> None:
     shape = Shape(name="cascaded_tanks")
     assert "leaderboard" not in draw_all(tmp_path / "run", shape, FIVE[:1], 1)
@@ -209,6 +214,7 @@ def test_files_are_the_same_twice_and_have_their_size(tmp_path: Path) -> None:
     assert one[1].read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.slow
 def test_write_report_reads_a_run_directory(tmp_path: Path) -> None:
     problem = load_problem("two_tanks_sim")
     run = tmp_path / "run"
@@ -241,6 +247,7 @@ def test_a_changed_artifact_is_refused(tmp_path: Path) -> None:
         dict(pictures(run, problem))["simulation"]()
 
 
+@pytest.mark.slow
 def test_draw_problem_writes_the_data(tmp_path: Path) -> None:
     written = draw_problem(make_problem(MIMO), tmp_path / "here")
     names = [f"{n}.{kind}" for n in ("data", "response", "delays") for kind in ("png", "pdf")]
@@ -254,6 +261,7 @@ def test_plain_text_holds_only_what_the_font_can_draw() -> None:
     assert plain("x" * 80, 10) == "x" * 9 + "…"
 
 
+@pytest.mark.slow
 def test_importing_the_package_loads_no_matplotlib_and_drawing_no_pyplot(tmp_path: Path) -> None:
     script = (
         "import sys, asia.report\n"

@@ -68,6 +68,7 @@ def test_held_out_parts_stand_beside_the_training() -> None:
     assert "residuals of the held-out part" in residuals.get_suptitle()
 
 
+@pytest.mark.slow
 def test_many_outputs_are_chosen_by_their_residual() -> None:
     simulation, residuals = drawn(cases(outputs=6))
     assert "4 of 6 outputs" in simulation.get_suptitle()
@@ -77,6 +78,7 @@ def test_many_outputs_are_chosen_by_their_residual() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_same_cases_give_the_same_bytes() -> None:
     first, second = draw_cases(cases()), draw_cases(cases())
     assert first == second

@@ -200,6 +200,7 @@ def test_best_so_far() -> None:
     assert list(values[1:]) == [0.5, 0.5, 0.5, 0.2, 0.2]
 
 
+@pytest.mark.slow
 def test_published_errors_beside_ours() -> None:
     marks = tuple(Marks(f"paper {i}", ((10, 0.1 * i), (50, 0.9))) for i in range(1, 5))
     lines = (
@@ -223,6 +224,7 @@ def test_another_result_is_marked_in_the_leaderboard() -> None:
     assert "0.298 V" in legend.get_texts()[0].get_text()
 
 
+@pytest.mark.slow
 def test_draw_bench_reads_runs(tmp_path: Path) -> None:
     problem = load_problem("two_tanks_sim")
     run = tmp_path / "run"
@@ -238,6 +240,7 @@ def test_draw_bench_reads_runs(tmp_path: Path) -> None:
     assert [p.name for p in written] == [f"{name}.{suffix}" for name, suffix in names]
 
 
+@pytest.mark.slow
 def test_pictures_name_the_metric_of_the_problem(tmp_path: Path) -> None:
     problem = windows_problem()
     directory = write_run(tmp_path / "run", problem, FIVE[:2], unsealed=2)

@@ -35,6 +35,7 @@ def test_what_bears_the_mark_is_ended_and_nothing_else():
         assert neighbour.poll() is None
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(why_not(Isolation.NAMESPACE) is not None, reason="no namespaces")
 def test_kills_while_workers_start_leave_no_process():
     script = Path(__file__).parents[3] / "benchmarks" / "machinery" / "kill.py"

@@ -44,6 +44,7 @@ def source(body: str) -> str:
     return SOURCE.replace("OFFERED", body)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "expected"),
     [

@@ -97,6 +97,7 @@ def fitted(worker: Worker, case: Case, source: str = GAIN) -> list[str]:
     return worker.fit(source, case.trajectories, case.context).output.split()
 
 
+@pytest.mark.slow
 def test_none_waits_at_first_and_each_is_used_once(
     ahead: ReadyWorkers, opened: list[Worker], case: Case
 ) -> None:
@@ -115,6 +116,7 @@ def test_none_waits_at_first_and_each_is_used_once(
     assert len(opened) == 6
 
 
+@pytest.mark.slow
 def test_a_worker_has_never_loaded_more_than_its_candidate_does(
     ahead: ReadyWorkers, case: Case
 ) -> None:
@@ -128,6 +130,7 @@ def test_a_worker_has_never_loaded_more_than_its_candidate_does(
     assert "jax" not in modules
 
 
+@pytest.mark.slow
 def test_few_wait(ahead: ReadyWorkers, opened: list[Worker]) -> None:
     for libraries in (NOTHING, FFT, SIGNALS, FFT | SIGNALS, NOTHING, FFT):
         one = ahead.take(libraries)

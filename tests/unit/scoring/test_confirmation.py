@@ -120,6 +120,7 @@ def test_block_values_are_exact_for_a_mean_and_near_for_a_root() -> None:
     assert len(block_values([y[:5]], [y_hat[:5]], scale, "rmse")) == 5
 
 
+@pytest.mark.slow
 def test_the_optimism_of_equal_candidates_is_what_luck_gives_the_lowest() -> None:
     random = np.random.default_rng(6)
     number, found = 20, []

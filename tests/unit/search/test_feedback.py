@@ -69,6 +69,7 @@ def digits(view: SearchView) -> list[str]:
     return [f"{v:.5f}"[1:] for v in values]
 
 
+@pytest.mark.slow
 def test_what_agents_see_is_what_is_told(
     laddered: tuple[SearchView, Path, list[AgentView]], tmp_path: Path
 ) -> None:
@@ -128,6 +129,7 @@ def forgetful(order: int, size: float) -> str:
     return honest + FORGETFUL.replace("SIZE", str(size))
 
 
+@pytest.mark.slow
 def test_a_verdict_is_the_same_whether_or_not_it_would_have_won(tmp_path: Path) -> None:
     agent = Scripted((forgetful(2, 0.01), forgetful(1, 0.02)))
     ready = prepare(load_problem(with_feedback(tmp_path)), agent.name, seed=0, runs=tmp_path / "r")
@@ -139,6 +141,7 @@ def test_a_verdict_is_the_same_whether_or_not_it_would_have_won(tmp_path: Path) 
     assert told(ready.directory, 2) == told(ready.directory, 3)
 
 
+@pytest.mark.slow
 def test_a_verdict_from_held_out_outputs_is_told_as_no_new_best(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

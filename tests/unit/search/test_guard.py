@@ -45,6 +45,7 @@ def extended(problem: Path, experiments: int) -> Problem:
     return replace(loaded, budget=replace(loaded.budget, experiments=experiments))
 
 
+@pytest.mark.slow
 def test_the_last_new_bests_are_looked_at_once(guarded: Path, tmp_path: Path) -> None:
     view = go(load_problem(guarded), tmp_path / "runs")
     assert view.complete
@@ -60,6 +61,7 @@ def test_the_last_new_bests_are_looked_at_once(guarded: Path, tmp_path: Path) ->
     assert (directory / "ledger.jsonl").stat().st_size == size
 
 
+@pytest.mark.slow
 def test_a_second_look_is_counted(guarded: Path, tmp_path: Path) -> None:
     go(load_problem(guarded), tmp_path / "runs")
     view = go(extended(guarded, 3), tmp_path / "runs")
@@ -68,6 +70,7 @@ def test_a_second_look_is_counted(guarded: Path, tmp_path: Path) -> None:
     assert [look.look for look in view.looks] == [1, 2]
 
 
+@pytest.mark.slow
 def test_a_search_that_ends_again_with_the_same_bests_learns_nothing(
     guarded: Path, tmp_path: Path
 ) -> None:
@@ -80,6 +83,7 @@ def test_a_search_that_ends_again_with_the_same_bests_learns_nothing(
     assert same == (view.looks[1].look == 1)
 
 
+@pytest.mark.slow
 def test_a_look_that_was_cut_off_is_made_up_for(guarded: Path, tmp_path: Path) -> None:
     first = go(load_problem(guarded), tmp_path / "runs")
     ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
@@ -90,6 +94,7 @@ def test_a_look_that_was_cut_off_is_made_up_for(guarded: Path, tmp_path: Path) -
     assert go(load_problem(guarded), tmp_path / "runs").looks == first.looks
 
 
+@pytest.mark.slow
 def test_nobody_gets_to_see_it(
     guarded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -127,6 +132,7 @@ def test_nobody_gets_to_see_it(
     assert not any(b"7654" in text or b"unseen" in text for text in texts)
 
 
+@pytest.mark.slow
 def test_a_guard_that_was_changed_is_not_looked_at(guarded: Path, tmp_path: Path) -> None:
     go(load_problem(guarded), tmp_path / "runs")
     text = (guarded / "unseen.csv").read_text().replace("7.654", "7.655")
@@ -135,6 +141,7 @@ def test_a_guard_that_was_changed_is_not_looked_at(guarded: Path, tmp_path: Path
         go(extended(guarded, 3), tmp_path / "runs")
 
 
+@pytest.mark.slow
 def test_a_look_at_a_model_that_fails_there_is_a_failure(guarded: Path, tmp_path: Path) -> None:
     ready = prepare(load_problem(guarded), "scripted", seed=0, runs=tmp_path / "runs")
     wild = f"        n = 2\n        assert np.abs(u).max() < {MARK / 2}\n"

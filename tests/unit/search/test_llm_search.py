@@ -102,6 +102,7 @@ def user_messages(server: FakeServer) -> list[str]:
     return [request["messages"][1]["content"] for request in server.asked]
 
 
+@pytest.mark.slow
 def test_the_search_ends_and_says_what_became_of_each(searched: Searched) -> None:
     view = searched.run.view
     found = [(e.number, e.result.status, e.proposed.parent) for e in view.finished if e.result]
@@ -177,6 +178,7 @@ def test_a_thief_gets_nothing(searched: Searched) -> None:
     assert "FileNotFoundError" in failure.detail
 
 
+@pytest.mark.slow
 def test_a_replay_without_network_comes_out_the_same(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -215,6 +217,7 @@ def cut(searched: Searched, root: Path, experiment: int) -> tuple[Path, int]:
     return root, sum(isinstance(e, Exchanged) and e.status == 200 for e in events[place + 1 :])
 
 
+@pytest.mark.slow
 def test_a_resumed_search_pays_nothing_twice(searched: Searched, tmp_path: Path) -> None:
     runs, missing = cut(searched, tmp_path / "runs", 10)
     assert missing == 6
@@ -270,6 +273,7 @@ def test_a_replay_finds_what_was_changed(
     assert lines[-1].startswith(f"replayed {searched.run.name}: 4 of 14 agree bitwise")
 
 
+@pytest.mark.slow
 def test_from_scratch_says_how_far_apart(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,6 +53,7 @@ def test_an_agent_is_asked_again(
     assert "goes on now" in other["stop"].detail
 
 
+@pytest.mark.slow
 def test_an_outcome_of_chance_is_found_and_lies_within_a_tolerance(
     problem: Path, tmp_path: Path
 ) -> None:
@@ -68,6 +69,7 @@ def test_an_outcome_of_chance_is_found_and_lies_within_a_tolerance(
     assert 0 < close.apart < 1e-6
 
 
+@pytest.mark.slow
 def test_a_replay_wants_the_same_data(problem: Path, tmp_path: Path) -> None:
     run = asia.run(problem, agent=Scripted(()), runs=tmp_path / "runs", experiments=1)
     table = (problem / "train.csv").read_text()

@@ -106,11 +106,13 @@ def test_a_search_end_to_end(whole_once: Path) -> None:
     assert open_run(directory).state == "finished"
 
 
+@pytest.mark.slow
 def test_same_seed_twice_is_bitwise_the_same(whole: Path, tmp_path: Path) -> None:
     again = go(tmp_path / "toy", tmp_path / "again")
     assert outcomes(open_run(whole).view) == outcomes(again)
 
 
+@pytest.mark.slow
 def test_resume_from_every_record(whole: Path, tmp_path: Path) -> None:
     directory, undisturbed = whole, open_run(whole).view
     lines = (directory / "ledger.jsonl").read_bytes().splitlines(keepends=True)
@@ -128,6 +130,7 @@ def test_resume_from_every_record(whole: Path, tmp_path: Path) -> None:
     verify(directory)
 
 
+@pytest.mark.slow
 def test_a_finished_search_returns_at_once_and_a_larger_budget_extends(
     short: Path, whole_once: Path, tmp_path: Path
 ) -> None:
@@ -151,6 +154,7 @@ def test_other_settings_are_refused_and_nothing_is_touched(short: Path, tmp_path
     assert ledger.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_twin_is_answered_from_the_ledger(problem: Path, tmp_path: Path) -> None:
     twin = arx(1).replace("import numpy as np", "import numpy as np  # lucky charm", 1)
     view = go(problem, tmp_path / "runs", Scripted((twin, arx(2))), experiments=3)
@@ -160,6 +164,7 @@ def test_a_twin_is_answered_from_the_ledger(problem: Path, tmp_path: Path) -> No
     assert result.status == "discard"
 
 
+@pytest.mark.slow
 def test_a_model_that_does_not_come_back_the_same_is_invalid(problem: Path, tmp_path: Path) -> None:
     (problem / "baseline.py").write_text(NOISE)
     view = go(problem, tmp_path / "runs", Scripted((arx(2),)), experiments=2)
@@ -170,6 +175,7 @@ def test_a_model_that_does_not_come_back_the_same_is_invalid(problem: Path, tmp_
     assert view.best.number == 2
 
 
+@pytest.mark.slow
 def test_a_winner_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
     draw = "import os\n    weights *= 1 - int.from_bytes(os.urandom(4), 'big') / 2**36\n    "
     lucky = arx(2).replace("context.log", draw + "context.log")
@@ -182,6 +188,7 @@ def test_a_winner_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
     assert "V is in part luck" in again_words(view)
 
 
+@pytest.mark.slow
 def test_unseal_once(whole: Path, tmp_path: Path) -> None:
     problem, directory = tmp_path / "toy", whole
     first = unseal(directory, process_consent=True)
@@ -226,6 +233,7 @@ def fit(trajectories, context):
 """
 
 
+@pytest.mark.slow
 def test_a_winner_that_runs_away_on_the_test_is_recorded(problem: Path, tmp_path: Path) -> None:
     table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
     table[50, 0] = 10.0
@@ -256,6 +264,7 @@ def test_a_changed_lock_is_refused_by_resume_and_unseal(short: Path, tmp_path: P
         verify(directory)
 
 
+@pytest.mark.slow
 def test_the_test_counts_who_opened_it(problem: Path, tmp_path: Path) -> None:
     for name in ("first", "second"):
         go(problem, tmp_path / "runs", Scripted((arx(2),), name), experiments=2)
@@ -265,6 +274,7 @@ def test_the_test_counts_who_opened_it(problem: Path, tmp_path: Path) -> None:
     assert second.opened_before == ("toy-first-s0",)
 
 
+@pytest.mark.slow
 def test_a_saturated_search_goes_on_when_extended(problem: Path, tmp_path: Path) -> None:
     text = (problem / "problem.toml").read_text()
     (problem / "problem.toml").write_text(text + "patience = 1\n")
@@ -291,6 +301,7 @@ def test_a_budget_cannot_shrink(tmp_path: Path) -> None:
         go(tmp_path / "toy", tmp_path / "runs", experiments=1)
 
 
+@pytest.mark.slow
 def test_a_killed_refit_is_made_up_for_before_the_test_is_opened(
     short: Path, tmp_path: Path
 ) -> None:
@@ -315,6 +326,7 @@ def test_the_winner_simulates(short_once: Path) -> None:
         simulate(directory, u[:3], y[:2], u[3:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["ensemble", "refit"])
 def test_the_winner_simulates_with_bands(short_once: Path, model: Use) -> None:
     directory = short_once / "runs" / "toy-scripted-s0"
@@ -333,6 +345,7 @@ def test_the_winner_simulates_with_bands(short_once: Path, model: Use) -> None:
         simulate(directory, u[:3], y[:3], u[3:], model, bands=90.0)
 
 
+@pytest.mark.slow
 def test_a_source_that_cannot_be_parsed_is_an_invalid_experiment(
     problem: Path, tmp_path: Path
 ) -> None:
@@ -342,6 +355,7 @@ def test_a_source_that_cannot_be_parsed_is_an_invalid_experiment(
     assert statuses == ["keep", "invalid", "invalid", "invalid", "keep"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("level", "number", "code", "word"),
     [
@@ -375,6 +389,7 @@ def test_an_interrupt_ends_the_workers_at_once(
     assert open_run(ledger.parent).view.pending is not None
 
 
+@pytest.mark.slow
 def test_changed_test_data_are_not_opened(problem: Path, tmp_path: Path) -> None:
     go(problem, tmp_path / "runs", experiments=2)
     lines = (problem / "test.csv").read_text().splitlines()
@@ -383,6 +398,7 @@ def test_changed_test_data_are_not_opened(problem: Path, tmp_path: Path) -> None
         unseal(tmp_path / "runs" / "toy-scripted-s0")
 
 
+@pytest.mark.slow
 def test_an_unfinished_search_or_one_without_a_test_is_not_unsealed(tmp_path: Path) -> None:
     bare = write_problem(tmp_path / "bare", experiments=2, test=False)
     go(bare, tmp_path / "runs")
@@ -395,6 +411,7 @@ def test_an_unfinished_search_or_one_without_a_test_is_not_unsealed(tmp_path: Pa
         unseal(directory, process_consent=True)
 
 
+@pytest.mark.slow
 def test_agents_see_no_time_and_no_validation_outputs(problem: Path, tmp_path: Path) -> None:
     seen: list[str] = []
 

@@ -116,6 +116,7 @@ def test_a_disk_that_fills_up_again_and_again_loses_nothing(problem: Path, tmp_p
     assert hidden == []
 
 
+@pytest.mark.slow
 def test_a_read_only_directory_can_be_asked_and_not_searched(problem: Path, tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     loaded = load_problem(problem)
@@ -132,6 +133,7 @@ def test_a_read_only_directory_can_be_asked_and_not_searched(problem: Path, tmp_
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_generated_files_that_a_kill_kept_from_being_written_are_made_up_for(
     problem: Path, tmp_path: Path
 ) -> None:

@@ -13,6 +13,7 @@ from asia.search import prepare, search
 from .toy import Scripted, arx, write_problem
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(probe().level is not Isolation.NAMESPACE, reason="the level namespace fails")
 def test_a_run_that_would_go_on_with_fewer_layers_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -72,6 +72,7 @@ def test_a_sink_that_writes_into_the_ledger_fails_the_suite() -> None:
         check_sink(Writing)
 
 
+@pytest.mark.slow
 def test_a_search_goes_to_every_sink_and_a_broken_one_is_reported_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

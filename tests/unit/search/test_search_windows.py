@@ -97,6 +97,7 @@ def measured(run: Path) -> list[np.ndarray]:
     return found
 
 
+@pytest.mark.slow
 def test_unsealing_gives_the_table(run: Path) -> None:
     record = unseal(run, process_consent=True).record
     verify(run)

@@ -43,6 +43,7 @@ def go(problem: Path, agent: Attentive, runs: Path) -> SearchView:
     return search(ready, agent, lambda event, view: None, lambda view: None)
 
 
+@pytest.mark.slow
 def test_a_note_is_recorded_and_seen_from_the_next_step_on(tmp_path: Path) -> None:
     problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
     agent = Attentive(Steering(runs / "toy-attentive-s0"), {2: "the valve sticks"})
@@ -52,6 +53,7 @@ def test_a_note_is_recorded_and_seen_from_the_next_step_on(tmp_path: Path) -> No
     assert not agent.steering.waiting
 
 
+@pytest.mark.slow
 def test_a_stopped_search_goes_on_by_the_same_call(tmp_path: Path) -> None:
     problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
     agent = Attentive(Steering(runs / "toy-attentive-s0"), {1: "stop"})
@@ -66,6 +68,7 @@ def test_a_stopped_search_goes_on_by_the_same_call(tmp_path: Path) -> None:
     assert len(view.finished) == 4
 
 
+@pytest.mark.slow
 def test_a_pause_holds_the_search_between_experiments(tmp_path: Path) -> None:
     problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
     steering = Steering(runs / "toy-attentive-s0")

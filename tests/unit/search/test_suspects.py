@@ -62,6 +62,7 @@ def problem(tmp_path: Path) -> Path:
     return write_problem(tmp_path / "toy", experiments=3)
 
 
+@pytest.mark.slow
 def test_a_table_of_answers_is_recorded_and_never_kept(problem: Path, tmp_path: Path) -> None:
     cheat = looking(problem)
     view = go(problem, tmp_path / "runs", cheat, arx(2))
@@ -95,6 +96,7 @@ def test_killed_before_the_verdict_it_comes_to_the_same(problem: Path, tmp_path:
     assert len(again.experiments) == 3
 
 
+@pytest.mark.slow
 def test_the_same_cheat_in_other_words_is_answered_from_the_ledger(
     problem: Path, tmp_path: Path
 ) -> None:
@@ -106,6 +108,7 @@ def test_the_same_cheat_in_other_words_is_answered_from_the_ledger(
     assert result.outcome == view.experiment(2).failure
 
 
+@pytest.mark.slow
 def test_a_record_in_the_source_starts_no_worker(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -122,6 +125,7 @@ def test_a_record_in_the_source_starts_no_worker(
     assert started == []
 
 
+@pytest.mark.slow
 def test_what_is_checked_is_another_in_every_run(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -139,6 +143,7 @@ def test_what_is_checked_is_another_in_every_run(
     assert set(drawn[:half]).isdisjoint(drawn[half:])
 
 
+@pytest.mark.slow
 def test_seeds_are_the_evaluators(problem: Path, tmp_path: Path) -> None:
     """The same for every candidate on a fold: another source is no other luck."""
     telling = arx(1).replace("context.log(1,", "context.log(context.seed,")

@@ -50,6 +50,7 @@ def go(problem: Path, level: Isolation | None = None, experiments: int = 2) -> P
     return ready.directory
 
 
+@pytest.mark.slow
 def test_the_digest_stands_before_experiment_1_and_the_key_is_not_needed(
     problem: Path, keys: Path
 ) -> None:
@@ -76,6 +77,7 @@ def test_the_digest_stands_before_experiment_1_and_the_key_is_not_needed(
     assert result.record.trajectories == ("test",)
 
 
+@pytest.mark.slow
 def test_a_run_that_does_not_verify_is_not_opened(problem: Path) -> None:
     directory = go(problem)
     view = open_run(directory).view
@@ -88,6 +90,7 @@ def test_a_run_that_does_not_verify_is_not_opened(problem: Path) -> None:
     assert open_run(directory).view.unsealing is None
 
 
+@pytest.mark.slow
 def test_the_opening_is_on_record_before_its_result_and_ends_the_search(problem: Path) -> None:
     directory = go(problem)
     unseal(directory, process_consent=True)
@@ -116,6 +119,7 @@ def test_a_kill_while_the_test_is_open_loses_nothing_and_opens_it_once(problem: 
     verify(directory)
 
 
+@pytest.mark.slow
 def test_no_test_value_lies_in_a_run_before_it_is_opened(problem: Path) -> None:
     directory = go(problem)
     from asia.seal._test import open_test
@@ -128,6 +132,7 @@ def test_no_test_value_lies_in_a_run_before_it_is_opened(problem: Path) -> None:
             assert not any(value in data for value in shown), path
 
 
+@pytest.mark.slow
 def test_level_process_asks_for_consent_and_records_it(problem: Path) -> None:
     directory = go(problem, Isolation.PROCESS)
     assert needs_consent(open_run(directory).view)
@@ -142,6 +147,7 @@ def test_level_process_asks_for_consent_and_records_it(problem: Path) -> None:
     assert unsealing.process_consent
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not STRONG, reason="this machine has level process only")
 def test_a_stronger_level_asks_for_none_and_records_none(problem: Path) -> None:
     directory = go(problem)

@@ -41,6 +41,7 @@ def go(problem: Path, runs: Path) -> Path:
     return asia.run(problem, agent=AGENT, runs=runs, early_stopping="validation").directory
 
 
+@pytest.mark.slow
 def test_it_is_recorded_counted_and_marked(problem: Path, tmp_path: Path) -> None:
     directory = go(problem, tmp_path / "runs")
     assert directory.name == "toy-scripted-s0-validation"
@@ -63,6 +64,7 @@ def test_it_is_recorded_counted_and_marked(problem: Path, tmp_path: Path) -> Non
     assert text.count(" V = ") == 0
 
 
+@pytest.mark.slow
 def test_an_inner_search_keeps_its_name_and_its_words(problem: Path, tmp_path: Path) -> None:
     run = asia.run(problem, agent=AGENT, experiments=2, runs=tmp_path, early_stopping="inner")
     assert run.name == "toy-scripted-s0"
@@ -83,6 +85,7 @@ def test_it_resumes_from_every_record(problem: Path, tmp_path: Path) -> None:
         assert again.validation_scores == once.validation_scores == 16
 
 
+@pytest.mark.slow
 def test_one_run_holds_one_setting(problem: Path, tmp_path: Path) -> None:
     first = load_problem(problem)
     ready = prepare(first, AGENT.name, seed=0, runs=tmp_path / "runs", name="mine")
@@ -94,6 +97,7 @@ def test_one_run_holds_one_setting(problem: Path, tmp_path: Path) -> None:
         with_early_stopping(first, "outer")
 
 
+@pytest.mark.slow
 def test_a_ledger_without_the_fields_is_of_an_inner_search(problem: Path, tmp_path: Path) -> None:
     run = asia.run(problem, agent=AGENT, experiments=1, runs=tmp_path / "runs")
     for line in read_lines(run.directory / "ledger.jsonl"):
@@ -108,6 +112,7 @@ def test_a_ledger_without_the_fields_is_of_an_inner_search(problem: Path, tmp_pa
             assert again.early_stopping == "inner"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["process", "strongest"])
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_both_workers_end_with_the_search(

@@ -60,6 +60,7 @@ def windows(directory: Path) -> Path:
     return directory
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["simulation", "windows"])
 def test_the_score_is_the_evaluators(tmp_path: Path, kind: str) -> None:
     """Bit for bit: of a candidate that draws random numbers."""
@@ -119,6 +120,7 @@ def test_folds_of_your_own(tools: WorkspaceTools) -> None:
     assert np.isfinite(found.score.value)
 
 
+@pytest.mark.slow
 def test_the_command_scores_one_fold_and_draws_it(
     tools: WorkspaceTools, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

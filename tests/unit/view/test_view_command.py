@@ -71,6 +71,7 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         require_server()
 
 
+@pytest.mark.slow
 def test_the_address_bears_the_token_and_an_interrupt_ends_it(runs: Path) -> None:
     command = [sys.executable, "-c", "from asia.cli import main; main()", "view", "made"]
     command += ["--runs", str(runs), "--port", "0"]

@@ -44,6 +44,7 @@ def test_a_smooth_spring_is_not_taken_for_friction() -> None:
     assert not of_records(duffing_record(400, 100, 0.003), duffing_record(400, 101, 0.003)).found
 
 
+@pytest.mark.slow
 def test_records_too_short_to_tell_say_nothing() -> None:
     assert not of_records(record(sliding, 2, 100)[:100]).found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from asia.agents import ExpertAgent, Facts, Trial
 from asia.agents.library.records.transport import transport
@@ -34,10 +35,12 @@ def test_a_belt_is_seen_in_the_record() -> None:
     assert found.transport.pace == 0
 
 
+@pytest.mark.slow
 def test_a_constant_delay_is_not_taken_for_a_belt() -> None:
     assert transport(facts_of(mixed(500, 0))) is None
 
 
+@pytest.mark.slow
 def test_the_expert_lets_the_input_set_the_delay() -> None:
     for record, expected in ((belt(500, 0), 0), (mixed(500, 0), None)):
         trials: tuple[Trial, ...] = ()

@@ -53,6 +53,7 @@ def test_what_is_left_out_is_said(asia: Asia, searched: Searched) -> None:
     assert kept_lessons() == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["own", "file"])
 def test_a_search_has_the_lessons_that_it_is_given(
     asia: Asia, problem: Path, tmp_path: Path, which: str
@@ -88,6 +89,7 @@ def test_lessons_that_cannot_be(
     assert not Path("runs").exists()
 
 
+@pytest.mark.slow
 def test_by_default_there_are_none(asia: Asia, problem: Path) -> None:
     keep_lessons(KNOWN)
     assert asia("run", problem, "--experiments", 1, "--lessons", "off").code == 0
@@ -95,6 +97,7 @@ def test_by_default_there_are_none(asia: Asia, problem: Path) -> None:
     assert open_run(Path("runs/toy-expert-s0")).view.started.lessons is None
 
 
+@pytest.mark.slow
 def test_agents_are_compared_without_lessons(asia: Asia, problem: Path) -> None:
     keep_lessons(KNOWN)
     options = ("--agents", "expert,random", "--seeds", 1, "--experiments", 1)

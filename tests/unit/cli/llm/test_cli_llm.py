@@ -34,6 +34,7 @@ def test_what_cannot_be(
     assert not Path("runs").exists()
 
 
+@pytest.mark.slow
 def test_settings_are_on_record_and_the_model_is_not_asked_for_the_baseline(
     asia: Asia, problem: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ def kept() -> dict[str, Any]:
     return json.loads(path.read_text())
 
 
+@pytest.mark.slow
 def test_a_model_that_keeps_to_the_form_is_able(asia: Asia, server: FakeServer) -> None:
     server.answers = [said(arx(2)), said(arx(3))]
     done = asia("llm-check", "--base-url", server.url, "--steps", 2)
@@ -47,6 +48,7 @@ def test_a_model_that_keeps_to_the_form_is_able(asia: Asia, server: FakeServer) 
     assert {request["model"] for request in server.asked} == {"made-up"}
 
 
+@pytest.mark.slow
 def test_repairs_are_counted_with_what_was_wrong(asia: Asia, server: FakeServer) -> None:
     server.answers = [said(BROKEN), said(arx(2)), said(CRASH), said(arx(3))]
     options = ("--base-url", server.url, "--model", "mine", "--steps", 3, "--json")
@@ -63,6 +65,7 @@ def test_repairs_are_counted_with_what_was_wrong(asia: Asia, server: FakeServer)
     assert report["model"] == "mine"
 
 
+@pytest.mark.slow
 def test_a_model_without_candidates_is_not_able(asia: Asia, server: FakeServer) -> None:
     server.answers = [REFUSAL] * 3 + [said(arx(2))]
     done = asia("llm-check", "--base-url", server.url, "--steps", 2)
@@ -73,6 +76,7 @@ def test_a_model_without_candidates_is_not_able(asia: Asia, server: FakeServer) 
     assert report["wrong"] == ["the answer has no fenced python block with candidate.py (3 times)"]
 
 
+@pytest.mark.slow
 def test_no_more_is_asked_when_the_time_is_over(asia: Asia, server: FakeServer) -> None:
     server.answers = [said(arx(2)), said(arx(3))]
     done = asia("llm-check", "--base-url", server.url, "--steps", 2, "--minutes", 0)

@@ -10,6 +10,7 @@ from asia.cli._output.words import use_lines
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driven", [True, False])
 def test_a_model_that_says_nothing_is_doubted(tmp_path: Path, driven: bool) -> None:
     problem = write_problem(tmp_path / "toy")

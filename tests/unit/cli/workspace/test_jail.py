@@ -40,6 +40,7 @@ sys.exit(7)
 needs_jail = pytest.mark.skipif(Jail.why_not() is not None, reason=str(Jail.why_not()))
 
 
+@pytest.mark.slow
 @needs_jail
 def test_a_program_in_the_jail_submits_and_sees_nothing_else(
     tmp_path: Path, asia: Asia, capfd: pytest.CaptureFixture[str]
@@ -103,6 +104,7 @@ def test_a_jail_that_cannot_be(
     assert not Path("work").exists()
 
 
+@pytest.mark.slow
 @needs_jail
 def test_the_program_has_a_terminal_of_its_own(tmp_path: Path) -> None:
     """Keys reach it, Ctrl-C too, and its terminal is the one that controls it."""

@@ -9,6 +9,7 @@ from asia.candidate import check_source
 from tests.unit.cli.conftest import Asia
 
 
+@pytest.mark.slow
 def test_every_family_is_listed_and_has_a_page(asia: Asia) -> None:
     listed = asia("models").out
     for row in all_families():

@@ -69,6 +69,7 @@ def evaluator(problem: Problem, executor: LocalExecutor) -> Evaluator:
     )
 
 
+@pytest.mark.slow
 def test_an_answer_from_elsewhere_is_the_same(problem: Problem) -> None:
     there = Loopback()
     here, far = (evaluator(problem, e).evaluate(arx(2)) for e in (LocalExecutor(2), there))
@@ -186,6 +187,7 @@ def test_validation_early_stopping_stays_here(problem: Problem) -> None:
         evaluator(replace(problem, protocol=rule), Loopback())
 
 
+@pytest.mark.slow
 def test_a_search_names_machine_and_level_of_each_fold(problem: Problem, tmp_path: Path) -> None:
     short = replace(problem, budget=replace(problem.budget, experiments=2, retests=0))
     ready = prepare(short, "scripted", seed=0, runs=tmp_path)

@@ -161,6 +161,7 @@ def scales_of(structure: GreyBoxStructure) -> Scales:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_numpy_and_jax_simulate_the_same() -> None:
     structure = structure_with_everything()
     assert (structure.nx, structure.nx_own) == (4, 2)

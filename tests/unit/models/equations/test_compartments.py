@@ -69,6 +69,7 @@ def test_an_input_that_empties_is_known_from_the_record() -> None:
     assert error(model, record(1, rising=False), CONTEXT) < 0.02
 
 
+@pytest.mark.slow
 def test_a_storage_that_runs_over_needs_its_limit() -> None:
     train, unseen = record(2, limit=0.25), record(3, limit=0.25)
     plain = error(trained(compartments.Config(), train), unseen, CONTEXT)

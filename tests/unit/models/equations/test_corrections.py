@@ -86,6 +86,7 @@ def error(model: physics_net.PhysicsNet, test: Trajectory) -> float:
     return float((np.abs(simulated(model, past_y, u) - y) / test.y.std(axis=0)).mean())
 
 
+@pytest.mark.slow
 def test_a_turned_experiment_has_the_turned_simulation() -> None:
     symmetric = fitted(GRU, ADAM, up=0.3)
     past_y, u, _ = requests(record(9))
@@ -127,6 +128,7 @@ def test_numpy_simulates_what_jax_does() -> None:
     assert rollout(cell, params, *arrays) == pytest.approx(np.asarray(by_jax), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_ridge_holds_linear_terms_in_both_methods() -> None:
     config = replace(PLAIN, linear=True, sparsity=0.0, equations=0)
     method = replace(ADAM, steps=150)
@@ -158,6 +160,7 @@ def test_kinematics_read_velocities_ahead_by_the_delay() -> None:
     assert position == pytest.approx(0.5 * time**2 + 2 * TS * time, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_parameters_start_where_the_priors_say_and_are_held_there() -> None:
     physics = replace(PHYSICS, priors={"2*push": Prior(1.0, 0.01)})
     context = replace(CONTEXT, physics=physics)

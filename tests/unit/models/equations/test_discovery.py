@@ -68,6 +68,7 @@ def error(model: greybox.GreyBox, new: Trajectory) -> float:
     return float(np.sqrt(np.mean((y - new.y[5:]) ** 2)) / new.y.std())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "name", "number"),
     [(stiffening, "v: q**3", -1.5), (dragged, "v: v * abs(v)", -0.8)],
@@ -97,6 +98,7 @@ def test_products_of_two_states_are_found_in_the_equation_that_lacks_them() -> N
     assert found == pytest.approx({"b: a * b": -0.8}, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_model_with_terms_is_kept_and_tells_of_them() -> None:
     train = record(stiffening, 1)
     model = fitted(train, discover=("v",), most_terms=1)

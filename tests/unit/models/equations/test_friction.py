@@ -67,6 +67,7 @@ def test_a_mass_that_sticks_is_followed_by_its_measured_velocity() -> None:
     assert error(fitted(MASS, train), new) > 0.1
 
 
+@pytest.mark.slow
 def test_friction_that_gives_way_before_it_slides() -> None:
     train, new = (record(bristle, 3, seed) for seed in (100, 101))
     model = fitted(DRIVE, train, friction=("v",), presliding=True)
@@ -75,6 +76,7 @@ def test_friction_that_gives_way_before_it_slides() -> None:
     assert error(fitted(DRIVE, train, friction=("v",)), new) > 0.02
 
 
+@pytest.mark.slow
 def test_a_bouc_wen_force_is_found() -> None:
     train, new = (record(yielding, 3, seed) for seed in (100, 101))
     model = fitted(DRIVE, train, hysteresis=("v",))
@@ -93,6 +95,7 @@ def test_the_width_of_a_play_is_found() -> None:
     assert model.parameters()["u play"] * span == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_hybrid_takes_friction_in_its_base_and_comes_back_from_bytes() -> None:
     context = context_for(MASS, "u", "y", 0.1)
     train = record(sticking, 1, 100, samples=200)

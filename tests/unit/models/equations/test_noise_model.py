@@ -45,6 +45,7 @@ def parameter_error(model: greybox.GreyBox) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
+@pytest.mark.slow
 def test_generalised_least_squares_finds_the_parameters_under_a_slow_disturbance() -> None:
     ratios: list[float] = []
     for seed in (0, 1, 2):
@@ -72,6 +73,7 @@ def test_outliers_count_less_with_a_threshold_on_innovations() -> None:
     assert robust < 0.5 * plain
 
 
+@pytest.mark.slow
 def test_a_hybrid_and_windows_are_fitted_under_the_noise_model() -> None:
     record = disturbed(5, time=3.0, slow=0.1, white=0.02)
     for context in (CONTEXT, replace(CONTEXT, horizon=40)):

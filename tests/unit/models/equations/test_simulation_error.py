@@ -78,6 +78,7 @@ def residuals(error: Any, row: int) -> Callable[[jax.Array], jax.Array]:
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("horizon", [None, 10])
 @pytest.mark.parametrize(
     "config",

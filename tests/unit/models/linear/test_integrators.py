@@ -33,6 +33,7 @@ def error(model: linear.LinearStateSpace | neural_ss.NeuralStateSpace, new: Traj
     return float(np.sqrt(np.mean((y - new.y[10:]) ** 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [None, 2, 3])
 def test_a_motor_is_followed_for_much_longer_than_the_training_records(order: int | None) -> None:
     train, new = motor(100), motor(101, samples=3000, noise=0.0)
@@ -97,6 +98,7 @@ def test_more_integrators_than_states_are_refused() -> None:
         linear.Config(order=1, integrators=2)
 
 
+@pytest.mark.slow
 def test_integrators_are_seen_in_records_that_drift_and_in_no_others() -> None:
     assert integrating(of_records(motor(100))) == (0,)
     assert integrating(of_records(motor(101, 3000), motor(102, 200))) == (0,)

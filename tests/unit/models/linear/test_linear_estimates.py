@@ -33,6 +33,7 @@ def fitted(data: list[Trajectory], **config: int) -> linear.LinearStateSpace:
     return linear.train(model, data, CONTEXT, METHOD)
 
 
+@pytest.mark.slow
 def test_gain_and_time_constant_lie_within_their_errors() -> None:
     held: list[bool] = []
     for seed in range(20):

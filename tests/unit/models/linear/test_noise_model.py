@@ -42,6 +42,7 @@ def pole_error(method: LevenbergMarquardt, data: Trajectory) -> float:
     return abs(float(fitted.system.a[0, 0]) - POLE)
 
 
+@pytest.mark.slow
 def test_generalised_least_squares_finds_the_pole_under_a_slow_disturbance() -> None:
     methods = PLAIN, replace(PLAIN, noise_model="slow")
     errors = [[pole_error(method, record(seed, 0.3)) for method in methods] for seed in range(5)]
@@ -49,6 +50,7 @@ def test_generalised_least_squares_finds_the_pole_under_a_slow_disturbance() -> 
     assert slow < 0.4 * plain
 
 
+@pytest.mark.slow
 def test_under_white_noise_the_fit_is_the_same() -> None:
     data = record(7, 0.0)
     assert pole_error(replace(PLAIN, noise_model="slow"), data) == pytest.approx(

@@ -62,6 +62,7 @@ def window_error(model: Model, context: Context, trajectory: Trajectory) -> Arra
     return error / trajectory.y.std(axis=0)
 
 
+@pytest.mark.slow
 def test_unstable_system_is_followed_over_the_horizon(runs, context):
     logged: list[float] = []
     watched = replace(context, log=lambda _, loss: logged.append(loss))
@@ -73,6 +74,7 @@ def test_unstable_system_is_followed_over_the_horizon(runs, context):
     assert logged
 
 
+@pytest.mark.slow
 def test_the_state_may_hold_several_past_samples(runs, context):
     angle = [Trajectory(t.u, t.y[:, :1], 0.1, t.name) for t in runs]
     context = replace(context, outputs=context.outputs[:1], n_past_u=3, n_past_y=4)

@@ -189,6 +189,7 @@ def test_network_is_trained_in_single_precision_inside_a_double_precision_proces
         assert all(v.dtype == np.float32 for v in jax.tree.leaves(found.params))
 
 
+@pytest.mark.slow
 def test_teacher_forcing_learns_from_a_start_whose_simulation_diverges() -> None:
     data = records(200)
     plain = Adam(300, 0.03, weight_decay=0.0)
@@ -198,6 +199,7 @@ def test_teacher_forcing_learns_from_a_start_whose_simulation_diverges() -> None
     assert not error(found[1], data[0]) < 0.5
 
 
+@pytest.mark.slow
 def test_probability_of_the_teacher_falls_from_its_start_to_its_end() -> None:
     data = records(100)
     methods = [
@@ -290,6 +292,7 @@ def test_a_step_sees_windows_of_the_horizon(
     assert set(probe.shapes) == {expected}
 
 
+@pytest.mark.slow
 def test_losses_are_what_their_names_say() -> None:
     residual = jnp.array([[[0.5], [-3.0], [1.0], [2.0]]])
     weight = jnp.array([[1.0, 1.0, 0.0, 1.0]])
@@ -316,6 +319,7 @@ def test_robust_loss_is_less_moved_by_an_outlier() -> None:
     assert found[2] == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_dropout_acts_in_training_alone_and_keeps_the_mean() -> None:
     data = records(200, a=0.0)
     zeros = {"out_w": np.zeros((4, 1), np.float32), "out_b": np.zeros(1, np.float32)}

@@ -108,6 +108,7 @@ def test_the_network_reads_what_the_equations_read() -> None:
     assert _read(("q",), rates, known) == (True, False, True, True)
 
 
+@pytest.mark.slow
 def test_what_is_not_read_shifts_the_simulation_and_no_more() -> None:
     record = cart(0)
     model = trained([record], context(physics=EQUATIONS, n_past_y=2), Adam(steps=20))
@@ -133,6 +134,7 @@ def test_integrals_follow_their_rates_with_the_learned_gain(fitted: NetworkModel
     np.testing.assert_allclose(np.diff(y[:, :2], axis=0), gain * own * TS * y[:-1, 2:], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_it_beats_holding_and_comes_back_the_same() -> None:
     records = [cart(i) for i in range(4)]
     config = kinematic.Config("gru", hidden=8, encoder=4, features=("square",))

@@ -23,6 +23,7 @@ def fitted(config: recurrent.Config, data: Case, method: Adam) -> NetworkModel:
     return recurrent.train(model, data.training, data.context, method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cell", ["rnn", "gru", "lstm"])
 def test_training_learns_the_system(cell: Literal["rnn", "gru", "lstm"]) -> None:
     data = case(filtered)
@@ -87,6 +88,7 @@ def test_reference_recipe_starts_as_written() -> None:
         assert 0.8 / np.sqrt(fan_in) < np.abs(weights).max() <= 1 / np.sqrt(fan_in)
 
 
+@pytest.mark.slow
 def test_uniform_start_is_trained_from_as_it_is_and_ridge_start_is_solved() -> None:
     data = case(filtered, lengths=(150,))
     still = Adam(steps=1, learning_rate=1e-9, weight_decay=0.0)
@@ -97,6 +99,7 @@ def test_uniform_start_is_trained_from_as_it_is_and_ridge_start_is_solved() -> N
         assert np.allclose(before, after, atol=1e-6) == unchanged
 
 
+@pytest.mark.slow
 def test_output_layer_without_a_direct_term_is_solved_too() -> None:
     data = case(filtered, lengths=(150,))
     still = Adam(steps=1, learning_rate=1e-9, weight_decay=0.0)

@@ -35,6 +35,7 @@ def test_it_starts_at_the_best_linear_model() -> None:
     np.testing.assert_allclose(data.simulated(trained), data.simulated(best), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_with_a_horizon_it_starts_from_a_state_of_last_outputs() -> None:
     data = case(two_by_two, channels=2)
     context = replace(data.context, n_past_u=0, n_past_y=1, horizon=12)

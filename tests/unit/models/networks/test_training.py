@@ -262,6 +262,7 @@ def test_fixed_parameters_stay_and_prepare_gives_the_start() -> None:
     assert error(found, data[0]) < 0.05
 
 
+@pytest.mark.slow
 def test_output_layer_is_solved_for_feature_maps_and_left_alone_in_sequence_maps() -> None:
     data = records(80, a=0.0)
     zeros = {"out_w": np.zeros((4, 1), np.float32), "out_b": np.zeros(1, np.float32)}

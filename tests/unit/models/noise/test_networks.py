@@ -44,6 +44,7 @@ def error(method: NetworkMethod, seed: int, slow: float) -> float:
     return float(np.std((y - truth[1][PAST:])[50:]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "most"), [(LBFGS(100), 0.9), (Adam(600, 1e-2, truncation=100), 0.75)]
 )
@@ -59,6 +60,7 @@ def test_under_white_noise_the_error_is_much_the_same() -> None:
     assert ratio == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("huber", [None, 1.0])
 def test_the_objective_squares_innovations(huber: float | None) -> None:
     rng = np.random.default_rng(0)

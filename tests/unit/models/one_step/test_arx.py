@@ -32,6 +32,7 @@ def test_output_error_model_simulates_below_the_noise_where_arx_is_biased() -> N
     assert data.ratio(model) < 0.5 * data.ratio(biased)
 
 
+@pytest.mark.slow
 def test_lags_and_delay_are_chosen() -> None:
     data = case(late)
     model = fitted(arx, arx.Config(delay=None, structure="arx"), data, LeastSquares())

@@ -21,6 +21,7 @@ from tests.unit.models.systems.fitting import (
 QUICK = MarginalLikelihood(iterations=20, points=120)
 
 
+@pytest.mark.slow
 def test_half_the_error_of_the_best_linear_model() -> None:
     data = case(rectifying, noise=0.01)
     line = fitted(linear, linear.Config(), data, None)
@@ -55,6 +56,7 @@ def test_past_window_shorter_than_the_lags_and_few_points() -> None:
     assert np.abs(y - data.truth[1:])[30:].max() < 0.3 * data.truth.std()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mean", ["linear", "hold"])
 def test_windows_from_one_measured_state(mean: str) -> None:
     config = gp_narx.Config(1, 1, mean=mean)  # type: ignore[arg-type]

@@ -27,6 +27,7 @@ def simulated(model: neural_ss.NeuralStateSpace, record: Trajectory) -> Array:
     return model.simulate(record.u[None, :15], record.y[None, :15], record.u[None, 15:])[0]
 
 
+@pytest.mark.slow
 def test_the_delay_that_an_input_sets_is_followed() -> None:
     plain = neural_ss.Config(order=2, nonlinearity="none", delay=None)
     assert error(plain) > 0.4

@@ -47,6 +47,7 @@ def test_presliding_and_bouc_wen_are_followed(system, most: float) -> None:
     assert error(fitted(train, order=2, nonlinearity="none"), new) > 3.0 * most
 
 
+@pytest.mark.slow
 def test_a_play_of_the_input_is_found() -> None:
     train, new = backlash(100), backlash(101)
     assert error(fitted(train, order=1, nonlinearity="none", play=1), new) < 2.0 * NOISE

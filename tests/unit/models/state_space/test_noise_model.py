@@ -41,6 +41,7 @@ def error(method: LevenbergMarquardt, seed: int) -> float:
     return float(np.std((y - truth[1][PAST:])[50:]))
 
 
+@pytest.mark.slow
 def test_a_slow_disturbance_costs_less_with_its_model() -> None:
     slow = replace(METHOD, noise_model="slow")
     assert np.median([error(slow, seed) / error(METHOD, seed) for seed in range(3)]) < 0.5

@@ -51,6 +51,7 @@ def go(root: Path, agent: Agent, parallel: int) -> tuple[SearchView, Path]:
     return search(ready, agent, lambda event, view: None, lambda view: None), ready.directory
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", ["expert", "random", "bayes"])
 def test_a_search_with_experiments_in_flight_replays(name: str, tmp_path: Path) -> None:

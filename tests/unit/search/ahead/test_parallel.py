@@ -91,6 +91,7 @@ def delayed(monkeypatch: pytest.MonkeyPatch, delays: dict[str, float]) -> list[s
     return begun
 
 
+@pytest.mark.slow
 def test_one_at_a_time_leaves_no_trace_in_the_ledger(problem: Path, tmp_path: Path) -> None:
     go(problem, tmp_path / "runs", 1)
     text = (tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl").read_text()
@@ -98,6 +99,7 @@ def test_one_at_a_time_leaves_no_trace_in_the_ledger(problem: Path, tmp_path: Pa
         assert word not in text
 
 
+@pytest.mark.slow
 def test_the_course_does_not_depend_on_who_ends_first(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,6 +116,7 @@ def test_the_course_does_not_depend_on_who_ends_first(
     assert courses[0] == courses[1]
 
 
+@pytest.mark.slow
 def test_results_are_those_of_one_at_a_time(problem: Path, tmp_path: Path) -> None:
     serial, ahead = go(problem, tmp_path / "serial", 1), go(problem, tmp_path / "ahead", 3)
     for one, other in zip(serial.finished, ahead.finished, strict=True):
@@ -127,12 +130,14 @@ def test_results_are_those_of_one_at_a_time(problem: Path, tmp_path: Path) -> No
     assert len(report.items) > 6
 
 
+@pytest.mark.slow
 def test_a_proposal_sees_all_but_the_last_results(problem: Path, tmp_path: Path) -> None:
     ready, agent = prepared(problem, tmp_path / "runs", 3), Ahead(SOURCES, [])
     search(ready, agent, lambda event, view: None, lambda view: None)
     assert agent.seen == [(0, 1), (0, 2), (1, 2), (2, 2), (3, 2)]
 
 
+@pytest.mark.slow
 def test_a_twin_is_not_evaluated_while_the_first_one_runs(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -151,6 +156,7 @@ class KilledError(BaseException):
     """In place of a signal."""
 
 
+@pytest.mark.slow
 def test_a_killed_search_loses_nothing_and_repeats_nothing(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,6 +192,7 @@ def test_a_killed_search_loses_nothing_and_repeats_nothing(
     assert replay_run(directory, lambda item: None).agrees
 
 
+@pytest.mark.slow
 def test_a_person_who_stops_gets_what_was_begun(problem: Path, tmp_path: Path) -> None:
     def stop(event: Event, view: SearchView) -> None:
         if isinstance(event, Proposed) and event.experiment == 2:
@@ -198,6 +205,7 @@ def test_a_person_who_stops_gets_what_was_begun(problem: Path, tmp_path: Path) -
     assert len(view.finished) == 2
 
 
+@pytest.mark.slow
 def test_what_cannot_run_ahead_is_refused(problem: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="strict isolation lets no two workers"):
         prepared(problem, tmp_path / "runs", 2, isolation_strict=True)

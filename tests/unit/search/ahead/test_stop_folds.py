@@ -78,6 +78,7 @@ def decided(e: Experiment) -> tuple[str | None, object]:
     return (e.result.status if e.result else None), e.score or "no score"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parallel", [1, 2])
 def test_only_the_folds_of_one_far_behind_are_left_out(
     parallel: int, tmp_path: Path, begun: list[tuple[str, int]]
@@ -102,6 +103,7 @@ def test_only_the_folds_of_one_far_behind_are_left_out(
     assert replay_run(directory, lambda item: None).agrees
 
 
+@pytest.mark.slow
 def test_a_ledger_without_it_has_no_trace_of_it(tmp_path: Path) -> None:
     _, directory = go(tmp_path, stop_folds=False)
     text = (directory / "ledger.jsonl").read_text()
@@ -110,6 +112,7 @@ def test_a_ledger_without_it_has_no_trace_of_it(tmp_path: Path) -> None:
     assert not open_run(directory).view.started.stop_folds
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
     _, directory = go(tmp_path, stop_folds=False)
     problem = load_problem(tmp_path / "toy")

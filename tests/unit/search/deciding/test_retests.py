@@ -163,6 +163,7 @@ def test_the_floor_is_told_once_it_is_known() -> None:
     assert floor_to_beat(a_search(0, 1.0)) is None
 
 
+@pytest.mark.slow
 def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) -> None:
     """Candidates that differ in luck alone, in a real search: a lower V is not kept."""
     problem = write_problem(tmp_path / "toy")
@@ -177,6 +178,7 @@ def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) ->
     assert all(item.agrees for item in replay_run(run.directory, lambda item: None).items)
 
 
+@pytest.mark.slow
 def test_a_deterministic_search_repeats_each_new_best_once(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy")
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)

@@ -58,6 +58,7 @@ def quietly(event: Repeated, done: int, total: int) -> None:
     assert 1 <= done <= total
 
 
+@pytest.mark.slow
 def test_seeds_are_fresh_and_a_fit_without_luck_is_repeated_once(run: Path) -> None:
     heard: list[Repeated] = []
     found, new = confirm(run, lambda event, done, total: heard.append(event), top=3, seeds=3)
@@ -91,6 +92,7 @@ def test_seeds_are_fresh_and_a_fit_without_luck_is_repeated_once(run: Path) -> N
     assert view.complete
 
 
+@pytest.mark.slow
 def test_what_is_in_the_ledger_is_not_fitted_again(run: Path) -> None:
     first, _ = confirm(run, quietly, top=2, seeds=2)
     ledger = run / "ledger.jsonl"
@@ -115,6 +117,7 @@ def test_what_is_in_the_ledger_is_not_fitted_again(run: Path) -> None:
     assert more.seeds == 3
 
 
+@pytest.mark.slow
 def test_a_search_that_goes_on_is_no_longer_confirmed_and_keeps_its_repeats(run: Path) -> None:
     confirm(run, quietly, top=1, seeds=1)
     problem = load_problem(run.parent.parent / "toy")
@@ -139,6 +142,7 @@ def test_a_ledger_that_has_a_repeat_twice_is_refused(run: Path) -> None:
         open_run(run)
 
 
+@pytest.mark.slow
 def test_a_seed_that_fails_is_counted_and_left_out(tmp_path: Path) -> None:
     # Seeds of the search, by fold: whatever else comes is beyond its luck.
     own = [derive_seed(derive_seed(0, "search"), fold, 0) for fold in (0, 1)]
@@ -164,6 +168,7 @@ def test_an_unfinished_search_is_refused(run: Path, cut: int) -> None:
         confirm(run, quietly)
 
 
+@pytest.mark.slow
 def test_ladder_feedback_and_a_search_without_scores_are_refused(tmp_path: Path, run: Path) -> None:
     hidden = searched(tmp_path / "ladder", arx(2), ladder=True)
     with pytest.raises(UserError, match="ladder feedback"):

@@ -106,6 +106,7 @@ def answer(directory: Path, model: str | None) -> Array:
     return simulate(directory, past_u, past_y, u, model=model)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.slow
 def test_a_sound_refit_is_kept_with_its_evidence(tmp_path: Path) -> None:
     _, view = go(tmp_path, arx(2))
     refitted = ended(view)
@@ -122,6 +123,7 @@ def test_a_sound_refit_is_kept_with_its_evidence(tmp_path: Path) -> None:
     assert refitted.reason
 
 
+@pytest.mark.slow
 def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     tmp_path: Path,
 ) -> None:
@@ -156,6 +158,7 @@ def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     assert set(told["use"]) >= {"model", "rmse", "per_channel", "per_trajectory"}
 
 
+@pytest.mark.slow
 def test_another_start_is_tried_where_the_first_falls_short(tmp_path: Path) -> None:
     first = derive_seed(derive_seed(0, "search"), "all", 0)
     directory, view = go(tmp_path, off(f"context.seed == {first}"))
@@ -166,6 +169,7 @@ def test_another_start_is_tried_where_the_first_falls_short(tmp_path: Path) -> N
     assert np.isfinite(answer(directory, "refit")).all()
 
 
+@pytest.mark.slow
 def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
     # Each start gives another model, and none is any good.
     source = off(ON_ALL).replace("0.663 *", "(0.663 + context.seed % 1000 / 1e4) *")
@@ -175,6 +179,7 @@ def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
     assert "none of its 3 starts" in refitted.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "words"),
     [
@@ -193,6 +198,7 @@ def test_a_refit_that_fails_or_does_not_answer_like_a_model_is_none(
     assert re.search(words, refitted.check.starts[0].objection), refitted.check.starts
 
 
+@pytest.mark.slow
 def test_a_stack_of_opposite_errors_is_used_and_opened(tmp_path: Path) -> None:
     directory, view = go(tmp_path, biased(0.2), biased(-0.2))
     refitted = ended(view)
@@ -214,6 +220,7 @@ def test_a_stack_of_opposite_errors_is_used_and_opened(tmp_path: Path) -> None:
     verify(directory)
 
 
+@pytest.mark.slow
 def test_a_member_that_does_not_answer_like_a_model_is_left_out(tmp_path: Path) -> None:
     # It was no new best, so that nobody had asked it before.
     restless = RESTLESS.replace("fit_well", "fit_biased").replace("== 240", "> 0")
@@ -225,6 +232,7 @@ def test_a_member_that_does_not_answer_like_a_model_is_left_out(tmp_path: Path) 
     assert stack is None or 3 not in {m.experiment for m in stack.members}
 
 
+@pytest.mark.slow
 def test_one_candidate_makes_no_stack(tmp_path: Path) -> None:
     directory, view = go(tmp_path)
     assert ended(view).stack is None
@@ -269,6 +277,7 @@ def fit(trajectories, context):
 """
 
 
+@pytest.mark.slow
 def test_what_the_refit_says_of_its_parameters_is_kept_and_shown(tmp_path: Path) -> None:
     """By any candidate that has `estimates`, from all training records; in its ledger as an
     artifact that verifies; for people and scripts."""

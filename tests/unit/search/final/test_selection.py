@@ -37,6 +37,7 @@ def part(random: np.random.Generator, count: int, samples: int = 20, ny: int = 2
 numbers = st.integers(0, 2**32 - 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(seed=numbers, count=st.integers(1, 30), folds=st.integers(1, 3))
 def test_weights_are_shares_of_few_members(seed: int, count: int, folds: int) -> None:
@@ -50,6 +51,7 @@ def test_weights_are_shares_of_few_members(seed: int, count: int, folds: int) ->
     assert (weights == select_weights(parts, rmse)).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(seed=numbers, count=st.integers(2, 12), folds=st.integers(2, 4), judged=st.integers(0, 3))
 def test_the_fold_that_is_judged_has_no_part_in_its_weights(

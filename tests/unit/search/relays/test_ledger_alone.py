@@ -27,6 +27,7 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return run
 
 
+@pytest.mark.slow
 def test_status_and_verify_read_it(bare: Run) -> None:
     where = ("--runs", str(bare.directory.parent))
     assert "#02 keep" in command_line("status", bare.name, *where).out
@@ -48,6 +49,7 @@ def test_show_tells_all_but_the_source(bare: Run) -> None:
     assert "a ledger without its artifacts" in source.err
 
 
+@pytest.mark.slow
 def test_the_report_has_the_picture_that_needs_none(bare: Run) -> None:
     done = command_line("report", bare.name, "--runs", str(bare.directory.parent))
     assert done.code == 0
@@ -61,6 +63,7 @@ def test_a_replay_says_what_it_needs(bare: Run) -> None:
         replay_run(bare.directory, lambda item: None)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (RUNS / NANODRONE).is_dir(), reason="no recorded runs in ASIA_DATA_DIR")
 def test_the_recorded_ledger_of_the_nanodrone_is_read(tmp_path: Path) -> None:
     directory = tmp_path / NANODRONE

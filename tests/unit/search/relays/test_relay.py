@@ -131,6 +131,7 @@ def handed_over(run: Run) -> list[tuple[int, int, str, str]]:
     return found
 
 
+@pytest.mark.slow
 def test_each_agent_has_its_turn_and_the_ledger_says_so(searched: Searched) -> None:
     view = searched.run.view
     assert view.started.agent == "expert3+random2+bayes2+llm"
@@ -164,6 +165,7 @@ def test_results_name_the_agents(searched: Searched) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [False, True])
 @pytest.mark.parametrize("leg", [2, 3, 4])
 def test_killed_at_a_hand_over_it_goes_on_as_it_would_have(
@@ -212,6 +214,7 @@ def go(problem: Path, first: Agent, count: int, second: Agent, experiments: int)
     return asia.run(problem, agent=agent, runs=problem.parent / "runs", experiments=experiments)
 
 
+@pytest.mark.slow
 def test_an_agent_with_nothing_left_hands_over_what_it_had(
     tmp_path: Path, judged: pytest.MonkeyPatch
 ) -> None:
@@ -228,6 +231,7 @@ def test_an_agent_with_nothing_left_hands_over_what_it_had(
     assert wrong == {"hand-over to second": "the agent goes on now"}
 
 
+@pytest.mark.slow
 def test_an_agent_that_finds_nothing_hands_over(tmp_path: Path, judged: pytest.MonkeyPatch) -> None:
     """Patience counts anew for the next one."""
     problem = write_problem(tmp_path / "toy")
@@ -245,6 +249,7 @@ def test_an_agent_that_finds_nothing_hands_over(tmp_path: Path, judged: pytest.M
     assert len(run.view.experiments) >= places[0][0] + 2
 
 
+@pytest.mark.slow
 def test_each_leg_has_its_own_cap(tmp_path: Path, judged: pytest.MonkeyPatch) -> None:
     """A leg with 2.3 USD has two replies."""
     problem = write_problem(tmp_path / "toy")
