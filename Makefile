@@ -31,7 +31,7 @@ test: .venv/ready-dev
 	$(PYTEST); tests=$$?; wait $$lint; lint=$$?; cat build/lint.txt; exit $$((tests | lint))
 
 test-all: .venv/ready-dev docs
-	$(PYTEST) -m slow
+	$(PYTEST) -m 'slow and not long'
 
 test-long: .venv/ready-docs
 	$(PYTEST) -m long

@@ -21,16 +21,15 @@ def test_every_family_has_one_row():
 QUICK = {"linear", "narx", "arx"}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "row",
     [
-        pytest.param(row, id=row.name, marks=() if row.name in QUICK else pytest.mark.slow)
+        pytest.param(row, id=row.name, marks=() if row.name in QUICK else pytest.mark.long)
         for row in all_families()
     ],
 )
 def test_a_family_conforms(row):
-    """A few at every change, all of them in the slow tier."""
+    """A few at every change, all of them before a release."""
     check_family(row)
 
 

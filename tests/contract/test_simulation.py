@@ -225,12 +225,12 @@ def answered_elsewhere(models: dict[str, Any], folder: Path) -> None:
             np.testing.assert_array_equal(answer, model.simulate(*request), name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_networks_are_loaded_and_simulated_without_jax(tmp_path: Path) -> None:
     answered_elsewhere({row.name: shaken(row) for row in NETWORKS}, tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_trained_models_are_loaded_and_simulated_without_jax(tmp_path: Path) -> None:
     answered_elsewhere({row.name: trained(row) for row in ROWS}, tmp_path)
 

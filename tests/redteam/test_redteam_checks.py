@@ -37,7 +37,7 @@ def test_an_attack_succeeds_without_the_checks_that_stop_it_and_not_with_them():
     assert "flagged: causality" in words
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_level
 def test_every_variant_succeeds_without_the_checks_that_stop_it_and_not_with_them():
     found = without_checks(WORKING, CHECKED)

@@ -15,7 +15,7 @@ from tests.unit.executor.cluster import two_workers
 LEVELS = [x.isolation for x in fitting_levels() if x.confined and why_not(x.isolation) is None]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not LEVELS, reason="no level keeps intent in here")
 def test_attacks_are_stopped_through_a_cluster(tmp_path: Path) -> None:
     pytest.importorskip("distributed")

@@ -13,7 +13,7 @@ from .conftest import BY_CHANCE, page_tables
 
 REASON = why_no_outer(nested=True) or why_not(Isolation.LANDLOCK)
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.long,
     pytest.mark.skipif(REASON is not None, reason=str(REASON)),
 ]
 LEVELS = (Isolation.NAMESPACE, Isolation.LANDLOCK)

@@ -74,9 +74,9 @@ def one_of_each_kind() -> tuple[Attack, ...]:
     return tuple(attack for attack in ATTACKS if attack.number in firsts)
 
 
-@pytest.fixture(scope="module", params=["each kind", pytest.param("all", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["each kind", pytest.param("all", marks=pytest.mark.long)])
 def report(request: pytest.FixtureRequest) -> RedTeamReport:
-    """Attacks at the levels that work here, and with isolation off: all of both in the slow tier,
+    """Attacks at the levels that work here, and with isolation off: all of both before a release,
     one attack of each kind at the strongest level otherwise."""
     if ONE_LEVEL is None:
         pytest.skip("no level keeps intent in here")
@@ -119,7 +119,7 @@ def test_every_attack_succeeds_with_isolation_off(report):
     assert report.passed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_outer
 def test_no_attack_succeeds_by_failing():
     """The same candidates with a fit that only raises."""

@@ -185,7 +185,7 @@ def test_a_family_that_ran_away_or_out_of_time_gets_a_second_chance() -> None:
     assert recipe_of(calmer).number("learning_rate", 1) < 5e-4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "known",
     [simulation(physics=True), simulation(physics=False, samples=50_000), windows(), body()],

@@ -162,7 +162,7 @@ class Stub:
         return Answer(f"HYPOTHESIS: a\nEXPECTED: b\nFAMILY: c\nTITLE: d\n```python\n{source}```")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_is_an_agent_like_the_others() -> None:
     def make() -> LlmAgent:
         made = LlmAgent(SETTINGS)

@@ -112,7 +112,7 @@ def plug(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
         cached.cache_clear()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["FAMILY", pytest.param("CARD", marks=pytest.mark.slow)])
 def test_a_family_of_another_package_is_searched_as_those_here(plug, name: str) -> None:
     known: Facts = simulation(physics=False)

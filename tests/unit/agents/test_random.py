@@ -8,7 +8,7 @@ from asia.errors import UserError
 from tests.unit.agents.searches import recipe_of, search, simulation, view, windows
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_random_draws_every_family_and_never_twice() -> None:
     known = simulation(physics=True)
     trials = search(RandomAgent, known, 150)

@@ -98,7 +98,7 @@ def compared(toy: Problem, tmp_path_factory: pytest.TempPathFactory) -> Compared
     return Compared(plan, log, bench(plan, log))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_search_is_a_run_of_its_own(compared: Compared) -> None:
     names = [line.split()[1] for line in compared.log.runs]
     assert names == [
@@ -193,7 +193,7 @@ class Killed(Log):
             raise KeyboardInterrupt
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_killed_comparison_goes_on(compared: Compared, toy: Problem, tmp_path: Path) -> None:
     plan = make_plan(toy, tmp_path, settings=("inner",), arms=(EXPERT,))
     with pytest.raises(KeyboardInterrupt):

@@ -23,7 +23,7 @@ class Quiet:
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_agents_are_compared_pair_by_pair_and_no_test_is_declared(tmp_path: Path) -> None:
     good = Arm("good", "good", lambda: Scripted((arx(2),), "good"))
     bad = Arm("bad", "bad", lambda: Scripted((arx(3),), "bad"))

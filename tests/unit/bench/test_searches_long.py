@@ -7,7 +7,7 @@ import pytest
 from tests.unit.bench.suite_searches import check_and_search
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["silverbox", "wiener_hammerstein", "f16"])
 def test_each_is_checked_and_searched(
     name: str, files: Path, monkeypatch: pytest.MonkeyPatch

@@ -41,7 +41,7 @@ def test_options_that_do_not_go_together(files: Path) -> None:
         assert "leave" in done.err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_suite_searches_resumes_and_opens_only_when_asked(files: Path) -> None:
     WRITERS["ced"](files)
     words = ("bench", "suite", "--only", "ced,emps", "--experiments", 1, "--runs", files / "runs")

@@ -17,7 +17,7 @@ def _without_jax(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("asia.evaluation._rungs.LINEAR", arx(2))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_bench_prints_its_tables_and_goes_on(problem: Path, asia: Asia, tmp_path: Path) -> None:
     words = ("bench", problem, "--arms", "expert",
              "--experiments", 1, "--seeds", 1, "--runs", tmp_path / "runs")  # fmt: skip

@@ -57,7 +57,7 @@ def hostile(tmp_path: Path) -> Path:
     return problem
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sources_and_output_of_candidates(hostile: Path, tmp_path: Path, asia: Asia) -> None:
     runs = tmp_path / "runs"
     line = ("--agent", "random", "--experiments", 2, "--runs", runs)
@@ -102,7 +102,7 @@ class Words:
         return Proposal(arx(2), forged, forged, forged, forged)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_words_of_an_agent(hostile: Path, tmp_path: Path, asia: Asia) -> None:
     runs = tmp_path / "runs"
     agent = "tests.unit.cli.test_cli_terminal:Words"

@@ -73,7 +73,7 @@ def test_show_and_diff_say_it(told: Searched, asia: Asia) -> None:
     assert asia("diff", "1", "1", "--runs", told.runs).out.count(f"{CALLED} = ") == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_inner_search_says_nothing_of_it(searched: Searched, asia: Asia) -> None:
     for command in (("status",), ("show",)):
         out = asia(*command, "--runs", searched.runs).out

@@ -31,7 +31,7 @@ def lasting(source: str) -> str:
     return source.replace(head, f"{head}    import time\n    time.sleep(2.0)\n")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     problem = write_problem(tmp_path / "toy")
     folder, runs = tmp_path / "work", tmp_path / "runs"
@@ -143,7 +143,7 @@ ASIA = "from asia.cli import main; main()"
 SLOW = "import time\n\n\ndef fit(trajectories, context):\n    time.sleep(60)\n"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("state", ["running", "queued"])
 def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state: str) -> None:
     problem = write_problem(tmp_path / "toy")

@@ -7,7 +7,7 @@ import pytest
 
 from tests.unit.docs.test_docs import ROOT, run
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 PAGE = (ROOT / "docs" / "tutorial.md").read_text()
 
 

@@ -79,7 +79,7 @@ def test_an_agent_that_leaves_at_once_is_asked_twice(problem: Path) -> None:
     assert len(view.sessions) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_failures_in_a_row_are_stuck(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy", experiments=9)
     view = go(problem, fake("claude", "fail"), replace(RULES, failures=3))
@@ -88,7 +88,7 @@ def test_failures_in_a_row_are_stuck(tmp_path: Path) -> None:
     assert len(view.finished) <= 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cost_of_a_resumed_session_is_not_counted_twice(problem: Path) -> None:
     view = go(problem, fake("claude", "twice"), with_config(problem))
     assert len(view.finished) == 3
@@ -98,7 +98,7 @@ def test_cost_of_a_resumed_session_is_not_counted_twice(problem: Path) -> None:
     assert view.usage.cost is None or view.usage.cost <= 0.05 + 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_stopped_by_a_cap_goes_on(problem: Path) -> None:
     first = go(problem, fake("claude", "hang"), replace(RULES, minutes=0.02))
     assert first.stopped is not None

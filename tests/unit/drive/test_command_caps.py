@@ -63,7 +63,7 @@ def test_an_interrupted_session_is_charged(problem: Path) -> None:
     assert kinds.index("session_started") < kinds.index("streamed") < kinds.index("session_ended")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_session_that_a_crash_cut_off_is_charged_later(problem: Path) -> None:
     go(problem, fake("claude", "search"), replace(RULES, cost=5.0))
     directory = problem.parent / "runs" / "toy-claude-s0"
@@ -77,7 +77,7 @@ def test_a_session_that_a_crash_cut_off_is_charged_later(problem: Path) -> None:
     assert view.stopped is not None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_failures_of_an_earlier_sitting_do_not_count(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy", experiments=4)
     first = go(problem, fake("claude", "fail"), replace(RULES, failures=1))
@@ -93,7 +93,7 @@ def test_a_child_that_keeps_the_output_open_does_not_hold_the_search(problem: Pa
     assert ends(lambda: go(problem, says(code), CommandRules(jail=False, minutes=5)), 30.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_finished_run_returns(problem: Path) -> None:
     go(problem, fake("claude", "search"))
     assert ends(lambda: go(problem, fake("claude", "search")))

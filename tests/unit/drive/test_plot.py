@@ -68,7 +68,7 @@ def test_what_has_no_score_is_not_drawn(run: Path) -> None:
         RunDesk(run).simulated(3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_lie_in_the_folder(run: Path, tmp_path: Path) -> None:
     with DeskServer(tmp_path / "s", RunDesk(run)):
         shown = SocketDesk(tmp_path / "s").simulated(2)

@@ -159,7 +159,7 @@ def test_a_larger_order_reaches_a_search_that_ends(
     assert [p.problem.budget.experiments for p in seen] == [4, 9]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_order_for_a_run_that_exists(tmp_path: Path) -> None:
     place = ordered(tmp_path, experiments=1)
     serve(place.directory)

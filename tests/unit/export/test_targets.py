@@ -58,7 +58,7 @@ def test_files_simulate_as_the_model(target: str, name: str, tmp_path: Path) -> 
     assert "Output k belongs to input k" in (tmp_path / target / "USE.md").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("name", [n for n in MODELS if n not in QUICK])
 def test_all_families_by_all_targets(target: str, name: str, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> asia.SystemIdentifier:
     return found.fit([u for u, _ in records], [y for _, y in records], sampling_time=STEP)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_simulates_predicts_and_scores(fitted: asia.SystemIdentifier) -> None:
     u, y = a_record(3)
     assert fitted.score(u, y) > 99.0
@@ -78,7 +78,7 @@ def test_the_same_records_and_settings_resume(fitted: asia.SystemIdentifier) -> 
     assert again.run_.lines == fitted.run_.lines
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_line_finds_the_same(fitted: asia.SystemIdentifier, tmp_path: Path) -> None:
     directory = next((Path(fitted.runs) / "problems").glob("records-*"))
     done = command_line(

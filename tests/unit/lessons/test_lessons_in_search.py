@@ -96,7 +96,7 @@ def test_a_run_does_not_change_between_lessons_and_none(directory: Path) -> None
         run(made(directory, KNOWN, 1))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_without_lessons_says_nothing_of_them(directory: Path) -> None:
     agent = Library()
     view = run(made(directory, None, 2), agent)
@@ -104,7 +104,7 @@ def test_a_run_without_lessons_says_nothing_of_them(directory: Path) -> None:
     assert view.started.lessons is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_v_of_the_cross_validation_is_learned_and_no_figure_of_a_test(directory: Path) -> None:
     """The same lessons before and after the test was opened, though the ledger holds it then."""
     ready = made(directory, None)
@@ -120,7 +120,7 @@ def test_v_of_the_cross_validation_is_learned_and_no_figure_of_a_test(directory:
     assert learn_from_run(ready.directory) == (before,)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_cannot_be_learned_from_is_left_out_with_a_reason(directory: Path) -> None:
     ready = made(directory, None)
     run(ready)

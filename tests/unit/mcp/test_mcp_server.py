@@ -77,7 +77,7 @@ async def search(client: Client, directory: Path) -> None:
     verify(directory)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_client_drives_a_whole_search(setting: Setting) -> None:
     async def main() -> None:
         async with Client(make_server(setting.opened())) as client:

@@ -46,7 +46,7 @@ def servers(setting: Setting) -> list[int]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_over_stdio(setting: Setting) -> None:
     async def main() -> None:
         async with Client(stdio(setting)) as client:
@@ -122,7 +122,7 @@ def status(url: str, *authorization: str) -> int:
     ).status_code
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_over_http(setting: Setting) -> None:
     async def main(url: str) -> None:
         headers = {"Authorization": f"Bearer {TOKEN}"}
@@ -148,7 +148,7 @@ def test_a_search_over_http(setting: Setting) -> None:
         ).status_code in (400, 403, 421)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_token_is_made_up_and_told_once(setting: Setting) -> None:
     with http(setting) as (url, said):
         token = said.removeprefix("asia: token ").strip()

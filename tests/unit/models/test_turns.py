@@ -78,7 +78,7 @@ def test_without_the_setting_it_has_none() -> None:
     assert np.abs(away).max() > 1e-2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_was_never_seen_is_learned_from_its_mirror_image() -> None:
     """Records with positive inputs alone, a simulation with negative ones."""
     known, records = context(odd=ODD), [arms(200, seed, 2.0) for seed in (0, 1)]

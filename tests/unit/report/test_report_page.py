@@ -181,7 +181,7 @@ def test_the_numbers_of_a_whole_page_are_checked(make_run: Callable[..., Run]) -
     assert audit(page, run.directory, len(run.lines)) == page.count("<data ") > 50
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_long_search_stays_below_the_limit(make_run: Callable[..., Run]) -> None:
     values = [(f"candidate {k}: {'word ' * 12}", 0.9 - 1e-4 * (k % 97)) for k in range(1200)]
     run = make_run(tuple(values))

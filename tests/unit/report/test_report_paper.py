@@ -28,7 +28,7 @@ def run(tmp_path: Path) -> Path:
     return write_run(directory, load_problem("two_tanks_sim"), OUTCOMES, unsealed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_figures_are_as_wide_as_a_column_or_a_page(run: Path, tmp_path: Path) -> None:
     paths = write_figures(run, tmp_path / "figures")
     names = {path.stem for path in paths}
@@ -40,7 +40,7 @@ def test_figures_are_as_wide_as_a_column_or_a_page(run: Path, tmp_path: Path) ->
             assert min(abs(width - COLUMN), abs(width - PAGE)) < 0.02, path.name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_run_gives_the_same_figures(run: Path, tmp_path: Path) -> None:
     first, second = (write_figures(run, tmp_path / name) for name in ("one", "two"))
     assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]

@@ -151,7 +151,7 @@ def test_a_huge_value_does_not_squeeze_the_others(tmp_path: Path) -> None:
     assert list(curves["off scale"].get_xdata()) == [6]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("shape", "trajectories"),
     [
@@ -197,7 +197,7 @@ def test_own_data_under_a_benchmarks_name_is_not_ranked(tmp_path: Path) -> None:
     assert "leaderboard" not in draw_all(tmp_path / "run", shape, FIVE[:1], 1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_files_are_the_same_twice_and_have_their_size(tmp_path: Path) -> None:
     problem = make_problem(Shape())
     run = open_run(write_run(tmp_path / "run", problem, FIVE[:2]))
@@ -214,7 +214,7 @@ def test_files_are_the_same_twice_and_have_their_size(tmp_path: Path) -> None:
     assert one[1].read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_write_report_reads_a_run_directory(tmp_path: Path) -> None:
     problem = load_problem("two_tanks_sim")
     run = tmp_path / "run"
@@ -247,7 +247,7 @@ def test_a_changed_artifact_is_refused(tmp_path: Path) -> None:
         dict(pictures(run, problem))["simulation"]()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_draw_problem_writes_the_data(tmp_path: Path) -> None:
     written = draw_problem(make_problem(MIMO), tmp_path / "here")
     names = [f"{n}.{kind}" for n in ("data", "response", "delays") for kind in ("png", "pdf")]
@@ -261,7 +261,7 @@ def test_plain_text_holds_only_what_the_font_can_draw() -> None:
     assert plain("x" * 80, 10) == "x" * 9 + "…"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_importing_the_package_loads_no_matplotlib_and_drawing_no_pyplot(tmp_path: Path) -> None:
     script = (
         "import sys, asia.report\n"

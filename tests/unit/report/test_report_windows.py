@@ -75,7 +75,7 @@ def windows_problem(groups: bool = True) -> Problem:
     return replace(problem, protocol=rule)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("groups", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_every_picture_of_windows_can_be_read(tmp_path: Path, groups: bool) -> None:
     problem = windows_problem(groups)
@@ -240,7 +240,7 @@ def test_draw_bench_reads_runs(tmp_path: Path) -> None:
     assert [p.name for p in written] == [f"{name}.{suffix}" for name, suffix in names]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_name_the_metric_of_the_problem(tmp_path: Path) -> None:
     problem = windows_problem()
     directory = write_run(tmp_path / "run", problem, FIVE[:2], unsealed=2)

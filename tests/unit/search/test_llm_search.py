@@ -102,7 +102,7 @@ def user_messages(server: FakeServer) -> list[str]:
     return [request["messages"][1]["content"] for request in server.asked]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_search_ends_and_says_what_became_of_each(searched: Searched) -> None:
     view = searched.run.view
     found = [(e.number, e.result.status, e.proposed.parent) for e in view.finished if e.result]
@@ -178,7 +178,7 @@ def test_a_thief_gets_nothing(searched: Searched) -> None:
     assert "FileNotFoundError" in failure.detail
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_replay_without_network_comes_out_the_same(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:

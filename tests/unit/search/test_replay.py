@@ -27,7 +27,7 @@ def replayed(directory: Path, tolerance: float = 0.0) -> dict[str, Replayed]:
     return {item.name: item for item in report.items if not item.name.startswith("rung")}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_agent_is_asked_again(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -53,7 +53,7 @@ def test_an_agent_is_asked_again(
     assert "goes on now" in other["stop"].detail
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_outcome_of_chance_is_found_and_lies_within_a_tolerance(
     problem: Path, tmp_path: Path
 ) -> None:

@@ -130,7 +130,7 @@ def test_resume_from_every_record(whole: Path, tmp_path: Path) -> None:
     verify(directory)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_finished_search_returns_at_once_and_a_larger_budget_extends(
     short: Path, whole_once: Path, tmp_path: Path
 ) -> None:
@@ -264,7 +264,7 @@ def test_a_changed_lock_is_refused_by_resume_and_unseal(short: Path, tmp_path: P
         verify(directory)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_test_counts_who_opened_it(problem: Path, tmp_path: Path) -> None:
     for name in ("first", "second"):
         go(problem, tmp_path / "runs", Scripted((arx(2),), name), experiments=2)

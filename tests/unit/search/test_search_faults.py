@@ -116,7 +116,7 @@ def test_a_disk_that_fills_up_again_and_again_loses_nothing(problem: Path, tmp_p
     assert hidden == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_read_only_directory_can_be_asked_and_not_searched(problem: Path, tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     loaded = load_problem(problem)

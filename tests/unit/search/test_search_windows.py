@@ -121,7 +121,7 @@ def test_unsealing_gives_the_table(run: Path) -> None:
     assert again == record
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_line_prints_the_table(run: Path) -> None:
     done = command_line("unseal", run, "--yes", "--yes-process", "--json")
     assert done.code == 0, done.err

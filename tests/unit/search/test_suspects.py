@@ -125,7 +125,7 @@ def test_a_record_in_the_source_starts_no_worker(
     assert started == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_checked_is_another_in_every_run(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -72,7 +72,7 @@ def test_an_inner_search_keeps_its_name_and_its_words(problem: Path, tmp_path: P
     assert "alidation" not in journal(run.view) + results_table(run.view)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_resumes_from_every_record(problem: Path, tmp_path: Path) -> None:
     directory = go(problem, tmp_path / "runs")
     once = open_run(directory).view

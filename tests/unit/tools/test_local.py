@@ -60,7 +60,7 @@ def windows(directory: Path) -> Path:
     return directory
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["simulation", "windows"])
 def test_the_score_is_the_evaluators(tmp_path: Path, kind: str) -> None:
     """Bit for bit: of a candidate that draws random numbers."""

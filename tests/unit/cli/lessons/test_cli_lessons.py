@@ -89,7 +89,7 @@ def test_lessons_that_cannot_be(
     assert not Path("runs").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_by_default_there_are_none(asia: Asia, problem: Path) -> None:
     keep_lessons(KNOWN)
     assert asia("run", problem, "--experiments", 1, "--lessons", "off").code == 0
@@ -97,7 +97,7 @@ def test_by_default_there_are_none(asia: Asia, problem: Path) -> None:
     assert open_run(Path("runs/toy-expert-s0")).view.started.lessons is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_agents_are_compared_without_lessons(asia: Asia, problem: Path) -> None:
     keep_lessons(KNOWN)
     options = ("--agents", "expert,random", "--seeds", 1, "--experiments", 1)

@@ -41,7 +41,7 @@ def test_it_is_saved_with_its_outputs(path: Path) -> None:
     assert path.stat().st_size < 400_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_it_runs(path: Path, tmp_path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)

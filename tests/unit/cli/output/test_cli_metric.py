@@ -39,7 +39,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Done, 
         yield folder / "runs", checked, command_line(*words)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_metric_of_a_package_from_check_to_report(
     run: tuple[Path, Done, Done], asia: Asia
 ) -> None:

@@ -25,7 +25,7 @@ def idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Place:
     return place
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("there", [True, False])
 def test_unsealing_ends_a_search_that_waits(idle: Place, asia: Asia, there: bool) -> None:
     if not there:

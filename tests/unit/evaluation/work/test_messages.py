@@ -187,7 +187,7 @@ def test_validation_early_stopping_stays_here(problem: Problem) -> None:
         evaluator(replace(problem, protocol=rule), Loopback())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_names_machine_and_level_of_each_fold(problem: Problem, tmp_path: Path) -> None:
     short = replace(problem, budget=replace(problem.budget, experiments=2, retests=0))
     ready = prepare(short, "scripted", seed=0, runs=tmp_path)

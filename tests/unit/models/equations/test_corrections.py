@@ -86,7 +86,7 @@ def error(model: physics_net.PhysicsNet, test: Trajectory) -> float:
     return float((np.abs(simulated(model, past_y, u) - y) / test.y.std(axis=0)).mean())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_turned_experiment_has_the_turned_simulation() -> None:
     symmetric = fitted(GRU, ADAM, up=0.3)
     past_y, u, _ = requests(record(9))
@@ -96,7 +96,7 @@ def test_a_turned_experiment_has_the_turned_simulation() -> None:
     assert turned == pytest.approx(simulated(symmetric, past_y, u) @ both.T, abs=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_was_learned_to_the_right_holds_upwards() -> None:
     """Trained on pushes to the right, with small ones upwards."""
     test, symmetric = record(9), fitted(GRU, LONG, up=0.3)
@@ -128,7 +128,7 @@ def test_numpy_simulates_what_jax_does() -> None:
     assert rollout(cell, params, *arrays) == pytest.approx(np.asarray(by_jax), abs=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_ridge_holds_linear_terms_in_both_methods() -> None:
     config = replace(PLAIN, linear=True, sparsity=0.0, equations=0)
     method = replace(ADAM, steps=150)

@@ -45,7 +45,7 @@ def error(model: greybox.GreyBox, new: Trajectory) -> float:
     return float(np.sqrt(np.mean((y - new.y[5:]) ** 2)) / new.y.std())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stick_slip_with_uneven_friction_is_found() -> None:
     train, new = (record(sliding, 2, seed) for seed in (100, 101))
     model = fitted(DRIVE, train, friction=("v",), substeps=8)
@@ -60,14 +60,14 @@ def test_stick_slip_with_uneven_friction_is_found() -> None:
     assert not {"v rate", "v low"} & set(found)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mass_that_sticks_is_followed_by_its_measured_velocity() -> None:
     train, new = (record(sticking, 1, seed) for seed in (100, 101))
     assert error(fitted(MASS, train, friction=("v",), substeps=8), new) < 2.0 * NOISE
     assert error(fitted(MASS, train), new) > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_friction_that_gives_way_before_it_slides() -> None:
     train, new = (record(bristle, 3, seed) for seed in (100, 101))
     model = fitted(DRIVE, train, friction=("v",), presliding=True)
@@ -76,7 +76,7 @@ def test_friction_that_gives_way_before_it_slides() -> None:
     assert error(fitted(DRIVE, train, friction=("v",)), new) > 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bouc_wen_force_is_found() -> None:
     train, new = (record(yielding, 3, seed) for seed in (100, 101))
     model = fitted(DRIVE, train, hysteresis=("v",))

@@ -25,7 +25,7 @@ def error(model: greybox.GreyBox, record: Trajectory) -> float:
     return float(np.sqrt(np.mean((y - record.y[5:]) ** 2)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_network_learns_the_hardening_spring_that_the_equations_lack() -> None:
     context = context_for(SPRING_UNKNOWN, "force", "y", 0.15)
     records, new = [duffing_record(300, 0, 0.01)], duffing_record(200, 8)

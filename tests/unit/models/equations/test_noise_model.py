@@ -73,7 +73,7 @@ def test_outliers_count_less_with_a_threshold_on_innovations() -> None:
     assert robust < 0.5 * plain
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_hybrid_and_windows_are_fitted_under_the_noise_model() -> None:
     record = disturbed(5, time=3.0, slow=0.1, white=0.02)
     for context in (CONTEXT, replace(CONTEXT, horizon=40)):

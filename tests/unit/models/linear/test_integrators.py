@@ -66,7 +66,7 @@ def test_only_what_is_not_held_is_searched() -> None:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bent_motor_needs_both() -> None:
     train, new = motor(102, bend=1.0), motor(103, noise=0.0, bend=1.0)
     errors: list[float] = []

@@ -68,7 +68,7 @@ def test_two_inputs_and_outputs_from_records_of_unequal_length() -> None:
 @pytest.mark.parametrize(
     ("lengths", "past"), [((60, 60, 12000, 12000), 10), ((200,) * 60, 50)], ids=["uneven", "many"]
 )
-@pytest.mark.slow
+@pytest.mark.long
 def test_order_and_delay_are_chosen_on_uneven_or_many_records(
     lengths: tuple[int, ...], past: int
 ) -> None:

@@ -42,7 +42,7 @@ def pole_error(method: LevenbergMarquardt, data: Trajectory) -> float:
     return abs(float(fitted.system.a[0, 0]) - POLE)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_generalised_least_squares_finds_the_pole_under_a_slow_disturbance() -> None:
     methods = PLAIN, replace(PLAIN, noise_model="slow")
     errors = [[pole_error(method, record(seed, 0.3)) for method in methods] for seed in range(5)]

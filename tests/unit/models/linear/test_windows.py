@@ -62,7 +62,7 @@ def window_error(model: Model, context: Context, trajectory: Trajectory) -> Arra
     return error / trajectory.y.std(axis=0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_unstable_system_is_followed_over_the_horizon(runs, context):
     logged: list[float] = []
     watched = replace(context, log=lambda _, loss: logged.append(loss))

@@ -59,7 +59,7 @@ def windows_context(seed: int = 0) -> Context:
 
 
 @every_family
-@pytest.mark.slow
+@pytest.mark.long
 def test_windows_of_a_horizon_and_a_long_simulation(
     family: ModuleType, small: dict[str, Any]
 ) -> None:

@@ -24,7 +24,7 @@ def test_training_learns_the_system() -> None:
     assert data.ratio(subnet.train(model, data.training, data.context, method)) < 2.4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_starts_at_the_best_linear_model() -> None:
     data = case(wiener)
     config = linear.Config(order=2)

@@ -16,7 +16,7 @@ from tests.unit.models.systems.black_box import case, wiener
 SMALL = transformer.Config(layers=1, heads=2, width=8, inner=8, span=6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_training_learns_the_system() -> None:
     data = case(wiener)
     config = transformer.Config(layers=1, width=16, inner=32, span=32)

@@ -44,7 +44,7 @@ def error(method: NetworkMethod, seed: int, slow: float) -> float:
     return float(np.std((y - truth[1][PAST:])[50:]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "most"), [(LBFGS(100), 0.9), (Adam(600, 1e-2, truncation=100), 0.75)]
 )
@@ -53,7 +53,7 @@ def test_a_slow_disturbance_costs_less_with_its_model(method: NetworkMethod, mos
     assert error(slow, 0, 0.8) < most * error(method, 0, 0.8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_under_white_noise_the_error_is_much_the_same() -> None:
     method = LBFGS(150)
     ratio = error(replace(method, noise_model="slow"), 2, 0.0) / error(method, 2, 0.0)

@@ -71,7 +71,7 @@ def test_two_inputs_and_outputs() -> None:
     assert data.ratio(model) < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_windows_from_one_measured_state() -> None:
     config = block_oriented.Config("wiener_hammerstein", order=3, hidden=2)
     assert against_holding(block_oriented, config, LevenbergMarquardt(2), runs=3) < 0.8
@@ -89,7 +89,7 @@ def asymmetric(u: Array) -> Array:
     return low - 0.4 * np.concatenate([np.zeros((1, 1)), low[:-1]])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_search_finds_order_and_shares_of_two_filters() -> None:
     data = case(asymmetric, lengths=(2000,), noise=0.01)
     config = block_oriented.Config(

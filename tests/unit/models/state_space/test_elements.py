@@ -30,7 +30,7 @@ def error(model: neural_ss.NeuralStateSpace, new: Trajectory) -> float:
     return float(np.sqrt(np.mean((y - new.y[10:]) ** 2)) / new.y.std())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mass_that_sticks_is_followed() -> None:
     train, new = (record(sticking, 1, seed, samples=800) for seed in (101, 102))
     model = fitted(train, order=1, nonlinearity="none", friction=1)
@@ -38,7 +38,7 @@ def test_a_mass_that_sticks_is_followed() -> None:
     assert error(fitted(train, order=1, nonlinearity="none"), new) > 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("system", "most"), [(bristle, 0.015), (yielding, 0.04)])
 def test_presliding_and_bouc_wen_are_followed(system, most: float) -> None:
     train, new = (record(system, 3, seed, samples=800) for seed in (101, 102))

@@ -58,7 +58,7 @@ def test_no_iterations_leave_the_linear_model() -> None:
     np.testing.assert_allclose(data.simulated(model), data.simulated(line), rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_delay_and_two_channels() -> None:
     data = case(late, lengths=(300,))
     model = fitted(neural_ss.Config(order=2, delay=None), data, LevenbergMarquardt(5))

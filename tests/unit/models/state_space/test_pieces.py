@@ -72,7 +72,7 @@ def error(config: neural_ss.Config, seed: int) -> tuple[float, float]:
     return found[0], found[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_the_model_itself_says_better_where_a_window_ends(seed: int) -> None:
     """Seed 0 is one where the pieces alone mislead."""
@@ -108,7 +108,7 @@ def test_polynomials_of_all_states_are_fitted_from_their_one_start(
     assert len(fitted.members) == fits
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_polynomials_from_short_pieces_follow_a_strongly_bent_spring() -> None:
     _, layer = error(replace(CONFIG, channels=None, basis="tanh", hidden=8), 4)
     _, short = error(replace(CONFIG, channels=None, pieces=True, past_fit=True), 4)

@@ -89,7 +89,7 @@ def quietly(event: AblationFit, done: int, total: int) -> None:
     assert 1 <= done <= total
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("factor", ["model", "training"])
 def test_the_gain_goes_to_what_was_improved(factor: str, tmp_path: Path) -> None:
     """The other part differs in luck alone."""
@@ -104,7 +104,7 @@ def test_the_gain_goes_to_what_was_improved(factor: str, tmp_path: Path) -> None
     assert verify(run).records
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_each_change_of_the_lineage_is_left_out_and_nothing_is_fitted_twice(
     tmp_path: Path,
 ) -> None:
@@ -129,7 +129,7 @@ def test_each_change_of_the_lineage_is_left_out_and_nothing_is_fitted_twice(
     assert "without the change of #02" in shown.out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_that_cannot_be_split_is_said_to(tmp_path: Path) -> None:
     whole = candidate(2).replace("def build_model", "def make").replace("build_model(", "make(")
     run = searched(tmp_path, candidate(1), whole)

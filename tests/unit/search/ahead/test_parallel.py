@@ -99,7 +99,7 @@ def test_one_at_a_time_leaves_no_trace_in_the_ledger(problem: Path, tmp_path: Pa
         assert word not in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_course_does_not_depend_on_who_ends_first(
     problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,7 +116,7 @@ def test_the_course_does_not_depend_on_who_ends_first(
     assert courses[0] == courses[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_results_are_those_of_one_at_a_time(problem: Path, tmp_path: Path) -> None:
     serial, ahead = go(problem, tmp_path / "serial", 1), go(problem, tmp_path / "ahead", 3)
     for one, other in zip(serial.finished, ahead.finished, strict=True):

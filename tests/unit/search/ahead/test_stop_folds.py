@@ -78,7 +78,7 @@ def decided(e: Experiment) -> tuple[str | None, object]:
     return (e.result.status if e.result else None), e.score or "no score"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("parallel", [1, 2])
 def test_only_the_folds_of_one_far_behind_are_left_out(
     parallel: int, tmp_path: Path, begun: list[tuple[str, int]]

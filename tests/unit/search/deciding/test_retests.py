@@ -163,7 +163,7 @@ def test_the_floor_is_told_once_it_is_known() -> None:
     assert floor_to_beat(a_search(0, 1.0)) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) -> None:
     """Candidates that differ in luck alone, in a real search: a lower V is not kept."""
     problem = write_problem(tmp_path / "toy")

@@ -58,7 +58,7 @@ def quietly(event: Repeated, done: int, total: int) -> None:
     assert 1 <= done <= total
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_seeds_are_fresh_and_a_fit_without_luck_is_repeated_once(run: Path) -> None:
     heard: list[Repeated] = []
     found, new = confirm(run, lambda event, done, total: heard.append(event), top=3, seeds=3)
@@ -142,7 +142,7 @@ def test_a_ledger_that_has_a_repeat_twice_is_refused(run: Path) -> None:
         open_run(run)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_seed_that_fails_is_counted_and_left_out(tmp_path: Path) -> None:
     # Seeds of the search, by fold: whatever else comes is beyond its luck.
     own = [derive_seed(derive_seed(0, "search"), fold, 0) for fold in (0, 1)]

@@ -158,7 +158,7 @@ def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     assert set(told["use"]) >= {"model", "rmse", "per_channel", "per_trajectory"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_start_is_tried_where_the_first_falls_short(tmp_path: Path) -> None:
     first = derive_seed(derive_seed(0, "search"), "all", 0)
     directory, view = go(tmp_path, off(f"context.seed == {first}"))
@@ -169,7 +169,7 @@ def test_another_start_is_tried_where_the_first_falls_short(tmp_path: Path) -> N
     assert np.isfinite(answer(directory, "refit")).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
     # Each start gives another model, and none is any good.
     source = off(ON_ALL).replace("0.663 *", "(0.663 + context.seed % 1000 / 1e4) *")
@@ -179,7 +179,7 @@ def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
     assert "none of its 3 starts" in refitted.reason
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("source", "words"),
     [
@@ -198,7 +198,7 @@ def test_a_refit_that_fails_or_does_not_answer_like_a_model_is_none(
     assert re.search(words, refitted.check.starts[0].objection), refitted.check.starts
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stack_of_opposite_errors_is_used_and_opened(tmp_path: Path) -> None:
     directory, view = go(tmp_path, biased(0.2), biased(-0.2))
     refitted = ended(view)

@@ -50,7 +50,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return search(folder / "plant", folder / "runs")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_simulations_come_in_recorded_units_and_at_their_samples(prepared: Run) -> None:
     u, y = plant(3)
     start, past_u, past_y = 60, 2 * 10 + DELAY, 2 * 10
@@ -72,7 +72,7 @@ def test_simulations_come_in_recorded_units_and_at_their_samples(prepared: Run) 
         assert np.sqrt((moved[10:-10] ** 2).mean()) > np.sqrt((error[10:-10] ** 2).mean())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_test_is_opened_with_the_same_preprocessing(prepared: Run) -> None:
     opened = asia.unseal(prepared.directory).record
     ensemble = opened.ensemble
@@ -90,7 +90,7 @@ def masked(seed: int) -> tuple[Array, Array, Array]:
     return u, y, lost
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_on_masked_outputs(tmp_path: Path) -> None:
     u, y, lost = masked(4)
     test_u, test_y, test_lost = masked(5)

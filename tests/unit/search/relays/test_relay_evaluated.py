@@ -34,7 +34,7 @@ def outcomes(directory: Path) -> list[tuple[int, str, str, float | None]]:
     ]  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_program_goes_on_where_the_expert_ends(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy", experiments=4)
     tool = tmp_path / "tool"
@@ -66,7 +66,7 @@ def test_a_program_goes_on_where_the_expert_ends(tmp_path: Path) -> None:
     assert report.agrees, [item for item in report.items if not item.agrees]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_relay_is_compared_like_any_agent(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy")
     done = command_line("compare", problem, "--agents", "random,expert*2+random", "--seeds", 1,
