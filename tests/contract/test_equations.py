@@ -116,6 +116,7 @@ def test_measured_windows_step_in_numpy_as_in_jax() -> None:
     both_ways(structure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "config",
     [

@@ -157,6 +157,7 @@ def largest_difference(pairs: Pairs) -> float:
     return found
 
 
+@pytest.mark.slow
 @named(NETWORKS)
 def test_a_network_simulates_in_numpy_as_in_jax(
     row: Family, spy: Spy, monkeypatch: pytest.MonkeyPatch
@@ -170,6 +171,7 @@ def test_a_network_simulates_in_numpy_as_in_jax(
     assert found.dtype == np.float32
 
 
+@pytest.mark.slow
 @named(NETWORKS)
 def test_a_network_simulates_in_double_precision_as_in_jax(
     row: Family, spy: Spy, monkeypatch: pytest.MonkeyPatch

@@ -75,6 +75,7 @@ def test_the_ledger_has_a_dossier_once_and_the_report_shows_it(run: Path, asia: 
     assert page.count('class="curves panel"') >= 9
 
 
+@pytest.mark.slow
 def test_a_search_that_is_not_finished_keeps_no_dossier(
     run: Path, tmp_path: Path, asia: Asia
 ) -> None:

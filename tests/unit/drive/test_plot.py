@@ -63,6 +63,7 @@ def test_held_out_samples_are_shown_where_the_problem_says_so(tmp_path: Path) ->
         assert np.sqrt(np.mean((y - y_hat) ** 2)) == pytest.approx(fold.rmse[0])
 
 
+@pytest.mark.slow
 def test_what_has_no_score_is_not_drawn(run: Path) -> None:
     with pytest.raises(UserError, match="experiment 3 has no score"):
         RunDesk(run).simulated(3)

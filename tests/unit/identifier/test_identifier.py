@@ -70,6 +70,7 @@ def test_a_prediction_stands_at_its_sample_and_uses_nothing_later(
     assert again[past + 6] == pytest.approx(found[past + 6], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_same_records_and_settings_resume(fitted: asia.SystemIdentifier) -> None:
     again = asia.SystemIdentifier(**fitted.get_params())
     records = [a_record(1), a_record(2)]

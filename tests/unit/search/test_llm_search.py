@@ -121,6 +121,7 @@ def test_the_search_ends_and_says_what_became_of_each(searched: Searched) -> Non
     verify(searched.run.directory)
 
 
+@pytest.mark.slow
 def test_it_spends_within_its_caps_and_every_attempt_is_recorded(searched: Searched) -> None:
     view = searched.run.view
     assert [e.status for e in view.exchanges if e.status != 200] == [503, 429]

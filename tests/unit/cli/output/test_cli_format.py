@@ -1,6 +1,8 @@
 import io
 from dataclasses import replace
 
+import pytest
+
 from asia.cli._output.experiment import describe
 from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import duration, experiment_line
@@ -14,6 +16,7 @@ def test_numbers() -> None:
     assert [duration(s) for s in (6.6, 185.0, 3720.0)] == ["7s", "3m05s", "1h02m"]
 
 
+@pytest.mark.slow
 def test_a_simulation_that_ran_away_keeps_to_its_column(searched: Searched) -> None:
     view = open_run(searched.directory).view
     (experiment,) = view.finished

@@ -177,6 +177,7 @@ def test_parameters_start_where_the_priors_say_and_are_held_there() -> None:
     assert push(1.0, 60) < 0.6 < push(0.0, 60)
 
 
+@pytest.mark.slow
 def test_members_are_averaged() -> None:
     config, method = replace(GRU, equations=0), replace(ADAM, steps=3)
     past_y, u, _ = requests(record(9))

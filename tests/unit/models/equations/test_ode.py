@@ -27,6 +27,7 @@ def made_of(text: str) -> Equations:
     return equations(physics, ["b"], ["a"])
 
 
+@pytest.mark.slow
 @given(
     st.recursive(
         st.sampled_from([*NAMES, "four", "1.5", "-2", "1e-3"]),

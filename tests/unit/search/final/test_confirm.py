@@ -131,6 +131,7 @@ def test_a_search_that_goes_on_is_no_longer_confirmed_and_keeps_its_repeats(run:
     verify(run)
 
 
+@pytest.mark.slow
 def test_a_ledger_that_has_a_repeat_twice_is_refused(run: Path) -> None:
     confirm(run, quietly, top=1, seeds=1)
     view = open_run(run).view
