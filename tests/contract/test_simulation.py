@@ -187,7 +187,7 @@ def test_a_network_simulates_in_double_precision_as_in_jax(
     assert spy.precisions == [np.float64, np.float64]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @named(ROWS)
 def test_a_trained_model_simulates_in_numpy_as_in_jax(
     row: Family, spy: Spy, monkeypatch: pytest.MonkeyPatch

@@ -92,6 +92,7 @@ def test_doctor_lists_every_part_and_where_it_comes_from(programs: Path, tmp_pat
     }
 
 
+@pytest.mark.long
 def test_every_part_serves_a_search_and_its_test(programs: Path, tmp_path: Path) -> None:
     run(programs, "python", str(EXAMPLE / "make_problem.py"), "oven", cwd=tmp_path)
     words = ("run", "oven", "--agent", "doubling", "--experiments", "3", "--name", "oven")

@@ -140,7 +140,7 @@ def test_the_lowest_of_normal_numbers() -> None:
     assert expected_lowest(3) == pytest.approx(-1.5 / math.sqrt(math.pi), abs=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_interval_for_a_new_record_holds_it_as_often_as_it_says() -> None:
     random = np.random.default_rng(7)
     held = []

@@ -43,7 +43,7 @@ def test_evidence_leads_to_one_move(
     assert (None if due is None else (*due[1].config, *due[1].method)) == (move and (move,))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("planted", "found"),
     [
