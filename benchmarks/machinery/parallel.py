@@ -3,6 +3,8 @@
     python benchmarks/machinery/parallel.py --experiments 30 --seconds 2
     python benchmarks/machinery/parallel.py --problem cascaded_tanks --agent random
 
+The one worker, and its search, have one core.
+
 1. Candidates that compute for about `--seconds` a fold: one worker; two, with two experiments in
    flight; two workers of a Dask cluster with one core each (extra `dask`).
 2. Candidates that sleep: one worker; eight, with sixteen experiments in flight.
@@ -146,11 +148,23 @@ def _connected(name: str) -> DaskExecutor:
             time.sleep(0.5)
 
 
+@contextmanager
+def one_core() -> Iterator[None]:
+    """What starts in here has one core: the search, its worker and those that wait."""
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
 def compare(root: Path, kind: str, spend: str, seconds: float, experiments: int) -> None:
     problem = made_problem(root / kind, experiments)
     agent = Listed(spend, seconds)
     many = (2, 2) if kind == "compute" else (8, 16)
-    alone, first = timed(problem, agent, root / f"{kind}-1", 1, make_executor("local:1"))
+    with one_core():
+        alone, first = timed(problem, agent, root / f"{kind}-1", 1, make_executor("local:1"))
     print(f"{kind}: one worker                                  {alone:8.1f} s")
     found = [first]
     workers, in_flight = many
@@ -192,7 +206,8 @@ def compare_searches(root: Path, name: str, agent: str, experiments: int) -> Non
             flush=True,
         )
 
-    run("one worker", 1, make_executor("local:1"))
+    with one_core():
+        run("one worker", 1, make_executor("local:1"))
     run("two workers", 2, make_executor("local:2"))
     if importlib.util.find_spec("distributed") is not None:
         with dask_workers(root, 2) as executor:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from math import inf
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
     from asia.problem.load import NewProblem
 
 SEAL_FRACTION = 0.2
+_SILENT_SECONDS = 2.0
 LISTS = ("--train", "--test", "--inputs", "--outputs", "--columns")
 
 
@@ -89,7 +93,8 @@ def init(
     """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y"""
     from asia.problem.load import Preparation, Wanted, init_problem, key_folder
 
-    wanted = Wanted((), (), time, time_unit, experiment_column, tuple(columns or ()))
+    named = tuple(columns or ())
+    wanted = Wanted((), (), time, time_unit, experiment_column, named, _progress())
     if sampling_time is not None and not 0 < sampling_time < inf:
         raise UserError(
             f"--sampling-time is {sampling_time:g}: expected a number of seconds above 0"
@@ -114,6 +119,19 @@ def init(
         preparation=Preparation(delay, decimate, detrend, scale),
     )
     _print_made(made, name, has_test=bool(answers.test))
+
+
+def _progress() -> Callable[[str], None]:
+    """Says how far a long reading or writing is, every two seconds."""
+    said = monotonic()
+
+    def tell(text: str) -> None:
+        nonlocal said
+        if monotonic() - said > _SILENT_SECONDS:
+            said = monotonic()
+            say(text, file=sys.stderr)
+
+    return tell
 
 
 def _print_made(made: NewProblem, name: Path, *, has_test: bool) -> None:

@@ -42,6 +42,7 @@ def test_round_trip(
     assert np.array_equal(got, values[:, [2, 1, 0]])
 
 
+@pytest.mark.parametrize("block", [2**20, 1, 7])
 @pytest.mark.parametrize(
     "text",
     [
@@ -54,7 +55,8 @@ def test_round_trip(
         "note,u,y\nfirst,1.5,2\nsecond,3,4.25\n",
     ],
 )
-def test_layouts(tmp_path: Path, text: str) -> None:
+def test_layouts(tmp_path: Path, text: str, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("asia.data.sources.csv._BLOCK", block)
     got = read(tmp_path / "a.csv", text)
     assert got.tolist() == [[1.5, 2.0], [3.0, 4.25]]
 

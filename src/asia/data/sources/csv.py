@@ -18,6 +18,7 @@ from asia.errors import UserError
 
 _DELIMITERS = (",", ";", "\t")
 _GAPS = ("", "nan")
+_BLOCK = 2**20
 _TIME_NAMES = ("t", "time", "t_s", "time_s", "t [s]", "time [s]", "timestamp")
 
 
@@ -78,11 +79,16 @@ def split_csv(path: Path, wanted: Sequence[str], share: float) -> tuple[str, str
 
 
 def _open(path: Path, wanted: Sequence[str], content: bytes | None = None) -> _File:
-    lines = _text(path, read_whole(path) if content is None else content).split("\n")
-    start = next((i for i, line in enumerate(lines) if line.strip()), None)
-    if start is None:
+    text = _text(path, read_whole(path) if content is None else content)
+    # Line by line only as far as needed: a long file is held once, as text.
+    first, line = 0, 0
+    while first < len(text) and not text[first : _line_end(text, first)].strip():
+        first, line = _line_end(text, first) + 1, line + 1
+    if first >= len(text):
         raise UserError(f"{path} is empty: expected a header row with column names, then numbers")
-    header = lines[start].removeprefix("#")
+    begin = _line_end(text, first) + 1
+    written = text[first : begin - 1]
+    header = written.removeprefix("#")
     layouts = {d: _cells(header, d) for d in _DELIMITERS}
 
     def quality(delimiter: str) -> tuple[int, int]:
@@ -90,13 +96,20 @@ def _open(path: Path, wanted: Sequence[str], content: bytes | None = None) -> _F
         return sum(name in names for name in wanted), len(names)
 
     delimiter = max(_DELIMITERS, key=quality)
-    end = len(lines)
-    while end > start + 1 and not lines[end - 1].replace(delimiter, "").strip():
-        end -= 1
-    if end == start + 1:
+    end = len(text)
+    while end > begin:
+        last = text.rfind("\n", begin, end)
+        if text[max(last + 1, begin) : end].replace(delimiter, "").strip():
+            break
+        end = last if last >= begin else begin
+    if end <= begin:
         raise UserError(f"{path} has a header row and no data below it")
-    body = "\n".join(lines[start + 1 : end])
-    return _File(path, delimiter, layouts[delimiter], lines[start], start + 1, body)
+    return _File(path, delimiter, layouts[delimiter], written, line + 1, text[begin:end])
+
+
+def _line_end(text: str, first: int) -> int:
+    end = text.find("\n", first)
+    return len(text) if end < 0 else end
 
 
 def read_whole(path: Path) -> bytes:
@@ -177,18 +190,34 @@ def _loaded(
     columns: Sequence[int],
     converters: Mapping[int, Callable[[str], float]] | None,
 ) -> Array | None:
+    parts: list[Array] = []
     try:
-        return np.loadtxt(
-            io.StringIO(body),
-            delimiter=file.delimiter,
-            usecols=columns,
-            ndmin=2,
-            comments=None,
-            quotechar='"',
-            converters=None if converters is None else {**converters},
-        )
+        for block in _blocks(body):
+            parts.append(
+                np.loadtxt(
+                    io.StringIO(block),
+                    delimiter=file.delimiter,
+                    usecols=columns,
+                    ndmin=2,
+                    comments=None,
+                    quotechar='"',
+                    converters=None if converters is None else {**converters},
+                )
+            )
     except ValueError:
         return None
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _blocks(body: str) -> Iterator[str]:
+    """Whole lines of about a megabyte; all at once of a file with quoted cells, which may hold line
+    ends."""
+    first, size = 0, len(body) if '"' in body else _BLOCK
+    while first < len(body):
+        end = _line_end(body, first + size)
+        if body[first:end].strip():
+            yield body[first:end]
+        first = end + 1
 
 
 def _number_or_gap(cell: str) -> float:
@@ -216,7 +245,8 @@ def _is_ragged(file: _File, rows: int) -> bool:
     separators = file.body.count(file.delimiter)
     regular = rows * (len(file.columns) - 1)
     # One delimiter more at a line's end does no harm.
-    trailing = f"{file.body}\n".count(f"{file.delimiter}\n")
+    ends = file.body.endswith(file.delimiter)
+    trailing = file.body.count(f"{file.delimiter}\n") + int(ends)
     return separators not in (regular, regular + trailing)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from asia._files import sync_folder
 from asia.errors import UserError
 from asia.problem._load import load_problem
+from asia.problem.new.text import RecordRows
 
 
 def check_directory(directory: Path) -> None:
@@ -26,7 +27,7 @@ def check_directory(directory: Path) -> None:
 
 def write_directory(
     directory: Path,
-    files: Sequence[tuple[str, str]],
+    files: Sequence[tuple[str, str | RecordRows]],
     seal: Callable[[Path], Path] | None = None,
 ) -> Path | None:
     """Write `files`, names and texts, and load the problem. All or nothing: a directory beside the
@@ -41,7 +42,8 @@ def write_directory(
         raise UserError(f"cannot write to {directory.parent}: {error.strerror}") from error
     try:
         for name, text in files:
-            (draft / name).write_text(text, encoding="utf-8")
+            with (draft / name).open("w", encoding="utf-8") as file:
+                file.writelines([text] if isinstance(text, str) else text.blocks())
         load_problem(draft)
         key = seal(draft) if seal else None
         draft.chmod(0o755)

@@ -28,7 +28,7 @@ from asia.problem.new.sealing import (
     seal_files,
 )
 from asia.problem.new.taking import Taken, origins, take
-from asia.problem.new.text import record_csv
+from asia.problem.new.text import RecordRows, record_csv
 from asia.protocol._cuts import block_count, least_case
 from asia.protocol._rules import ProtocolRule
 
@@ -88,7 +88,7 @@ class _Plan:
 
     train: tuple[str, ...]
     test: tuple[str, ...] = ()
-    files: tuple[tuple[str, str], ...] = ()
+    files: tuple[tuple[str, str | RecordRows], ...] = ()
     sealing: Sealing | None = None
     notes: tuple[str, ...] = ()
     comments: tuple[str, ...] = ()
@@ -160,7 +160,7 @@ def init_problem(
 
 def _write(
     directory: Path,
-    files: Sequence[tuple[str, str]],
+    files: Sequence[tuple[str, str | RecordRows]],
     plan: _Plan,
     records: Sequence[Trajectory],
     keys: Path | None,
@@ -251,14 +251,14 @@ def _copied(
     """Clean copies of all records, those of the test in the store where it is to be sealed."""
     del directory
     names = (*columns.inputs, *columns.outputs)
-    files = tuple((f"{t.name}.csv", record_csv(t, names)) for t in taken.train)
-    tests = tuple((f"{t.name}.csv", record_csv(t, names)) for t in taken.test)
+    files = tuple((f"{t.name}.csv", RecordRows(t, names, taken.progress)) for t in taken.train)
+    tests = tuple((f"{t.name}.csv", RecordRows(t, names, taken.progress)) for t in taken.test)
     plan = _Plan(tuple(name for name, _ in files), comments=_comments(taken, (*train, *test)))
     plan = replace(plan, units=taken.units)
     if not seal:
         tested = tuple(name for name, _ in tests)
         return replace(plan, test=tested, files=(*files, *tests))
-    contents = tuple(PlainFile(name, text.encode()) for name, text in tests)
+    contents = tuple(PlainFile(n, "".join(rows.blocks()).encode()) for n, rows in tests)
     return replace(
         plan, files=files, sealing=Sealing(columns, contents), notes=(_still_held(test),)
     )
@@ -267,11 +267,11 @@ def _copied(
 def _split_copies(train: Sequence[Path], columns: Columns, share: float, taken: Taken) -> _Plan:
     """Clean copies, the last `share` of each record to seal."""
     names = (*columns.inputs, *columns.outputs)
-    files: list[tuple[str, str]] = []
+    files: list[tuple[str, RecordRows]] = []
     sealed: list[PlainFile] = []
     for t in taken.train:
         keep = len(t) - round(share * len(t))
-        files.append((f"{t.name}_train.csv", record_csv(t[:keep], names)))
+        files.append((f"{t.name}_train.csv", RecordRows(t[:keep], names, taken.progress)))
         text = record_csv(t[keep:], names)
         sealed.append(PlainFile(f"{t.name}_sealed.csv", text.encode()))
     return _Plan(

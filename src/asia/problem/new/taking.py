@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from asia._files import read_file
 from asia.data._trajectory import Trajectory
+from asia.data.intake.formats.table import FORMATS
+from asia.data.intake.formats.text import Text
 from asia.data.intake.records import Intake, take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.sources.csv import read_csv
@@ -24,7 +26,8 @@ _HASHED = 64_000_000
 @dataclass(frozen=True)
 class Taken:
     """The records of a problem. plain: whether the files read as they are, so that they stay where
-    they are. units: by channel, where the files give them. notes: what was found and done."""
+    they are. units: by channel, where the files give them. notes: what was found and done.
+    progress: told how far a long writing is."""
 
     train: tuple[Trajectory, ...]
     test: tuple[Trajectory, ...]
@@ -32,6 +35,7 @@ class Taken:
     plain: bool
     units: Mapping[str, str]
     notes: tuple[str, ...]
+    progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
 
 
 def take(
@@ -60,7 +64,7 @@ def take(
     cut = len(found.records)
     plain = not notes and not units and not _is_special(wanted)
     plain = plain and _reads_plainly((*train, *test), wanted, step, records)
-    return Taken(records[:cut], records[cut:], step, plain, units, notes)
+    return Taken(records[:cut], records[cut:], step, plain, units, notes, wanted.progress)
 
 
 def origins(paths: Sequence[Path]) -> list[str]:
@@ -79,7 +83,9 @@ def _is_special(wanted: Wanted) -> bool:
 
 
 def _plain(paths: Sequence[Path], wanted: Wanted, step: float) -> tuple[Trajectory, ...] | None:
-    """The records of files that need no change; None where their stamps say otherwise."""
+    """The records of text files that need no change; None where their stamps say otherwise."""
+    if any(path.suffix.lower() in f.suffixes for path in paths for f in FORMATS if f is not Text):
+        return None
     found = [read_csv(path, wanted.inputs, wanted.outputs, step) for path in paths]
     if wanted.time != "none" and any(one.warnings for one in found):
         return None
