@@ -35,7 +35,7 @@ def validate(
     from asia.search import validate as check
 
     directory = run_directory(runs, run)
-    found = check(directory, record)
+    found = check(directory, record, lambda text: say(f"checking {text}", file=sys.stderr))
     for path in write_dossier(directory, found.checks, found.summary):
         say(str(path), file=sys.stderr)
     if json:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from asia.data import Array
 _ORDER = 8
 _MOST_ROWS = 20_000
 _PARTS = 6
+_RANK = 1e-9
 
 
 @dataclass(frozen=True)
@@ -51,47 +53,73 @@ def explained(
     x = np.concatenate([x0, x1], axis=1)
     if x1.shape[1] == 0 or len(e) <= 2 * x.shape[1] or not np.any(e):
         return Explained(1.0, 0.0, 0.0, 0.0)
-    left0, left, columns = _left(e, x0)[0], *_left(e, x)
+    bases = _bases(x0, x1)
+    left0, left = _left(e, bases[0]), _left(e, bases[1])
     size = float(np.std(left0 - left))
-    free = max(len(e) - columns, 1)
+    free = max(len(e) - bases[1].shape[1], 1)
     loss = float(left0 @ left0)
     kept = (float(left @ left) / free) / max(loss / max(len(e) - x0.shape[1], 1), 1e-300)
     filters = _autoregression(left, lengths)
-    white = [_filtered(v, filters, lengths) for v in (e[:, None], x0, x)]
-    chance = _f_chance(white[0][:, 0], white[1], white[2])
+    white = [_filtered(v, filters, lengths) for v in (e[:, None], x0, x1)]
+    chance = _f_chance(white[0][:, 0], *_bases(white[1], white[2]))
     total = max(float(np.sum((e - e.mean()) ** 2)), 1e-300)
     share = max(0.0, 1.0 - kept) * min(loss / total, 1.0)
-    return Explained(chance, share, size, _again(e, x0, x))
+    return Explained(chance, share, size, _again(e, *bases))
 
 
-def _left(e: Array, x: Array) -> tuple[Array, int]:
-    """What the columns leave, and their rank."""
-    solution, _, rank, _ = np.linalg.lstsq(x, e, rcond=1e-9)
-    return e - x @ solution, int(rank)
+def _bases(x0: Array, x1: Array) -> tuple[Array, Array]:
+    """Orthonormal columns (n, r) that span those of x0, and those of both; the first ones of the
+    second are those of the first. All fits to parts of the rows are then small and well posed."""
+    base = _spanned(x0, x0)
+    left = x1 - base @ (base.T @ x1)
+    left -= base @ (base.T @ left)
+    return base, np.concatenate([base, _spanned(left, x1)], axis=1)
 
 
-def _again(e: Array, x0: Array, x: Array) -> float:
-    base, whole, total, better = 0.0, 0.0, 0.0, 0
+def _spanned(columns: Array, before: Array) -> Array:
+    """Of columns (n, c), which were `before` until others were taken out of them."""
+    from scipy.linalg import qr  # only where statistics are asked for
+
+    q, r = np.linalg.qr(columns)
+    # Pivots are looked for in the small factor alone, which is much faster.
+    found: Any = qr(r, pivoting=True)
+    turned, ordered = found[:2]
+    size = _RANK * float(np.sqrt(np.max(np.sum(before * before, axis=0), initial=0.0)))
+    return q @ np.asarray(turned)[:, : int(np.sum(np.abs(np.diagonal(ordered)) > size))]
+
+
+def _left(e: Array, basis: Array) -> Array:
+    """What the columns leave."""
+    return e - basis @ (basis.T @ e)
+
+
+def _again(e: Array, base: Array, whole: Array) -> float:
+    sums, total, better = [0.0, 0.0], 0.0, 0
     for part in np.array_split(np.arange(len(e)), _PARTS):
         losses: list[float] = []
-        for columns in (x0, x):
-            others = np.delete(columns, part, axis=0)
-            gains = np.linalg.lstsq(others, np.delete(e, part), rcond=1e-9)[0]
-            left = e[part] - columns[part] @ gains
+        for basis in (base, whole):
+            own, many = basis[part], basis.shape[1]
+            # Without the part: what it adds is taken off, and a column that is in it alone is not
+            # known.
+            others = np.eye(many) - own.T @ own
+            gains = np.linalg.pinv(others, rcond=_RANK, hermitian=True) @ (
+                basis.T @ e - own.T @ e[part]
+            )
+            left = e[part] - own @ gains
             losses.append(float(left @ left))
-        base, whole, better = base + losses[0], whole + losses[1], better + (losses[1] < losses[0])
+        sums = [a + b for a, b in zip(sums, losses, strict=True)]
+        better += losses[1] < losses[0]
         total += float(np.sum((e[part] - e.mean()) ** 2))
-    return (base - whole) / max(total, 1e-300) if better >= _PARTS - 1 else 0.0
+    return (sums[0] - sums[1]) / max(total, 1e-300) if better >= _PARTS - 1 else 0.0
 
 
-def _f_chance(e: Array, x0: Array, x: Array) -> float:
+def _f_chance(e: Array, base: Array, whole: Array) -> float:
     from scipy.special import fdtrc  # only where statistics are asked for
 
-    left0, rank0 = _left(e, x0)
-    left, rank = _left(e, x)
-    more, free = rank - rank0, len(e) - rank
+    more, free = whole.shape[1] - base.shape[1], len(e) - whole.shape[1]
     if more <= 0 or free <= 0:
         return 1.0
+    left0, left = _left(e, base), _left(e, whole)
     rest = float(left @ left)
     gain = float(left0 @ left0) - rest
     return float(fdtrc(more, free, max(gain, 0.0) / more / max(rest / free, 1e-300)))

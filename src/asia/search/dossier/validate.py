@@ -5,7 +5,7 @@ It uses training records alone, and a record that the user brings. The sealed te
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,13 +74,17 @@ class Dossier:
         return summary(self.checks)
 
 
-def validate(directory: Path, record: Path | None = None) -> Dossier:
+def validate(
+    directory: Path,
+    record: Path | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Dossier:
     """Check the model to use of a run.
 
     Without a record, residuals are those of the fold models on what their fold held out. With one,
     the model to use simulates it from its first past window. The dossier of a finished search is
-    kept in its ledger. Raises UserError where the run has
-    no scored model, hides its scores, or came without its artifacts, and where the record cannot be
+    kept in its ledger. progress: told what is under way. Raises UserError where the run has no
+    scored model, hides its scores, or came without its artifacts, and where the record cannot be
     read; CandidateError where the model cannot simulate it.
     """
     run = open_run(directory)
@@ -95,7 +99,8 @@ def validate(directory: Path, record: Path | None = None) -> Dossier:
     if not Store(directory / "artifacts").kept:
         raise UserError(without_artifacts(directory))
     problem = load_lock(directory / LOCK)
-    work = _Validation(run, problem, make_evaluator(problem, run.view), run.view.best, chosen.model)
+    evaluator = make_evaluator(problem, run.view)
+    work = _Validation(run, problem, evaluator, run.view.best, chosen.model, progress)
     new = None if record is None else read_record(problem, record)
     checks = work.held_out() if new is None else work.on(new)
     name = "" if record is None else record.name
@@ -114,6 +119,7 @@ class _Validation:
     evaluator: Evaluator
     best: Experiment
     use: Use
+    progress: Callable[[str], None]
 
     def held_out(self) -> tuple[Check, ...]:
         """The dossier on what the folds held out."""
@@ -163,10 +169,12 @@ class _Validation:
         """What both dossiers have."""
         simulator = self._simulator(final_members(self.run.view, self.use))
         given = self._range
+        self.progress("answers to small steps, and a long run")
         linear = linear_responses(given, found.inputs, simulator)
         y = np.concatenate([r.y for r in self.evaluator.records])
         levels = [None if one is None else one.levels.noise for one in responses(self.problem)]
         far = long_run(given, self.evaluator.horizon, simulator)
+        self.progress(f"residuals of {len(found.outputs)} outputs")
         return (
             *residual_checks(found),
             check_gain(found),
@@ -191,6 +199,7 @@ class _Validation:
         """Each fold's model from starts within what it did not fit."""
         if self.problem.protocol.past_outputs == 0:
             return no_steps_ahead("the protocol gives a model no measured outputs to start from")
+        self.progress("steps ahead, from many starts")
         member = final_members(self.run.view, "ensemble")[0]
         model_errors: list[Array] = []
         hold_errors: list[Array] = []
