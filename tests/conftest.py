@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from zlib import crc32
@@ -10,6 +11,10 @@ from asia.evaluation import LINEAR
 from tests.compiled import compile_cheaply, kept
 
 compile_cheaply()
+# A shell starts what runs in its background with interrupts ignored, and children inherit that: a
+# search that a test interrupts would go on.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 QUICK = Path(__file__).parent / "quick"
 _RUNG = "asia.evaluation._rungs.LINEAR"
