@@ -1,0 +1,346 @@
+"""Starts of a linear system with static functions in feedback, inferred from the linear model.
+
+What the best linear model leaves over is explained by static functions of a few signals that act on
+its states and outputs. Which signals these are is searched: inputs, outputs, combinations of them
+and of the states. The states are those of the linear model, and those of an observer that corrects
+them by the measured output, so that a function in a loop is read where the system really was. For
+given signals the functions and where they act follow by least squares, so that many can be judged.
+Sources: Schoukens and Toth, On the initialization of nonlinear LFR model identification with the
+best linear approximation, IFAC 2020; Floren, Noel and Swevers, Inference and learning of nonlinear
+LFR state-space models, arXiv 2503.14409.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from asia.data import Array
+from asia.models._data.records import ScaledData, ScaledTrajectory
+from asia.models._linear.fit import LinearFit
+from asia.models._linear.system import LinearSystem
+from asia.models._state_space.structure import StateSpaceStructure
+
+# Samples that judge a start, random signals that are tried, how many of the best are varied, and
+# by how much in each round.
+_JUDGED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 120, 6, (0.5, 0.25, 0.12), 10
+# Readings that are judged at once, and the numbers that these may take.
+_BATCH, _NUMBERS = 16, 3e7
+# Ridge of the functions' weights, relative to the size of what they multiply.
+_RIDGE = 1e-4
+# Of the output's variance: sensor noise that the observer believes in beside the model's error.
+_SENSOR = 0.01
+# Signals this much alike count as one.
+_ALIKE = 0.97
+_ALTERNATIONS = 15
+_SCALES = (1.0, 0.5, 0.2)
+
+
+class _Reading(NamedTuple):
+    """Signals that the functions read, and what they explain."""
+
+    directions: Array
+    """(n + nu, m)."""
+    observed: bool
+    """Whether the states are the observer's."""
+    error: float
+    """Mean squared error that is left."""
+
+
+class _Record(NamedTuple):
+    """One record, as it judges starts."""
+
+    x0: Array
+    """(n,), of the linear model."""
+    u: Array
+    """(T, nu)."""
+    states: tuple[Array, Array]
+    """(T, n), by the linear model and by the observer."""
+    residual: Array
+    """(T, ny), what the linear model leaves."""
+    basis: Array
+    """(T ny, q), orthonormal: what linear terms and initial states can still explain."""
+    weight: Array
+    """(T,)."""
+
+    def read(self, directions: Array, observed: bool) -> Array:
+        """Signals (T, m) in directions (n - integrators + nu, m)."""
+        some = len(directions) - self.u.shape[1]
+        return self.states[observed][:, :some] @ directions[:some] + self.u @ directions[some:]
+
+
+def feedback_starts(
+    structure: StateSpaceStructure,
+    found: LinearFit,
+    records: ScaledData,
+    count: int,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """At most `count` starting points whose functions read different signals, the best first."""
+    search = _Search(structure, found.system, _judged(records, found), rng)
+    starts: list[tuple[float, dict[str, Any]]] = []
+    for reading in search.best(count):
+        starts.append(search.start(reading))
+    starts.sort(key=lambda one: one[0])
+    return [params for _, params in starts]
+
+
+def _judged(records: ScaledData, found: LinearFit) -> list[_Record]:
+    """The first samples of each record."""
+    each = max(_JUDGED // len(records), 200)
+    return [
+        _record(found.system, x0, r.part(0, min(each, len(r))))
+        for r, x0 in zip(records, found.x0, strict=True)
+    ][: max(_JUDGED // 200, 1)]
+
+
+def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> _Record:
+    states, outputs = (found[0] for found in system.simulate(x0[None], record.u[None]))
+    residual = (record.y - outputs) * record.weight[:, None]
+    observed = _observed(system, x0, record, float(np.mean(residual**2)))
+    basis = _linear_terms(system, record)
+    return _Record(x0, record.u, (states, observed), residual, basis, record.weight)
+
+
+def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: float) -> Array:
+    """States (T, n) of a Kalman filter that takes most of the error for a disturbance at the
+    states."""
+    n, ny = system.order, len(system.c)
+    wander = max(error, 1e-9) * (system.b @ system.b.T + 1e-3 * np.eye(n))
+    noise = (_SENSOR * error + 1e-6) * np.eye(ny)
+    try:
+        p = solve_discrete_are(system.a.T, system.c.T, wander, noise)
+    except (np.linalg.LinAlgError, ValueError):
+        return system.simulate(x0[None], record.u[None])[0][0]
+    gain = p @ system.c.T @ np.linalg.inv(system.c @ p @ system.c.T + noise)
+    states, x = np.empty((len(record), n)), x0
+    for k in range(len(record)):
+        wrong = record.y[k] - system.c @ x - system.d @ record.u[k] - system.offset
+        x = x + record.weight[k] * (gain @ wrong)
+        states[k] = x
+        x = system.a @ x + system.b @ record.u[k]
+    return states
+
+
+def _responses(system: LinearSystem, signals: Array) -> Array:
+    """signals (T, s) -> (T, ny, s, n + ny): outputs where each signal acts on each state and on
+    each output."""
+    length, s = signals.shape
+    n, ny = system.order, len(system.c)
+    found = np.zeros((length, ny, s, n + ny))
+    state = np.zeros((s * n, n))
+    each, at = np.tile(np.eye(n), (s, 1)), system.a.T
+    for k in range(length):
+        found[k, :, :, :n] = (system.c @ state.T).reshape(ny, s, n)
+        state = state @ at + np.repeat(signals[k], n)[:, None] * each
+    for i in range(ny):
+        found[:, i, :, n + i] = signals
+    return found
+
+
+def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
+    """(T ny, q) orthonormal: inputs and a constant through states and outputs, initial states."""
+    length, n = len(record), system.order
+    known = np.hstack([record.u, np.ones((length, 1))])
+    forced = _responses(system, known).reshape(length * len(system.c), -1)
+    free = system.simulate(np.eye(n), np.zeros((n, length, record.u.shape[1])))[1] - system.offset
+    columns = np.hstack([forced, free.transpose(1, 2, 0).reshape(len(forced), n)])
+    columns = columns * np.repeat(record.weight, len(system.c))[:, None]
+    left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, sizes > 1e-9 * sizes[0]]
+
+
+class _Search:
+    """Readings of one fit."""
+
+    def __init__(
+        self,
+        structure: StateSpaceStructure,
+        system: LinearSystem,
+        records: Sequence[_Record],
+        rng: np.random.Generator,
+    ) -> None:
+        self.structure, self.system, self.records, self.rng = structure, system, records, rng
+        self.m = structure.channels or 1
+        # States that may be read: what drifts visits each level once.
+        self.free = structure.order - structure.integrators
+        # The same of every reading, so that these are compared by what they read.
+        self.drawn = rng.standard_normal((self.m, structure.hidden)), rng.random(structure.hidden)
+
+    def best(self, count: int) -> list[_Reading]:
+        """Different ones, the least error first."""
+        pool: list[_Reading] = []
+        for observed in (False, True):
+            pool += self.judged([(d, observed) for d in self._known()])
+            pool += self.judged([(d, observed) for d in self._random()])
+        for size in _ROUNDS:
+            pool.sort(key=lambda r: r.error)
+            kept = self._different(pool, _KEPT)
+            moved = [
+                (self._varied(r.directions, size), r.observed) for r in kept for _ in range(_VARIED)
+            ]
+            pool = [*kept, *self.judged(moved)]
+        pool.sort(key=lambda r: r.error)
+        return self._different(pool, count)
+
+    def _known(self) -> list[Array]:
+        """Directions that systems often have: inputs, outputs, what changes an output."""
+        n, nu, s = self.structure.order, self.structure.nu, self.system
+        change = np.hstack([s.c @ (s.a - np.eye(n)), s.c @ s.b])
+        rows = np.vstack([np.eye(n + nu), np.hstack([s.c, s.d]), change])
+        rows = np.delete(rows, range(self.free, n), axis=1)
+        rows = rows[np.abs(rows).sum(axis=1) > 0]
+        if self.m == 1:
+            return [row[:, None] for row in rows]
+        pairs = [self.rng.choice(len(rows), self.m, replace=False) for _ in range(3 * len(rows))]
+        return [rows[p].T for p in pairs]
+
+    def _random(self) -> list[Array]:
+        size = (self.free + self.structure.nu, self.m)
+        return [self.rng.standard_normal(size) / self._sizes()[:, None] for _ in range(_DRAWN)]
+
+    def _sizes(self) -> Array:
+        states = np.concatenate([r.states[0][:, : self.free] for r in self.records])
+        spread = np.hstack(
+            [states.std(axis=0), np.concatenate([r.u for r in self.records]).std(axis=0)]
+        )
+        return np.where(spread > 1e-9, spread, 1.0)
+
+    def _varied(self, directions: Array, size: float) -> Array:
+        sizes = self._sizes()[:, None]
+        unit = directions * sizes
+        unit = unit / np.linalg.norm(unit, axis=0)
+        return (unit + size * self.rng.standard_normal(unit.shape)) / sizes
+
+    def _different(self, pool: Sequence[_Reading], count: int) -> list[_Reading]:
+        chosen: list[tuple[_Reading, Array]] = []
+        for reading in pool:
+            z = self._read(reading.directions, reading.observed)
+            z = (z - z.mean(axis=0)) / z.std(axis=0)
+            alike = (np.linalg.svd(z.T @ other / len(z))[1].min() > _ALIKE for _, other in chosen)
+            if not any(alike):
+                chosen.append((reading, z))
+            if len(chosen) == count:
+                break
+        return [reading for reading, _ in chosen]
+
+    def judged(self, readings: Sequence[tuple[Array, bool]]) -> list[_Reading]:
+        """With their errors; those that read nothing are left out."""
+        found: list[_Reading] = []
+        s, longest = self.structure, max(len(r.u) for r in self.records)
+        each = longest * s.ny * s.hidden * (s.order + s.ny)
+        batch = int(np.clip(_NUMBERS / each, 1, _BATCH))
+        for first in range(0, len(readings), batch):
+            part: list[tuple[Array, bool, dict[str, Array]]] = []
+            for d, o in readings[first : first + batch]:
+                scaled = self._scaled(d, o)
+                if scaled is not None:
+                    part.append((scaled, o, self.layer(scaled, o)))
+            grams = self.normal([(d, o, layer) for d, o, layer in part]) if part else []
+            for (d, o, _), (gram, rhs, power) in zip(part, grams, strict=True):
+                weights = np.linalg.solve(gram, rhs)
+                found.append(_Reading(d, o, power - float(rhs @ weights)))
+        return [r for r in found if np.isfinite(r.error)]
+
+    def _read(self, directions: Array, observed: bool) -> Array:
+        """Signals (T, m) of all records."""
+        return np.concatenate([r.read(directions, observed) for r in self.records])
+
+    def _scaled(self, directions: Array, observed: bool) -> Array | None:
+        """So that each signal has unit size."""
+        z = self._read(directions, observed)
+        size = z.std(axis=0)
+        return None if (size < 1e-9).any() or not np.isfinite(size).all() else directions / size
+
+    def layer(self, directions: Array, observed: bool) -> dict[str, Array]:
+        """w1 (m, h) and b1 (h,) of units that cover what the signals do."""
+        z = self._read(directions, observed)
+        h, (normal, uniform) = self.structure.hidden, self.drawn
+        if self.m == 1:
+            centres = np.quantile(z[:, 0], np.linspace(0.03, 0.97, h))[:, None]
+            gaps = (centres[-1, 0] - centres[0, 0]) / max(h - 1, 1)
+            w1 = np.full((1, h), 1.0 / max(gaps, 1e-3))
+        else:
+            centres = z[(uniform * len(z)).astype(int)]
+            w1 = normal * (1.5 / np.linalg.norm(normal, axis=0))
+        return {"w1": w1, "b1": -(centres * w1.T).sum(axis=1)}
+
+    def normal(
+        self, readings: Sequence[tuple[Array, bool, dict[str, Array]]]
+    ) -> list[tuple[Array, Array, float]]:
+        """Of each reading: Gram matrix (h (n + ny), ...) with ridge, right-hand side and the mean
+        square of what they are to explain."""
+        h, n_act = self.structure.hidden, self.structure.order + self.structure.ny
+        size = h * n_act
+        grams = [np.zeros((size, size)) for _ in readings]
+        sides = [np.zeros(size) for _ in readings]
+        power, samples = 0.0, 0
+        for r in self.records:
+            units = [np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in readings]
+            every = _responses(self.system, np.hstack(units))
+            weight = np.repeat(r.weight, self.structure.ny)[:, None]
+            rest = r.residual.ravel()
+            rest = rest - r.basis @ (r.basis.T @ rest)
+            power, samples = power + float(rest @ rest), samples + len(rest)
+            for i in range(len(readings)):
+                columns = every[:, :, i * h : (i + 1) * h].reshape(len(rest), size) * weight
+                columns -= r.basis @ (r.basis.T @ columns)
+                grams[i] += columns.T @ columns
+                sides[i] += columns.T @ rest
+        mean = [np.trace(g) / size for g in grams]
+        return [
+            ((g + _RIDGE * m * np.eye(size)) / samples, s / samples, power / samples)
+            for g, m, s in zip(grams, mean, sides, strict=True)
+        ]
+
+    def start(self, reading: _Reading) -> tuple[float, dict[str, Any]]:
+        """The error of a simulation by a starting point, and its parameters. As much of the
+        functions as simulates best; without any of them it is the linear model."""
+        layer = self.layer(reading.directions, reading.observed)
+        ((gram, rhs, _),) = self.normal([(reading.directions, reading.observed, layer)])
+        w2, act = self._factors(gram, rhs)
+        found: list[tuple[float, dict[str, Any]]] = []
+        for scale in _SCALES:
+            params = self.structure.start(self.system, self.rng)
+            params |= {"read": reading.directions, "act": act, "f": {**layer, "w2": scale * w2}}
+            found.append((self._error(params), params))
+        return min(found, key=lambda one: one[0])
+
+    def _error(self, params: dict[str, Any]) -> float:
+        total = 0.0
+        with np.errstate(all="ignore"):
+            for r in self.records:
+                u, x0 = r.u[None], r.x0[None]
+                y = self.structure.simulate(params, x0, u)[1][0]
+                linear = self.system.simulate(x0, u)[1][0]
+                rest = (r.residual - (y - linear) * r.weight[:, None]).ravel()
+                rest = rest - r.basis @ (r.basis.T @ rest)
+                total += float(rest @ rest)
+        return total if np.isfinite(total) else np.inf
+
+    def _factors(self, gram: Array, rhs: Array) -> tuple[Array, Array]:
+        """Last layer (h, m) and where the functions act (m, n + ny), by alternating least
+        squares."""
+        h, n_act, m = self.structure.hidden, self.structure.order + self.structure.ny, self.m
+        theta = np.linalg.solve(gram, rhs).reshape(h, n_act)
+        left, sizes, right = np.linalg.svd(theta, full_matrices=False)
+        m = min(m, len(sizes))
+        act, g4 = right[:m], gram.reshape(h, n_act, h, n_act)
+        w2, side = left[:, :m] * sizes[:m], rhs.reshape(h, n_act)
+        for _ in range(_ALTERNATIONS):
+            g = np.einsum("kilj,ai,bj->kalb", g4, act, act).reshape(h * m, h * m)
+            b = np.einsum("ki,ai->ka", side, act).ravel()
+            w2 = np.linalg.lstsq(g, b, rcond=1e-12)[0].reshape(h, m)
+            g = np.einsum("kilj,ka,lb->aibj", g4, w2, w2).reshape(m * n_act, m * n_act)
+            b = np.einsum("ki,ka->ai", side, w2).ravel()
+            act = np.linalg.lstsq(g, b, rcond=1e-12)[0].reshape(m, n_act)
+        size = np.linalg.norm(act, axis=1)
+        size = np.where(size > 1e-12, size, 1.0)
+        w2, act = w2 * size, act / size[:, None]
+        if m < self.m:
+            w2 = np.pad(w2, ((0, 0), (0, self.m - m)))
+            act = np.vstack([act, self.rng.standard_normal((self.m - m, n_act)) / np.sqrt(n_act)])
+        return w2, act

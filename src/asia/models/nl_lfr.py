@@ -1,0 +1,143 @@
+"""Linear system with static functions in feedback: nonlinear linear fractional representation.
+
+x[k+1] = A x + B u + E w,  y = C x + D u + F w + offset,  z = G x + H u,  w = f(z). The functions f
+map `channels` signals to as many. With one channel Hammerstein, Wiener and Wiener-Hammerstein
+systems are special cases, and systems with a spring or with friction in their loop. The fit begins
+with linear models of several orders and with functions inferred from what these leave over.
+Sources: Schoukens and Toth, On the initialization of nonlinear LFR model identification with the
+best linear approximation, IFAC 2020; Floren, Noel and Swevers, Inference and learning of nonlinear
+LFR state-space models, arXiv 2503.14409.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from asia.candidate import Context, Steps
+from asia.data import Array, Trajectory
+from asia.errors import UserError
+from asia.models import linear
+from asia.models._config import check_at_least
+from asia.models._data.records import check, scaled
+from asia.models._data.stretches import window_pieces
+from asia.models._linear.fit import Refinement
+from asia.models._state_space.fitted import FittedStateSpace
+from asia.models.methods import LevenbergMarquardt
+
+# Windows of a problem with a horizon that are fitted; each has an initial state of its own.
+_WINDOWS = 40
+# Delays, in samples, that states can stand for: a linear model of a nonlinear system may find one
+# that there is not.
+_MODELLED = 3
+# States of the linear models beside that of the chosen order, with one output.
+_ORDERS = (1, 2, 3, 4)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Size of the state and of the static functions, and what holds these."""
+
+    order: int | None = None
+    """States; None tries several, up to four with one output, and around the order of the best
+    linear model with more."""
+    channels: int = 1
+    """Signals that the functions read, and signals that they give."""
+    hidden: int = 12
+    """Units of tanh of the functions."""
+    ridge: float = 1e-6
+    """Weight, against the mean squared error in z-scores, of the squared distance of the functions'
+    weights from their start."""
+    linear_ridge: float = 1e-7
+    """The same for the linear system."""
+    encoder: int = 30
+    """Units of the tanh layer of the map from the past window to the initial state."""
+    delay: int | None = None
+    """Samples by which every input is delayed; None compares none with the delay of the best linear
+    model."""
+    integrators: int = 0
+    """Free integrators: states whose pole is held at 1 and which the functions do not read."""
+    pieces: bool = False
+    """Whether fits begin with short pieces of the records, each from a state of its own, which grow
+    to the whole records."""
+
+    def __post_init__(self) -> None:
+        check_at_least(1, self, "order", "hidden", "channels")
+        check_at_least(0, self, "integrators", "ridge", "linear_ridge")
+
+
+@dataclass(frozen=True)
+class NonlinearLfr:
+    """Nonlinear LFR model; `fitted` is None before training."""
+
+    config: Config
+    fitted: FittedStateSpace | None = None
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
+        (B, H, ny). Raises UserError before training."""
+        return self._trained().simulate(past_u, past_y, u)
+
+    def as_steps(self) -> Steps:
+        """The same one sample at a time, for `asia export`. Raises UserError before training."""
+        from asia.models._steps.state_space import state_space_steps
+
+        return state_space_steps(self._trained())
+
+    def _trained(self) -> FittedStateSpace:
+        if self.fitted is None:
+            raise UserError("nonlinear LFR model: not trained yet; call train first")
+        return self.fitted
+
+
+def build(config: Config, context: Context) -> NonlinearLfr:
+    """An untrained model."""
+    del context
+    return NonlinearLfr(config)
+
+
+def train(
+    model: NonlinearLfr,
+    trajectories: Sequence[Trajectory],
+    context: Context,
+    method: LevenbergMarquardt,
+) -> NonlinearLfr:
+    """Linear models, `method.starts` starts for each, then all parameters to the simulation error.
+    The two best starts go on after a quarter of the iterations. Where the problem has a horizon,
+    windows of that length from all over the records are fitted. Raises UserError for records too
+    short or mis-shaped."""
+    from asia.models._state_space.by_feedback import FeedbackOptions, LinearCore, fit_feedback
+
+    check(trajectories, context)
+    c = model.config
+    pieces = window_pieces(trajectories, context, _WINDOWS)
+    plain = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
+    scaling = linear.scaling_of(pieces, context, plain)
+    records = scaled(pieces, scaling)
+    first = LinearCore(*linear.fit_records(records, context, plain, Refinement()))
+    cores: list[LinearCore] = []
+    for delay, order in _sizes(c, first.delay, first.found.system.order, context.ny):
+        if (delay, order) == (first.delay, first.found.system.order):
+            cores.append(first)
+        else:
+            choice = replace(plain, order=order, delay=delay)
+            cores.append(LinearCore(*linear.fit_records(records, context, choice, Refinement())))
+    options = FeedbackOptions(
+        c.channels, c.hidden, c.ridge, c.linear_ridge, c.encoder, c.integrators, c.pieces
+    )
+    return replace(model, fitted=fit_feedback(cores, options, scaling, context, method))
+
+
+def _sizes(c: Config, delay: int, order: int, ny: int) -> list[tuple[int, int]]:
+    """Delays and orders of the linear models to begin with. The best linear model may have more
+    states, and a delay, for what the static functions will explain."""
+    delays = (
+        [0, delay] if c.delay is None and delay > _MODELLED else [0 if c.delay is None else delay]
+    )
+    if c.order is not None:
+        orders = [c.order]
+    elif ny == 1:
+        orders = [n for n in _ORDERS if n > c.integrators]
+    else:
+        orders = sorted({max(ny, n) for n in (order - 1, order, order + 1)})
+    return [(d, n) for d in delays for n in orders]
