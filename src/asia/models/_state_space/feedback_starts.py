@@ -26,7 +26,7 @@ from asia.models._state_space.structure import StateSpaceStructure
 
 # Samples that judge a start, random signals that are tried, how many of the best are varied, and
 # by how much in each round.
-_JUDGED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 120, 6, (0.5, 0.25, 0.12), 10
+_JUDGED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
 # Readings that are judged at once, and the numbers that these may take.
 _BATCH, _NUMBERS = 16, 3e7
 # Ridge of the functions' weights, relative to the size of what they multiply.
@@ -36,6 +36,8 @@ _SENSOR = 0.01
 # Signals this much alike count as one.
 _ALIKE = 0.97
 _ALTERNATIONS = 15
+# Relative size below which a direction of the linear terms is none.
+_RANK = 1e-7
 _SCALES = (1.0, 0.5, 0.2)
 
 
@@ -61,8 +63,10 @@ class _Record(NamedTuple):
     """(T, n), by the linear model and by the observer."""
     residual: Array
     """(T, ny), what the linear model leaves."""
+    terms: Array
+    """(T ny, p), what B, D, the offset and the initial state change; see `_linear_terms`."""
     basis: Array
-    """(T ny, q), orthonormal: what linear terms and initial states can still explain."""
+    """(T ny, q), the same, orthonormal."""
     weight: Array
     """(T,)."""
 
@@ -81,11 +85,19 @@ def feedback_starts(
 ) -> list[dict[str, Any]]:
     """At most `count` starting points whose functions read different signals, the best first."""
     search = _Search(structure, found.system, _judged(records, found), rng)
-    starts: list[tuple[float, dict[str, Any]]] = []
-    for reading in search.best(count):
-        starts.append(search.start(reading))
-    starts.sort(key=lambda one: one[0])
-    return [params for _, params in starts]
+    # Signals read from the observer explain an output by itself: of both kinds of state some are
+    # simulated, and the simulation decides.
+    each = [
+        sorted((search.start(r) for r in search.best(count, observed)), key=_by_error)
+        for observed in (False, True)
+    ]
+    first = sorted((some[0] for some in each if some), key=_by_error)
+    later = sorted((one for some in each for one in some[1:]), key=_by_error)
+    return [params for _, params in [*first, *later][:count]]
+
+
+def _by_error(start: tuple[float, dict[str, Any]]) -> float:
+    return start[0]
 
 
 def _judged(records: ScaledData, found: LinearFit) -> list[_Record]:
@@ -101,8 +113,9 @@ def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> _Recor
     states, outputs = (found[0] for found in system.simulate(x0[None], record.u[None]))
     residual = (record.y - outputs) * record.weight[:, None]
     observed = _observed(system, x0, record, float(np.mean(residual**2)))
-    basis = _linear_terms(system, record)
-    return _Record(x0, record.u, (states, observed), residual, basis, record.weight)
+    terms = _linear_terms(system, record)
+    basis = _orthonormal(terms)
+    return _Record(x0, record.u, (states, observed), residual, terms, basis, record.weight)
 
 
 def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: float) -> Array:
@@ -142,15 +155,19 @@ def _responses(system: LinearSystem, signals: Array) -> Array:
 
 
 def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
-    """(T ny, q) orthonormal: inputs and a constant through states and outputs, initial states."""
-    length, n = len(record), system.order
-    known = np.hstack([record.u, np.ones((length, 1))])
-    forced = _responses(system, known).reshape(length * len(system.c), -1)
+    """(T ny, n nu + ny nu + ny + n) by which B, D, the offset and the initial state change the
+    outputs."""
+    length, n, ny = len(record), system.order, len(system.c)
+    forced = _responses(system, record.u).reshape(length * ny, -1)
+    constant = np.tile(np.eye(ny), (length, 1))
     free = system.simulate(np.eye(n), np.zeros((n, length, record.u.shape[1])))[1] - system.offset
-    columns = np.hstack([forced, free.transpose(1, 2, 0).reshape(len(forced), n)])
-    columns = columns * np.repeat(record.weight, len(system.c))[:, None]
+    columns = np.hstack([forced, constant, free.transpose(1, 2, 0).reshape(length * ny, n)])
+    return columns * np.repeat(record.weight, ny)[:, None]
+
+
+def _orthonormal(columns: Array) -> Array:
     left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, sizes > 1e-9 * sizes[0]]
+    return left[:, sizes > _RANK * sizes[0]]
 
 
 class _Search:
@@ -170,12 +187,9 @@ class _Search:
         # The same of every reading, so that these are compared by what they read.
         self.drawn = rng.standard_normal((self.m, structure.hidden)), rng.random(structure.hidden)
 
-    def best(self, count: int) -> list[_Reading]:
+    def best(self, count: int, observed: bool) -> list[_Reading]:
         """Different ones, the least error first."""
-        pool: list[_Reading] = []
-        for observed in (False, True):
-            pool += self.judged([(d, observed) for d in self._known()])
-            pool += self.judged([(d, observed) for d in self._random()])
+        pool = self.judged([(d, observed) for d in [*self._known(), *self._random()]])
         for size in _ROUNDS:
             pool.sort(key=lambda r: r.error)
             kept = self._different(pool, _KEPT)
@@ -298,26 +312,56 @@ class _Search:
 
     def start(self, reading: _Reading) -> tuple[float, dict[str, Any]]:
         """The error of a simulation by a starting point, and its parameters. As much of the
-        functions as simulates best; without any of them it is the linear model."""
+        functions as simulates best, and the linear terms that go with them."""
         layer = self.layer(reading.directions, reading.observed)
         ((gram, rhs, _),) = self.normal([(reading.directions, reading.observed, layer)])
         w2, act = self._factors(gram, rhs)
         found: list[tuple[float, dict[str, Any]]] = []
         for scale in _SCALES:
-            params = self.structure.start(self.system, self.rng)
+            moved = self._moved(reading, layer, scale * w2 @ act)
+            params = self.structure.start(moved, self.rng)
             params |= {"read": reading.directions, "act": act, "f": {**layer, "w2": scale * w2}}
             found.append((self._error(params), params))
         return min(found, key=lambda one: one[0])
 
+    def _moved(self, reading: _Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
+        """The linear system beside functions with weights theta (h, n + ny)."""
+        s, nu = self.system, self.structure.nu
+        n, ny = s.order, len(s.c)
+        some = (n + ny) * nu + ny
+        gram, side = np.zeros((some, some)), np.zeros(some)
+        for r in self.records:
+            units = np.tanh(
+                r.read(reading.directions, reading.observed) @ layer["w1"] + layer["b1"]
+            )
+            both = _responses(s, units @ theta)
+            # Signal i acts on state or output i alone.
+            explained = np.einsum("tyii->ty", both) * r.weight[:, None]
+            rest, terms, start = (
+                (r.residual - explained).ravel(),
+                r.terms[:, :some],
+                r.terms[:, some:],
+            )
+            start = _orthonormal(start)
+            terms = terms - start @ (start.T @ terms)
+            gram, side = gram + terms.T @ terms, side + terms.T @ rest
+        found = np.linalg.lstsq(gram, side, rcond=_RANK)[0]
+        change = found[: (n + ny) * nu].reshape(nu, n + ny).T
+        return LinearSystem(
+            s.a, s.b + change[:n], s.c, s.d + change[n:], s.offset + found[some - ny :]
+        )
+
     def _error(self, params: dict[str, Any]) -> float:
-        total = 0.0
+        """Sum of squared errors of simulations from the best initial states for the linear
+        system."""
+        total, n = 0.0, self.structure.order
         with np.errstate(all="ignore"):
             for r in self.records:
-                u, x0 = r.u[None], r.x0[None]
-                y = self.structure.simulate(params, x0, u)[1][0]
-                linear = self.system.simulate(x0, u)[1][0]
-                rest = (r.residual - (y - linear) * r.weight[:, None]).ravel()
-                rest = rest - r.basis @ (r.basis.T @ rest)
+                y = self.structure.simulate(params, r.x0[None], r.u[None])[1][0]
+                line = self.system.simulate(r.x0[None], r.u[None])[1][0]
+                rest = (r.residual - (y - line) * r.weight[:, None]).ravel()
+                start = _orthonormal(r.terms[:, -n:])
+                rest = rest - start @ (start.T @ rest)
                 total += float(rest @ rest)
         return total if np.isfinite(total) else np.inf
 

@@ -81,6 +81,8 @@ def _as_carried(at: Situation) -> Recipe:
 # Share of the one-step error from which on a switching term is more than what smooth systems show,
 # and how much more it may be by chance in one sample.
 _TRACE, _BY_CHANCE = 0.01, 8.0
+# What is left of the weight of a static function at one place.
+_IN_LFR = 0.5
 # V over the training error.
 _BY_HEART = 4.0
 # Inputs and outputs for which cubic polynomials, and for which quadratic ones, have few terms.
@@ -114,10 +116,16 @@ def _pieces_weight(at: Situation) -> float:
     return 0.88 if coloured(at.trial) else 0.4
 
 
+def _has_lfr(at: Situation) -> bool:
+    """Whether a nonlinear LFR model was tried: it has these structures as special cases."""
+    return any(trial.family == "nl_lfr" for trial in at.view.trials)
+
+
 def _unless_at(at: Situation, place: str, weight: float) -> float:
     """None around a free integrator: what drifts visits each level once."""
     if at.recipe.get("nonlinearity") == place:
         return 0.0
+    weight *= _IN_LFR if _has_lfr(at) else 1.0
     return 0.0 if place != "input" and at.recipe.number("integrators", 0) else weight
 
 
@@ -317,7 +325,9 @@ CARD = Card(
         Move(
             name="static function in feedback",
             weight=lambda c: (
-                0.5 * (c.recipe.get("nonlinearity") == "state") * (not c.recipe.get("channels"))
+                (0.5 * _IN_LFR if _has_lfr(c) else 0.5)
+                * (c.recipe.get("nonlinearity") == "state")
+                * (not c.recipe.get("channels"))
             ),
             change=lambda c: c.recipe.configured(channels=1).trained(starts=4),
             hypothesis="One signal goes through one static function and back into a linear system "

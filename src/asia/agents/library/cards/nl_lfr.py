@@ -23,7 +23,9 @@ _MOST_CHANNELS, _MOST_UNITS = 4, 30
 
 
 def _nl_lfr(facts: Facts) -> Recipe:
-    config = (("channels", min(len(facts.outputs), 2)), ("hidden", 12), ("ridge", 1e-6))
+    outputs = len(facts.outputs)
+    channels = 1 if outputs == 1 else min(outputs + 1, 3)
+    config = (("channels", channels), ("hidden", 12), ("ridge", 1e-6))
     settings = (*config, *integrator_setting(facts))
     return Recipe("nl_lfr", settings, LM, (("iterations", 60), ("starts", 2)))
 
@@ -54,7 +56,7 @@ def _channel_weight(at: Situation) -> float:
     """Near certain while the residual is coloured: one function of one signal is seldom all."""
     if _channels(at) >= _MOST_CHANNELS:
         return 0.0
-    return 0.92 if coloured(at.trial) else 0.5
+    return 0.92 if coloured(at.trial) else 0.6
 
 
 def _one_more(at: Situation) -> Recipe:

@@ -1,0 +1,148 @@
+"""Linear systems with static functions in feedback."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from asia.data import Array
+from asia.errors import UserError
+from asia.models import linear, nl_lfr
+from asia.models._data.records import scaled
+from asia.models._data.scaling import Scaling
+from asia.models._linear.fit import Refinement
+from asia.models._state_space.feedback_starts import feedback_starts
+from asia.models._state_space.structure import StateSpaceStructure
+from asia.models.methods import LevenbergMarquardt
+from tests.unit.models.systems.black_box import PAST, case, filtered, two_by_two, wiener
+from tests.unit.models.systems.fitting import against_holding, fitted
+
+METHOD = LevenbergMarquardt(40, starts=2)
+
+
+def spring(u: Array) -> Array:
+    """A mass on a spring that hardens."""
+    x, v, y = 0.0, 0.0, np.empty((len(u), 1))
+    for k, force in enumerate(u[:, 0]):
+        y[k] = x
+        v += 0.3 * (force - x - 0.7 * x**3 - 0.6 * v)
+        x += 0.3 * v
+    return y
+
+
+def dry(u: Array) -> Array:
+    """The velocity of a mass that friction stops."""
+    v, y = 0.0, np.empty((len(u), 1))
+    for k, force in enumerate(u[:, 0]):
+        y[k] = v
+        v += 0.2 * (force - 0.5 * v)
+        v = np.sign(v) * max(abs(v) - 0.1, 0.0)
+    return y
+
+
+def hammerstein(u: Array) -> Array:
+    return filtered(np.clip(u, -0.6, 1.2))
+
+
+def heated(u: Array) -> Array:
+    """A flow that heats a vessel: the input multiplies the state."""
+    x, y = 0.0, np.empty((len(u), 1))
+    for k, flow in enumerate(u[:, 0]):
+        y[k] = x
+        x += 0.15 * (flow - x - 0.5 * np.tanh(flow) * x)
+    return y
+
+
+SYSTEMS = {"hammerstein": hammerstein, "wiener": wiener, "spring": spring, "dry": dry}
+
+
+@pytest.mark.parametrize("name", ["hammerstein", "wiener", "spring", "dry"])
+def test_the_first_start_reads_what_the_function_acts_on(name: str) -> None:
+    """Before any fit, its simulation leaves far less than the linear model's."""
+    data = case(SYSTEMS[name], lengths=(500,), noise=0.01)
+    records = scaled(data.training, Scaling.of(data.training))
+    order = 1 if name == "dry" else 2
+    found, _, used = linear.fit_records(
+        records, data.context, linear.Config(order=order), Refinement()
+    )
+    structure = StateSpaceStructure(order, 1, 1, "state", "tanh", 10, 2, 1)
+    starts = feedback_starts(structure, found, used, 2, np.random.default_rng(0))
+    assert 1 <= len(starts) <= 2
+    x0 = found.x0[:1]
+    y = structure.simulate(starts[0], x0, used[0].u[None])[1][0]
+    line = found.system.simulate(x0, used[0].u[None])[1][0]
+    left, before = (np.std((used[0].y - out)[PAST:]) for out in (y, line))
+    assert left < 0.9 * before
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("spring", marks=pytest.mark.slow),
+        pytest.param("dry", marks=pytest.mark.slow),
+        pytest.param("hammerstein", marks=pytest.mark.long),
+        pytest.param("wiener", marks=pytest.mark.long),
+    ],
+)
+def test_own_systems_are_simulated_far_better_than_by_a_linear_model(name: str) -> None:
+    data = case(SYSTEMS[name], lengths=(600,), noise=0.02)
+    order = 1 if name == "dry" else 2
+    model = fitted(nl_lfr, nl_lfr.Config(order=order), data, METHOD)
+    line = fitted(linear, linear.Config(), data, None)
+    assert data.ratio(model) < 0.25 * data.ratio(line)
+
+
+@pytest.mark.long
+def test_the_order_is_found() -> None:
+    """A linear model asks for more states than the system has, and for a delay."""
+    data = case(spring, lengths=(600,), noise=0.02)
+    model = fitted(nl_lfr, nl_lfr.Config(hidden=6), data, METHOD)
+    assert model.fitted is not None
+    assert model.fitted.structure.order < 4
+    assert model.fitted.delay == 0
+    assert data.ratio(model) < 1.0
+
+
+@pytest.mark.slow
+def test_a_product_of_state_and_input_takes_two_channels() -> None:
+    data = case(heated, lengths=(600,), noise=0.02)
+    two = fitted(nl_lfr, nl_lfr.Config(order=1, channels=2), data, METHOD)
+    line = fitted(linear, linear.Config(order=1), data, None)
+    assert data.ratio(two) < 0.3 * data.ratio(line)
+
+
+def test_two_inputs_and_outputs_and_missing_samples() -> None:
+    data = case(two_by_two, channels=2, lengths=(160,))
+    config = nl_lfr.Config(order=3, channels=2, hidden=3)
+    model = fitted(nl_lfr, config, data, LevenbergMarquardt(3, starts=1))
+    assert data.ratio(model) < 1.2
+    again = fitted(nl_lfr, config, data, LevenbergMarquardt(3, starts=1))
+    np.testing.assert_array_equal(data.simulated(model), data.simulated(again))
+
+
+@pytest.mark.slow
+def test_a_free_integrator_is_not_read() -> None:
+    data = case(lambda u: np.cumsum(np.clip(u, -0.5, 1.0), axis=0) * 0.05, lengths=(400,))
+    config = nl_lfr.Config(order=2, integrators=1, hidden=6)
+    model = fitted(nl_lfr, config, data, LevenbergMarquardt(20, starts=2))
+    assert model.fitted is not None
+    order = model.fitted.structure.order
+    read = model.fitted.members[0][0]["read"]
+    assert read.shape == (order - 1 + 1, 1)
+    line = fitted(linear, linear.Config(order=2, integrators=1), data, None)
+    assert data.ratio(model) < 0.7 * data.ratio(line)
+
+
+@pytest.mark.long
+def test_windows_from_one_measured_state() -> None:
+    config = nl_lfr.Config(order=3, channels=2, hidden=4)
+    assert against_holding(nl_lfr, config, LevenbergMarquardt(3, starts=1), runs=3) < 0.8
+
+
+def test_without_training_it_says_so() -> None:
+    data = case(wiener, lengths=(100,))
+    model = nl_lfr.build(nl_lfr.Config(), data.context)
+    with pytest.raises(UserError, match="not trained"):
+        model.simulate(data.unseen.u[None, :PAST], data.unseen.y[None, :PAST], data.unseen.u[None])
+    with pytest.raises(UserError, match="channels"):
+        nl_lfr.Config(channels=0)
