@@ -106,7 +106,7 @@ def train(
     The two best starts go on after a quarter of the iterations. Where the problem has a horizon,
     windows of that length from all over the records are fitted. Raises UserError for records too
     short or mis-shaped."""
-    from asia.models._state_space.by_feedback import FeedbackOptions, LinearCore, fit_feedback
+    from asia.models._state_space.feedback.fit import FeedbackOptions, LinearCore, fit_feedback
 
     check(trajectories, context)
     c = model.config

@@ -11,7 +11,7 @@ from asia.models import linear, nl_lfr
 from asia.models._data.records import scaled
 from asia.models._data.scaling import Scaling
 from asia.models._linear.fit import Refinement
-from asia.models._state_space.feedback_starts import feedback_starts
+from asia.models._state_space.feedback.starts import feedback_starts
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import LevenbergMarquardt
 from tests.unit.models.systems.black_box import PAST, case, filtered, two_by_two, wiener

@@ -25,7 +25,7 @@ _MOST_CHANNELS, _MOST_UNITS = 4, 30
 def _nl_lfr(facts: Facts) -> Recipe:
     outputs = len(facts.outputs)
     channels = 1 if outputs == 1 else min(outputs + 1, 3)
-    config = (("channels", channels), ("hidden", 12), ("ridge", 1e-6))
+    config = (("channels", channels), ("hidden", 12), ("ridge", 1e-6), ("delay", None))
     settings = (*config, *integrator_setting(facts))
     return Recipe("nl_lfr", settings, LM, (("iterations", 60), ("starts", 2)))
 
@@ -37,6 +37,7 @@ def _space(facts: Facts) -> Space:
             OneOf("channels", (1, 2, 3)),
             OneOf("hidden", (8, 12, 16)),
             Span("ridge", 1e-7, 1e-3),
+            OneOf("delay", (0, None)),
             OneOf("integrators", (0, 1)),
             OneOf("pieces", (False, True)),
         ),

@@ -1,19 +1,15 @@
-"""Starts of a linear system with static functions in feedback, inferred from the linear model.
+"""Which signals static functions in feedback read, judged by what the linear model leaves over.
 
-What the best linear model leaves over is explained by static functions of a few signals that act on
-its states and outputs. Which signals these are is searched: inputs, outputs, combinations of them
-and of the states. The states are those of the linear model, and those of an observer that corrects
-them by the measured output, so that a function in a loop is read where the system really was. For
-given signals the functions and where they act follow by least squares, so that many can be judged.
-Sources: Schoukens and Toth, On the initialization of nonlinear LFR model identification with the
-best linear approximation, IFAC 2020; Floren, Noel and Swevers, Inference and learning of nonlinear
-LFR state-space models, arXiv 2503.14409.
+They are searched among inputs, outputs, combinations of them and of the states. The states are
+those of the linear model, and those of an observer that corrects them by the measured output, so
+that a function in a loop is read where the system really was. For given signals the functions and
+where they act follow by least squares, so that many readings can be judged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -24,7 +20,7 @@ from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Samples that judge a start, random signals that are tried, how many of the best are varied, and
+# Samples that judge a reading, random signals that are tried, how many of the best are varied, and
 # by how much in each round.
 _JUDGED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
 # Readings that are judged at once, and the numbers that these may take.
@@ -35,13 +31,11 @@ _RIDGE = 1e-4
 _SENSOR = 0.01
 # Signals this much alike count as one.
 _ALIKE = 0.97
-_ALTERNATIONS = 15
 # Relative size below which a direction of the linear terms is none.
-_RANK = 1e-7
-_SCALES = (1.0, 0.5, 0.2)
+RANK = 1e-7
 
 
-class _Reading(NamedTuple):
+class Reading(NamedTuple):
     """Signals that the functions read, and what they explain."""
 
     directions: Array
@@ -52,7 +46,7 @@ class _Reading(NamedTuple):
     """Mean squared error that is left."""
 
 
-class _Record(NamedTuple):
+class JudgedRecord(NamedTuple):
     """One record, as it judges starts."""
 
     x0: Array
@@ -76,31 +70,7 @@ class _Record(NamedTuple):
         return self.states[observed][:, :some] @ directions[:some] + self.u @ directions[some:]
 
 
-def feedback_starts(
-    structure: StateSpaceStructure,
-    found: LinearFit,
-    records: ScaledData,
-    count: int,
-    rng: np.random.Generator,
-) -> list[dict[str, Any]]:
-    """At most `count` starting points whose functions read different signals, the best first."""
-    search = _Search(structure, found.system, _judged(records, found), rng)
-    # Signals read from the observer explain an output by itself: of both kinds of state some are
-    # simulated, and the simulation decides.
-    each = [
-        sorted((search.start(r) for r in search.best(count, observed)), key=_by_error)
-        for observed in (False, True)
-    ]
-    first = sorted((some[0] for some in each if some), key=_by_error)
-    later = sorted((one for some in each for one in some[1:]), key=_by_error)
-    return [params for _, params in [*first, *later][:count]]
-
-
-def _by_error(start: tuple[float, dict[str, Any]]) -> float:
-    return start[0]
-
-
-def _judged(records: ScaledData, found: LinearFit) -> list[_Record]:
+def judged_records(records: ScaledData, found: LinearFit) -> list[JudgedRecord]:
     """The first samples of each record."""
     each = max(_JUDGED // len(records), 200)
     return [
@@ -109,13 +79,13 @@ def _judged(records: ScaledData, found: LinearFit) -> list[_Record]:
     ][: max(_JUDGED // 200, 1)]
 
 
-def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> _Record:
+def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> JudgedRecord:
     states, outputs = (found[0] for found in system.simulate(x0[None], record.u[None]))
     residual = (record.y - outputs) * record.weight[:, None]
     observed = _observed(system, x0, record, float(np.mean(residual**2)))
     terms = _linear_terms(system, record)
-    basis = _orthonormal(terms)
-    return _Record(x0, record.u, (states, observed), residual, terms, basis, record.weight)
+    basis = orthonormal(terms)
+    return JudgedRecord(x0, record.u, (states, observed), residual, terms, basis, record.weight)
 
 
 def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: float) -> Array:
@@ -138,7 +108,7 @@ def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: 
     return states
 
 
-def _responses(system: LinearSystem, signals: Array) -> Array:
+def responses(system: LinearSystem, signals: Array) -> Array:
     """signals (T, s) -> (T, ny, s, n + ny): outputs where each signal acts on each state and on
     each output."""
     length, s = signals.shape
@@ -158,26 +128,26 @@ def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
     """(T ny, n nu + ny nu + ny + n) by which B, D, the offset and the initial state change the
     outputs."""
     length, n, ny = len(record), system.order, len(system.c)
-    forced = _responses(system, record.u).reshape(length * ny, -1)
+    forced = responses(system, record.u).reshape(length * ny, -1)
     constant = np.tile(np.eye(ny), (length, 1))
     free = system.simulate(np.eye(n), np.zeros((n, length, record.u.shape[1])))[1] - system.offset
     columns = np.hstack([forced, constant, free.transpose(1, 2, 0).reshape(length * ny, n)])
     return columns * np.repeat(record.weight, ny)[:, None]
 
 
-def _orthonormal(columns: Array) -> Array:
+def orthonormal(columns: Array) -> Array:
     left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, sizes > _RANK * sizes[0]]
+    return left[:, sizes > RANK * sizes[0]]
 
 
-class _Search:
+class ReadingSearch:
     """Readings of one fit."""
 
     def __init__(
         self,
         structure: StateSpaceStructure,
         system: LinearSystem,
-        records: Sequence[_Record],
+        records: Sequence[JudgedRecord],
         rng: np.random.Generator,
     ) -> None:
         self.structure, self.system, self.records, self.rng = structure, system, records, rng
@@ -187,7 +157,7 @@ class _Search:
         # The same of every reading, so that these are compared by what they read.
         self.drawn = rng.standard_normal((self.m, structure.hidden)), rng.random(structure.hidden)
 
-    def best(self, count: int, observed: bool) -> list[_Reading]:
+    def best(self, count: int, observed: bool) -> list[Reading]:
         """Different ones, the least error first."""
         pool = self.judged([(d, observed) for d in [*self._known(), *self._random()]])
         for size in _ROUNDS:
@@ -229,8 +199,8 @@ class _Search:
         unit = unit / np.linalg.norm(unit, axis=0)
         return (unit + size * self.rng.standard_normal(unit.shape)) / sizes
 
-    def _different(self, pool: Sequence[_Reading], count: int) -> list[_Reading]:
-        chosen: list[tuple[_Reading, Array]] = []
+    def _different(self, pool: Sequence[Reading], count: int) -> list[Reading]:
+        chosen: list[tuple[Reading, Array]] = []
         for reading in pool:
             z = self._read(reading.directions, reading.observed)
             z = (z - z.mean(axis=0)) / z.std(axis=0)
@@ -241,9 +211,9 @@ class _Search:
                 break
         return [reading for reading, _ in chosen]
 
-    def judged(self, readings: Sequence[tuple[Array, bool]]) -> list[_Reading]:
+    def judged(self, readings: Sequence[tuple[Array, bool]]) -> list[Reading]:
         """With their errors; those that read nothing are left out."""
-        found: list[_Reading] = []
+        found: list[Reading] = []
         s, longest = self.structure, max(len(r.u) for r in self.records)
         each = longest * s.ny * s.hidden * (s.order + s.ny)
         batch = int(np.clip(_NUMBERS / each, 1, _BATCH))
@@ -256,7 +226,7 @@ class _Search:
             grams = self.normal([(d, o, layer) for d, o, layer in part]) if part else []
             for (d, o, _), (gram, rhs, power) in zip(part, grams, strict=True):
                 weights = np.linalg.solve(gram, rhs)
-                found.append(_Reading(d, o, power - float(rhs @ weights)))
+                found.append(Reading(d, o, power - float(rhs @ weights)))
         return [r for r in found if np.isfinite(r.error)]
 
     def _read(self, directions: Array, observed: bool) -> Array:
@@ -294,7 +264,7 @@ class _Search:
         power, samples = 0.0, 0
         for r in self.records:
             units = [np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in readings]
-            every = _responses(self.system, np.hstack(units))
+            every = responses(self.system, np.hstack(units))
             weight = np.repeat(r.weight, self.structure.ny)[:, None]
             rest = r.residual.ravel()
             rest = rest - r.basis @ (r.basis.T @ rest)
@@ -309,82 +279,3 @@ class _Search:
             ((g + _RIDGE * m * np.eye(size)) / samples, s / samples, power / samples)
             for g, m, s in zip(grams, mean, sides, strict=True)
         ]
-
-    def start(self, reading: _Reading) -> tuple[float, dict[str, Any]]:
-        """The error of a simulation by a starting point, and its parameters. As much of the
-        functions as simulates best, and the linear terms that go with them."""
-        layer = self.layer(reading.directions, reading.observed)
-        ((gram, rhs, _),) = self.normal([(reading.directions, reading.observed, layer)])
-        w2, act = self._factors(gram, rhs)
-        found: list[tuple[float, dict[str, Any]]] = []
-        for scale in _SCALES:
-            moved = self._moved(reading, layer, scale * w2 @ act)
-            params = self.structure.start(moved, self.rng)
-            params |= {"read": reading.directions, "act": act, "f": {**layer, "w2": scale * w2}}
-            found.append((self._error(params), params))
-        return min(found, key=lambda one: one[0])
-
-    def _moved(self, reading: _Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
-        """The linear system beside functions with weights theta (h, n + ny)."""
-        s, nu = self.system, self.structure.nu
-        n, ny = s.order, len(s.c)
-        some = (n + ny) * nu + ny
-        gram, side = np.zeros((some, some)), np.zeros(some)
-        for r in self.records:
-            units = np.tanh(
-                r.read(reading.directions, reading.observed) @ layer["w1"] + layer["b1"]
-            )
-            both = _responses(s, units @ theta)
-            # Signal i acts on state or output i alone.
-            explained = np.einsum("tyii->ty", both) * r.weight[:, None]
-            rest, terms, start = (
-                (r.residual - explained).ravel(),
-                r.terms[:, :some],
-                r.terms[:, some:],
-            )
-            start = _orthonormal(start)
-            terms = terms - start @ (start.T @ terms)
-            gram, side = gram + terms.T @ terms, side + terms.T @ rest
-        found = np.linalg.lstsq(gram, side, rcond=_RANK)[0]
-        change = found[: (n + ny) * nu].reshape(nu, n + ny).T
-        return LinearSystem(
-            s.a, s.b + change[:n], s.c, s.d + change[n:], s.offset + found[some - ny :]
-        )
-
-    def _error(self, params: dict[str, Any]) -> float:
-        """Sum of squared errors of simulations from the best initial states for the linear
-        system."""
-        total, n = 0.0, self.structure.order
-        with np.errstate(all="ignore"):
-            for r in self.records:
-                y = self.structure.simulate(params, r.x0[None], r.u[None])[1][0]
-                line = self.system.simulate(r.x0[None], r.u[None])[1][0]
-                rest = (r.residual - (y - line) * r.weight[:, None]).ravel()
-                start = _orthonormal(r.terms[:, -n:])
-                rest = rest - start @ (start.T @ rest)
-                total += float(rest @ rest)
-        return total if np.isfinite(total) else np.inf
-
-    def _factors(self, gram: Array, rhs: Array) -> tuple[Array, Array]:
-        """Last layer (h, m) and where the functions act (m, n + ny), by alternating least
-        squares."""
-        h, n_act, m = self.structure.hidden, self.structure.order + self.structure.ny, self.m
-        theta = np.linalg.solve(gram, rhs).reshape(h, n_act)
-        left, sizes, right = np.linalg.svd(theta, full_matrices=False)
-        m = min(m, len(sizes))
-        act, g4 = right[:m], gram.reshape(h, n_act, h, n_act)
-        w2, side = left[:, :m] * sizes[:m], rhs.reshape(h, n_act)
-        for _ in range(_ALTERNATIONS):
-            g = np.einsum("kilj,ai,bj->kalb", g4, act, act).reshape(h * m, h * m)
-            b = np.einsum("ki,ai->ka", side, act).ravel()
-            w2 = np.linalg.lstsq(g, b, rcond=1e-12)[0].reshape(h, m)
-            g = np.einsum("kilj,ka,lb->aibj", g4, w2, w2).reshape(m * n_act, m * n_act)
-            b = np.einsum("ki,ka->ai", side, w2).ravel()
-            act = np.linalg.lstsq(g, b, rcond=1e-12)[0].reshape(m, n_act)
-        size = np.linalg.norm(act, axis=1)
-        size = np.where(size > 1e-12, size, 1.0)
-        w2, act = w2 * size, act / size[:, None]
-        if m < self.m:
-            w2 = np.pad(w2, ((0, 0), (0, self.m - m)))
-            act = np.vstack([act, self.rng.standard_normal((self.m - m, n_act)) / np.sqrt(n_act)])
-        return w2, act

@@ -1,0 +1,1 @@
+"""Linear systems with static functions in feedback: what the functions read, starts, fits."""
