@@ -83,7 +83,7 @@ CARD = Card(
             label="nonlinear LFR",
             use="a linear system with a few static functions in feedback: springs, friction, "
             "valves, sensors and actuators that bend",
-            base=7,
+            base=6.5,
             points=(("short", 1), ("long", -2), ("windows", -4)),
             start=_nl_lfr,
             space=_space,
