@@ -1,6 +1,7 @@
 """Where fits of neural state-space models begin, and where their simulations do.
 
 python benchmarks/models/state_space_starts.py [--systems duffing,mimo] [--seeds 100,101]
+    [--configs 0,4]
 
 Fits each configuration to the first half, the second half and all of a synthetic training record,
 as in a search with two folds, and prints the simulation error against the noise-free output over
@@ -21,7 +22,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Trajectory
-from asia.models import neural_ss
+from asia.models import neural_ss, nl_lfr
 from asia.models.methods import LevenbergMarquardt
 from asia.problem import Signal
 
@@ -35,7 +36,11 @@ CONFIGS = {
     "with pieces and past fit": replace(CONFIG, pieces=True, past_fit=True),
     "one function in feedback": FEEDBACK,
     "one in feedback, with both": replace(FEEDBACK, pieces=True, past_fit=True),
+    "nl_lfr": nl_lfr.Config(),
+    "nl_lfr, two channels": nl_lfr.Config(channels=2),
 }
+Config = neural_ss.Config | nl_lfr.Config
+Model = neural_ss.NeuralStateSpace | nl_lfr.NonlinearLfr
 METHOD = LevenbergMarquardt(iterations=60, starts=2)
 
 
@@ -44,13 +49,15 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--systems", default="duffing,mimo,bilinear,wiener_hammerstein")
     parser.add_argument("--seeds", default="100,101")
+    parser.add_argument("--configs", default=",".join(map(str, range(len(CONFIGS)))))
     options = parser.parse_args()
     rows: dict[str, list[tuple[float, float, float, float]]] = {}
     print("| system | configuration | folds on their other half | folds, fresh | all, fresh | s |")
     print("|---|---|---|---|---|---|")
     for name in options.systems.split(","):
         for seed in map(int, options.seeds.split(",")):
-            for words, config in CONFIGS.items():
+            for number in map(int, options.configs.split(",")):
+                words, config = list(CONFIGS.items())[number]
                 row = _row(name, seed, config)
                 rows.setdefault(words, []).append(row)
                 cells = " | ".join(f"{value:.3g}" for value in row)
@@ -60,7 +67,7 @@ def main() -> None:
         print(f"| **median** | {words} | {cells} |")
 
 
-def _row(name: str, seed: int, config: neural_ss.Config) -> tuple[float, float, float, float]:
+def _row(name: str, seed: int, config: Config) -> tuple[float, float, float, float]:
     system, start = make_system(KINDS[name], seed), time.monotonic()
     nu, ny = system.train.u.shape[1], system.train.y.shape[1]
     context = Context(
@@ -71,21 +78,27 @@ def _row(name: str, seed: int, config: neural_ss.Config) -> tuple[float, float, 
     half = len(system.train.u) // 2
     parts = slice(0, half), slice(half, 2 * half), slice(0, 2 * half)
 
-    def error(model: neural_ss.NeuralStateSpace, record: Record, part: slice) -> float:
+    def error(model: Model, record: Record, part: slice) -> float:
         u, y, truth = record.u[None, part], record.y[None, part], record.truth[part]
         y_hat = model.simulate(u[:, :PAST], y[:, :PAST], u[:, PAST:])[0]
         wrong = np.sqrt(np.mean((truth[PAST:] - y_hat) ** 2, axis=0))
         return float(np.mean(wrong / system.noise_std))
 
-    models = []
+    models: list[Model] = []
     for part in parts:
         record = Trajectory(
             system.train.u[part], system.train.y[part], context.sampling_time, "train"
         )
-        models.append(neural_ss.train(neural_ss.build(config, context), [record], context, METHOD))
+        models.append(_trained(config, record, context))
     other = [error(m, system.train, p) for m, p in zip(models[:2], parts[1::-1], strict=True)]
     fresh = [error(m, system.test, parts[2]) for m in models]
     return float(np.mean(other)), float(np.mean(fresh[:2])), fresh[2], time.monotonic() - start
+
+
+def _trained(config: Config, record: Trajectory, context: Context) -> Model:
+    if isinstance(config, nl_lfr.Config):
+        return nl_lfr.train(nl_lfr.build(config, context), [record], context, METHOD)
+    return neural_ss.train(neural_ss.build(config, context), [record], context, METHOD)
 
 
 if __name__ == "__main__":
