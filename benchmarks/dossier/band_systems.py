@@ -75,15 +75,15 @@ def levels(rng: Random, kind: Kind, samples: int, slower: float) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _resonance(rng: Random, u: Array, low: float = 0.15, high: float = 0.5) -> Respond:
-    w, d = rng.uniform(low, high), rng.uniform(0.15, 0.6)
+def _resonance(rng: Random) -> Respond:
+    w, d = rng.uniform(0.15, 0.5), rng.uniform(0.15, 0.6)
     radius = np.exp(-d * w)
     a = [1.0, -2 * radius * np.cos(w * np.sqrt(1 - d**2)), radius**2]
     return lambda x: lfilter([0.0, sum(a)], a, x, axis=0)
 
 
 def _linear(rng: Random) -> Respond:
-    return _resonance(rng, np.zeros(0))
+    return _resonance(rng)
 
 
 def _slow(rng: Random) -> Respond:
@@ -92,12 +92,12 @@ def _slow(rng: Random) -> Respond:
 
 
 def _wiener(rng: Random) -> Respond:
-    linear, bend = _resonance(rng, np.zeros(0)), rng.uniform(0.5, 1.5)
+    linear, bend = _resonance(rng), rng.uniform(0.5, 1.5)
     return lambda u: np.tanh(2 * bend * linear(u)) + 0.3 * bend * linear(u) ** 2
 
 
 def _hammerstein(rng: Random) -> Respond:
-    linear, bend = _resonance(rng, np.zeros(0)), rng.uniform(1.0, 4.0)
+    linear, bend = _resonance(rng), rng.uniform(1.0, 4.0)
     return lambda u: linear(np.tanh(bend * (u - 0.2)))
 
 
@@ -119,7 +119,7 @@ def _hardening(rng: Random) -> Respond:
 
 def _several(rng: Random) -> Respond:
     """Two inputs, two outputs, a product between the states."""
-    first, second = _resonance(rng, np.zeros(0)), _resonance(rng, np.zeros(0))
+    first, second = _resonance(rng), _resonance(rng)
     mixed = rng.uniform(0.2, 1.0, (2, 2))
 
     def respond(u: Array) -> Array:
@@ -178,15 +178,11 @@ class Model:
 def fit(records: Sequence[Trajectory], lags: int, functions: int, seed: int) -> Model:
     """Least squares with a small ridge on the random functions."""
     lagged, after = [], []
+    windows = np.lib.stride_tricks.sliding_window_view
     for record in records:
-        windows = np.lib.stride_tricks.sliding_window_view
-        y = (
-            windows(record.y[:-1], lags, axis=0)
-            .transpose(0, 2, 1)
-            .reshape(-1, lags * record.y.shape[1])
-        )
-        u = windows(record.u, lags + 1, axis=0).transpose(0, 2, 1).reshape(len(y), -1)
-        lagged.append(np.hstack([y, u]))
+        before = windows(record.y[:-1], lags, axis=0).transpose(0, 2, 1)
+        driven = windows(record.u, lags + 1, axis=0).transpose(0, 2, 1)
+        lagged.append(np.hstack([x.reshape(len(x), -1) for x in (before, driven)]))
         after.append(record.y[lags:])
     x, target = np.concatenate(lagged), np.concatenate(after)
     centre, size = x.mean(0), x.std(0) + 1e-9

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from band_systems import KINDS, PAST, Kind, Model, System, fit, make_system
+from band_systems import KINDS, PAST, Kind, Model, fit, make_system
 
 from asia.data import Array, Trajectory
 from asia.protocol import Block, Fold, FoldRule, Group, ProtocolRule, make_folds, whole
@@ -33,8 +33,13 @@ CANDIDATES = ((2, 0), (4, 0), (8, 0), (2, 30), (3, 60))
 TEST = 800
 RAISED = 0.1
 """The share of samples outside the region from which asia validate doubts a record."""
-SHIFTS = {"same kind": (1.0, 1.0), "1.5 times as large": (1.5, 1.0), "2.5 times as large": (2.5, 1.0),
-          "4 times as fast": (1.0, 0.25), "4 times as slow": (1.0, 4.0)}  # fmt: skip
+SHIFTS = {
+    "same kind": (1.0, 1.0),
+    "1.5 times as large": (1.5, 1.0),
+    "2.5 times as large": (2.5, 1.0),
+    "4 times as fast": (1.0, 0.25),
+    "4 times as slow": (1.0, 4.0),
+}
 
 
 @dataclass(frozen=True)

@@ -257,6 +257,10 @@ def test_the_bands_of_the_test_stand_beside_what_they_are_meant_to_hold(
     page = page_of(open_run(other))
     assert "87.3 %" in page
     assert "90.0 %" in page
+    assert 'class="outputs"' not in page_of(run)
+    drawn = page[page.index('id="test"') :]
+    assert drawn.count('class="outputs"') == 2 * drawn.count('class="line model"')
+    assert "output bands" in drawn
 
 
 def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
