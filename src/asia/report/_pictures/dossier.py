@@ -65,7 +65,7 @@ def _draw(axes: Axes, check: Check) -> None:
         _logarithmic(axes)
     elif any(curve.band is not None for curve in check.curves):
         axes.axhline(0.0, color=INK, lw=0.7)
-    if all(len(curve.x) <= _FEW_POINTS for curve in shown):
+    elif all(len(curve.x) <= _FEW_POINTS for curve in shown):
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_title(f"{check.name}: {check.verdict}", color=_VERDICTS[check.verdict])
     axes.set_xlabel(check.axes[0])

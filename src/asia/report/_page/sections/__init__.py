@@ -15,6 +15,7 @@ from asia.report._page.sections import (
     confirmation,
     experiments,
     handover,
+    identified,
     integrity,
     lineage,
     model,
@@ -28,6 +29,7 @@ from asia.report._page.sections import (
 SECTIONS: Final[tuple[Section, ...]] = (
     verdict.SECTION,
     model.SECTION,
+    identified.SECTION,
     accuracy.SECTION,
     validation.SECTION,
     confirmation.SECTION,
