@@ -9,13 +9,9 @@ from typing import Final
 
 from asia.report._page.section import Section
 from asia.report._page.sections import (
-    ablation,
     accuracy,
-    bands,
-    confirmation,
     experiments,
     handover,
-    identified,
     integrity,
     lineage,
     model,
@@ -25,6 +21,7 @@ from asia.report._page.sections import (
     validation,
     verdict,
 )
+from asia.report._page.sections.evidence import ablation, bands, confirmation, identified
 
 SECTIONS: Final[tuple[Section, ...]] = (
     verdict.SECTION,
