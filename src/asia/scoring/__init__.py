@@ -1,7 +1,7 @@
 """(y, y_hat) -> Score or Failure. Sees targets, never runs a candidate."""
 
 from asia.scoring._attribution import Attribution, attribute, gain
-from asia.scoring._bands import Bands, HeldOutErrors, output_bands
+from asia.scoring._bands import Bands, ErrorSizes, HeldOutErrors, error_sizes, output_bands
 from asia.scoring._confirmation import (
     ExpectedError,
     Interval,
@@ -55,6 +55,7 @@ __all__ = [
     "Bands",
     "Correlation",
     "Diagnostics",
+    "ErrorSizes",
     "Evidence",
     "ExpectedError",
     "Failure",
@@ -78,6 +79,7 @@ __all__ = [
     "corrected_level",
     "cross_correlation",
     "diagnose",
+    "error_sizes",
     "evidence_of_mean",
     "expected_error",
     "expected_lowest",

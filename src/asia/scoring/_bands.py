@@ -15,6 +15,8 @@ import numpy as np
 from asia.data import Array
 
 _HALVINGS = 50
+# Of so many values at most, the edge is one of them in order; of more it is found by halving.
+_FEW = 1 << 16
 # Steps of a window whose errors count as errors of one step, as a share of the window.
 _NEIGHBOURS = 0.02
 
@@ -37,8 +39,31 @@ class Bands:
     """(H, ny)."""
 
 
+@dataclass(frozen=True)
+class ErrorSizes:
+    """Sizes of held-out errors, in order: what bands of every level are made of."""
+
+    parts: tuple[tuple[tuple[Array, ...], ...], ...]
+    """For each output and each step of a window, one where errors do not depend on the step: the
+    sizes of each fold's errors, the smallest first."""
+    independent: tuple[float, ...]
+    """For each output, how many independent errors they are worth."""
+
+
+def error_sizes(folds: Sequence[HeldOutErrors], *, by_step: bool = False) -> ErrorSizes:
+    """The sizes of the errors of fold models. by_step: the blocks are windows of one length, and
+    errors depend on the step in it."""
+    parts: list[tuple[tuple[Array, ...], ...]] = []
+    independent: list[float] = []
+    for channel in range(folds[0].blocks[0].shape[1]):
+        errors = [[block[:, channel] for block in fold.blocks] for fold in folds]
+        parts.append(_parts(errors, by_step=by_step))
+        independent.append(independent_errors(errors))
+    return ErrorSizes(tuple(parts), tuple(independent))
+
+
 def output_bands(
-    folds: Sequence[HeldOutErrors],
+    errors: Sequence[HeldOutErrors] | ErrorSizes,
     y_hat: Array,
     level: float,
     wider: Array | None = None,
@@ -48,23 +73,24 @@ def output_bands(
     """Bands for the simulations (K, H, ny) of K fold models, which a measured output leaves with
     a probability of 1 - level.
 
-    folds: one a fold model. wider: (H,) factors of 1 or more on the errors, None for 1.
-    by_step: the blocks are windows of one length, and errors depend on the step in it.
+    errors: one a fold model, or their sizes, where many simulations have the same. wider: (H,)
+    factors of 1 or more on the errors, None for 1. by_step: as in `error_sizes`.
     Raises ValueError for a level outside (0, 1).
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level is {level}, expected a share between 0 and 1")
-    count, samples, outputs = y_hat.shape
+    sizes = errors if isinstance(errors, ErrorSizes) else error_sizes(errors, by_step=by_step)
+    _, samples, outputs = y_hat.shape
     factor = np.ones(samples) if wider is None else wider
     lower, upper = np.zeros((samples, outputs)), np.zeros((samples, outputs))
     for channel in range(outputs):
-        errors = [[block[:, channel] for block in fold.blocks] for fold in folds]
-        reach = raised_level(level, independent_errors(errors))
-        for part, sizes in _parts(errors, samples, by_step=by_step):
+        reach = raised_level(level, sizes.independent[channel])
+        steps = sizes.parts[channel]
+        for step, own in enumerate(steps[:samples]):
+            part = slice(step, samples if step == len(steps) - 1 else step + 1)
             centres = y_hat[:, part, channel]
-            upper[part, channel] = _edge(sizes, centres, factor[part], reach)
-            lower[part, channel] = -_edge(sizes, -centres, factor[part], reach)
-    assert count == len(folds)
+            upper[part, channel] = _edge(own, centres, factor[part], reach)
+            lower[part, channel] = -_edge(own, -centres, factor[part], reach)
     return Bands(lower, upper)
 
 
@@ -97,22 +123,15 @@ def raised_level(level: float, errors: float) -> float:
     return min(1.0, level * (1.0 + 1.0 / max(errors, 1.0)))
 
 
-def _parts(
-    errors: Sequence[Sequence[Array]], samples: int, *, by_step: bool
-) -> list[tuple[slice, list[Array]]]:
-    """The stretches of a simulation that have their own errors, with the sorted sizes of each
-    fold's errors."""
+def _parts(errors: Sequence[Sequence[Array]], *, by_step: bool) -> tuple[tuple[Array, ...], ...]:
+    """For each step that has its own errors, the sorted sizes of each fold's."""
     if not by_step:
-        return [(slice(0, samples), [np.sort(np.abs(np.concatenate(list(b)))) for b in errors])]
+        return (tuple(np.sort(np.abs(np.concatenate(list(b)))) for b in errors),)
     length = min(len(block) for blocks in errors for block in blocks)
     near = int(_NEIGHBOURS * length)
     stacked = [np.abs(np.stack([block[:length] for block in blocks])) for blocks in errors]
-    parts: list[tuple[slice, list[Array]]] = []
-    for step in range(min(length, samples)):
-        around = slice(max(0, step - near), step + near + 1)
-        stop = samples if step == length - 1 else step + 1
-        parts.append((slice(step, stop), [np.sort(s[:, around].ravel()) for s in stacked]))
-    return parts
+    around = [slice(max(0, step - near), step + near + 1) for step in range(length)]
+    return tuple(tuple(np.sort(s[:, part].ravel()) for s in stacked) for part in around)
 
 
 def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -> Array:
@@ -120,6 +139,10 @@ def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -
     sizes: sorted, one a fold; centres (K, H)."""
     total = sum(len(s) for s in sizes)
     wanted = level * total - 1e-9 * total
+    if total * centres.shape[1] <= _FEW:
+        every = [c + factor * s[:, None] for s, c in zip(sizes, centres, strict=True)]
+        rank = max(0, int(np.ceil(wanted)) - 1)
+        return np.partition(np.concatenate(every), rank, axis=0)[rank]
     low = np.min(centres, axis=0)
     most = np.array([s[-1] for s in sizes])
     high = np.max(centres + factor * most[:, None], axis=0)

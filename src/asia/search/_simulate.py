@@ -34,8 +34,9 @@ class BandedSimulation:
     level: float
     """The share of measured outputs that the bands are meant to hold."""
     outside: NDArray[np.bool_]
-    """Whether each sample (H,) is outside the region of validity: inputs and simulated outputs
-    are farther from the training records than 99 % of these are from their mean."""
+    """Whether each sample (H,) is outside the region of validity: a signal is far beyond its
+    training range, an input changes faster than it did there, or inputs and simulated outputs are
+    together farther from the mean than 99 % of the training samples. The bands are wider there."""
 
 
 @overload

@@ -35,11 +35,10 @@ from asia.sandbox import LEVELS
 from asia.scoring import Failure, mee_table, score_test
 from asia.seal._test import check_openable, open_test
 from asia.search._run import LOCK, make_evaluator
-from asia.search.final.bands import band_basis, models_behind
+from asia.search.final.bands import BAND_LEVEL, band_basis, models_behind
 from asia.search.final.members import FinalMember, final_members, has_model
 
 Answers = tuple[Array, ...]
-BAND_LEVEL = 0.9
 
 CONSENT = (
     "the candidates of run '{run}' ran at isolation level process, where a candidate can read "

@@ -11,7 +11,9 @@ from asia.evaluation import FoldFindings, StepErrors
 from asia.ledger import (
     Diagnostics,
     Evaluated,
+    Experiment,
     FoldEvidence,
+    Retest,
     RunSettings,
     SearchView,
     Store,
@@ -215,3 +217,18 @@ def test_the_noise_of_repeats_comes_from_fits_of_one_source(store: Store) -> Non
     assert same.result is not None
     copied = replace(same, result=replace(same.result, duplicate_of=1))
     assert noise_of_repeats(replace(seen, experiments=(first, copied))) is None
+
+
+def test_the_noise_is_that_of_the_experiments_that_are_compared(store: Store) -> None:
+    first, second = view(store, SCORE, Score(0.34, SCORE.folds)).experiments
+
+    def repeated(one: Experiment, value: float) -> Experiment:
+        assert one.result is not None
+        again = (Retest(value),)
+        return replace(one, result=replace(one.result, retests=again))
+
+    seen = replace(
+        view(store, SCORE, SCORE), experiments=(repeated(first, 1.3), repeated(second, 0.36))
+    )
+    assert noise_of_repeats(seen, {2}) == pytest.approx(0.02 / 2**0.5)
+    assert noise_of_repeats(seen, {7}) == noise_of_repeats(seen) > 0.5

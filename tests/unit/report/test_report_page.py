@@ -9,9 +9,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from asia import ledger
+from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.errors import InternalError
 from asia.ledger import Chain, Run, open_run
 from asia.problem.load import Seal, load_problem, lock_text
@@ -257,6 +259,32 @@ def test_the_bands_of_the_test_stand_beside_what_they_are_meant_to_hold(
     page = page_of(open_run(other))
     assert "87.3 %" in page
     assert "90.0 %" in page
+    assert 'class="outputs"' not in page_of(run)
+    drawn = page[page.index('id="test"') :]
+    assert drawn.count('class="outputs"') == 2 * drawn.count('class="line model"')
+    assert "output bands" in drawn
+
+
+def test_what_was_identified_stands_on_the_page_with_its_uncertainty(
+    make_run: Callable[..., Run],
+) -> None:
+    run = make_run()
+    assert 'id="identified"' not in page_of(run)
+    rows = (
+        ParameterEstimate("k1", 0.25, 0.012, 0.2264, 0.2736, "1/s", 0.001, 1.0),
+        ParameterEstimate(ATTACK, 1.0, 0.3, 0.4, 1.6, "", 0.001, 1.0),
+    )
+    correlation = np.array([[1.0, -0.987], [-0.987, 1.0]])
+    found = ParameterEstimates(rows, correlation, ("d(x)/dt = -0.25 * sqrt(x) <b>",))
+    name = ledger.put_estimates(run.store, found)
+    with Chain(run.directory / "ledger.jsonl") as chain:
+        chain.append(ledger.Refitted(4, None, "made up", estimates=name))
+    page = page_of(open_run(run.directory))
+    part = page[page.index('id="identified"') :]
+    for words in ("-0.25 * sqrt(x) &lt;b&gt;", "0.2264", "0.2736", "1/s", "-0.987", "upper end"):
+        assert words in part
+    assert "<script>alert" not in page
+    assert audit(page, run.directory, len(open_run(run.directory).lines)) > 10
 
 
 def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from asia.ledger import open_run
+from asia.candidate import ParameterEstimate, ParameterEstimates
+from asia.ledger import Chain, Refitted, open_run, put_estimates
 from asia.problem.load import Seal, load_problem, lock_text
 from asia.report import methods_paragraph, write_figures, write_tables
 from asia.report._paper.figures import COLUMN, PAGE
@@ -60,6 +62,17 @@ def test_tables_have_every_experiment_and_no_command_of_a_candidate(
         rows = [line for line in text.splitlines() if line.endswith(r"\\")]
         columns = {len(re.findall(r"(?<!\\)&", line)) for line in rows}
         assert len(columns) == 1
+
+
+def test_parameters_have_a_table_where_the_winner_has_some(run: Path, tmp_path: Path) -> None:
+    rows = (ParameterEstimate("k_1", 0.25, 0.012, 0.2264, 0.2736, "1/s", 0.001, 1.0),)
+    found = ParameterEstimates(rows, np.ones((1, 1)), ())
+    name = put_estimates(open_run(run).store, found)
+    with Chain(run / "ledger.jsonl") as chain:
+        chain.append(Refitted(3, None, "made up", estimates=name))
+    paths = {path.name: path for path in write_tables(run, tmp_path / "tables")}
+    table = paths["parameters.tex"].read_text("utf-8")
+    assert r"k\_1 & 0.25 & 1/s & 0.012 & 0.2264 to 0.2736 &  \\" in table
 
 
 def test_every_special_character_is_printed_as_it_is() -> None:

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asia.scoring import HeldOutErrors, output_bands, region_of
+from asia.scoring import HeldOutErrors, error_sizes, output_bands, region_of
 from asia.scoring._bands import independent_errors, raised_level
 
 
@@ -42,6 +42,17 @@ def test_fold_models_that_disagree_make_the_bands_wider() -> None:
     apart = np.stack([np.full((5, 1), -3.0), np.full((5, 1), 3.0)])
     alike, other = (output_bands(folds, y_hat, 0.9) for y_hat in (0.0 * apart, apart))
     assert np.all(other.upper - other.lower > alike.upper - alike.lower)
+
+
+def test_the_edge_is_the_same_in_order_and_by_halving(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(6)
+    sizes = error_sizes([HeldOutErrors((rng.normal(size=(150, 2)),)) for _ in range(3)])
+    y_hat = rng.normal(size=(3, 20, 2))
+    in_order = output_bands(sizes, y_hat, 0.9, np.linspace(1.0, 3.0, 20))
+    monkeypatch.setattr("asia.scoring._bands._FEW", 0)
+    halved = output_bands(sizes, y_hat, 0.9, np.linspace(1.0, 3.0, 20))
+    np.testing.assert_allclose(in_order.upper, halved.upper, atol=1e-9)
+    np.testing.assert_allclose(in_order.lower, halved.lower, atol=1e-9)
 
 
 def test_errors_of_windows_are_those_of_the_step() -> None:
@@ -98,3 +109,44 @@ def test_a_constant_input_has_a_region() -> None:
     region = region_of([(np.ones((50, 1)), np.arange(50.0)[:, None])])
     assert np.isfinite(region.distance(np.ones((2, 1)), np.ones((3, 1)), np.ones((3, 1)))).all()
     assert region.distance(np.ones((0, 1)), 2 * np.ones((3, 1)), np.ones((3, 1)))[0] > 1.0
+
+
+def held(rng: np.random.Generator, samples: int, longest: int) -> np.ndarray:
+    """Random levels between -1 and 1, each held for a random time."""
+    lengths = rng.integers(max(1, longest // 5), longest + 1, samples)
+    return np.repeat(rng.uniform(-1.0, 1.0, samples), lengths)[:samples, None]
+
+
+def lagged(u: np.ndarray) -> np.ndarray:
+    y = np.zeros_like(u)
+    for t in range(1, len(u)):
+        y[t] = 0.8 * y[t - 1] + 0.2 * u[t - 1]
+    return y
+
+
+@pytest.mark.parametrize(
+    ("scale", "longest", "least", "most"),
+    [(1.0, 20, 0.0, 0.1), (1.5, 20, 0.1, 1.0), (1.0, 3, 0.1, 1.0), (0.5, 20, 0.0, 0.1)],
+)
+def test_larger_and_faster_inputs_are_outside(
+    scale: float, longest: int, least: float, most: float
+) -> None:
+    shares = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        u = held(rng, 1000, 20)
+        region = region_of([(u, lagged(u))])
+        new = scale * held(rng, 800, longest)
+        shares.append(np.mean(region.distance(new[:0], new, lagged(new)) > 1.0))
+    assert least <= min(shares)
+    assert max(shares) <= most
+
+
+def test_a_window_without_a_past_changes_as_usual() -> None:
+    rng = np.random.default_rng(8)
+    u = held(rng, 2000, 20)
+    y = lagged(u)
+    region = region_of([(u, y)])
+    starts = range(100, 1900, 50)
+    shares = [np.mean(region.distance(u[:0], u[s : s + 50], y[s : s + 50]) > 1.0) for s in starts]
+    assert np.mean(shares) < 0.1

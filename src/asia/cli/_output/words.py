@@ -76,8 +76,10 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     proposed = experiment.proposed
     title = f"{proposed.agent}: {proposed.title}" if proposed.agent else proposed.title
     asked = "" if view.started.early_stopping == "inner" else f" | {validation_score_words(r):<21}"
+    # As wide as `inconclusive` with its figures.
+    outcome = f"{r.status:<7} {found}"
     return (
-        f"#{experiment.number:02d} {r.status:<7} {found:<25}  {duration(r.seconds):>6}  "
+        f"#{experiment.number:02d} {outcome:<38}  {duration(r.seconds):>6}  "
         f"{title:<44}{asked} | {tail}"
     )
 

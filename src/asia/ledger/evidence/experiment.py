@@ -83,7 +83,8 @@ class ExperimentEvidence:
     differences: tuple[ComparedScore, ...]
     """V beside that of the parent and of the best before it."""
     noise: float | None
-    """The standard deviation of V over repeats; None where it was not measured."""
+    """The standard deviation of V over repeats, of the experiments in `differences` and this one
+    where they were repeated; None where it was not measured."""
     printed: str
     """What a failed fit printed; "" where there are folds."""
     failed_fold: str
@@ -124,6 +125,8 @@ def evidence_of(
     names = view.started.folds or ("",) * len(result.folds)
     values = [f.value for f in score.folds] if score and score.folds else [None] * len(known)
     rows = zip(names, values, result.folds, known, strict=True) if result.folds else ()
+    differences = _differences(experiment, view)
+    compared = {experiment.number, *(one.experiment for one in differences)}
     failed = result.output is not None and not result.folds and not bounded
     return ExperimentEvidence(
         setting=setting,
@@ -134,8 +137,8 @@ def evidence_of(
         residuals=shared_residuals([one.residuals for one in findings]),
         held_out_residuals=shared_residuals([one.held_out_residuals for one in findings]),
         parameters=parameter_spreads(findings),
-        differences=_differences(experiment, view),
-        noise=None if bounded else noise_of_repeats(view),
+        differences=differences,
+        noise=None if bounded else noise_of_repeats(view, compared),
         printed=store.text(result.output) if failed and result.output else "",
         failed_fold=_failed_fold(experiment, view),
     )

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Collection, Sequence
 from statistics import fmean, variance
 
 from asia.ledger._exports import error_value
-from asia.ledger._view import SearchView
+from asia.ledger._view import Experiment, SearchView
 from asia.scoring import least_significant_difference
 
 
-def noise_of_repeats(view: SearchView) -> float | None:
+def noise_of_repeats(view: SearchView, among: Collection[int] = ()) -> float | None:
     """The standard deviation of V over fits of one and the same source, pooled over the sources
-    that were judged more than once; None where no source was."""
+    that were judged more than once; None where no source was. among: experiments that are asked
+    about: where one of these was repeated, the others do not count, for a family far above them in
+    V has another luck."""
+    own = _pooled([e for e in view.finished if e.number in among])
+    return _pooled(view.finished) if own is None else own
+
+
+def _pooled(experiments: Sequence[Experiment]) -> float | None:
     values: defaultdict[str, list[float]] = defaultdict(list)
-    for experiment in view.finished:
+    for experiment in experiments:
         result, score = experiment.result, experiment.score
         if score is not None and result is not None and result.duplicate_of is None:
             values[experiment.proposed.digest] += experiment.seed_values

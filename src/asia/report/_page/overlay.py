@@ -33,6 +33,8 @@ class Overlay:
     """(H, ny)."""
     skip: int = 0
     """Samples at the start that do not count."""
+    band: tuple[Array, Array] | None = None
+    """Lower and upper edges (H, ny) of the output bands; None without any."""
 
     def cut(self, first: int, last: int) -> Overlay:
         """From one sample to another, both counted from its start and kept within it; at least
@@ -45,18 +47,21 @@ class Overlay:
             measured=self.measured[begin:end],
             simulated=self.simulated[begin:end],
             skip=max(0, min(self.skip, end) - begin),
+            band=None if self.band is None else (self.band[0][begin:end], self.band[1][begin:end]),
         )
 
 
 def draw_overlays(problem: Problem, overlays: Sequence[Overlay]) -> Html:
     """The first `MOST_PANELS`, with a legend."""
     shown = [draw_overlay(problem, one) for one in overlays[:MOST_PANELS]]
-    return join((overlay_legend(), tag("div", *shown, class_="grid")))
+    banded = any(one.band is not None for one in overlays)
+    return join((overlay_legend(banded=banded), tag("div", *shown, class_="grid")))
 
 
-def overlay_legend() -> Html:
-    """Which curve is which."""
-    return legend([("measured", "measured"), ("model", "simulated"), ("error", "difference")])
+def overlay_legend(*, banded: bool = False) -> Html:
+    """Which curve is which. banded: output bands are among them."""
+    words = [("measured", "measured"), ("model", "simulated"), ("error", "difference")]
+    return legend([*words, *([("outputs", "output bands")] if banded else [])])
 
 
 def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
@@ -76,5 +81,8 @@ def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
             measured=overlay.measured[:, overlay.channel],
             simulated=overlay.simulated[:, overlay.channel],
             skip=overlay.skip,
+            band=None
+            if overlay.band is None
+            else (overlay.band[0][:, overlay.channel], overlay.band[1][:, overlay.channel]),
         )
     )

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from asia.ledger import metric_of, open_run, write_whole
+from asia.ledger import DrawnCurve, Run, get_curves, metric_of, open_run, write_whole
 from asia.problem.load import load_lock
 from asia.report._drawing.style import drawing
-from asia.report._write import pictures, progress_picture
+from asia.report._pictures.dossier import draw_dossier
+from asia.report._write import Picture, pictures, progress_picture
+from asia.scoring.dossier import Check, CheckCurve
 
 COLUMN: Final = 3.5
 """Width of a column, in inches: 88.9 mm, as IEEE and Elsevier have it."""
@@ -32,11 +36,37 @@ def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:
     """See `asia.report.write_figures`."""
     run = open_run(run_directory)
     if run.store.kept:
-        drawn = list(pictures(run, load_lock(run_directory / "problem.lock.toml")))
+        drawn = [
+            *pictures(run, load_lock(run_directory / "problem.lock.toml")),
+            *_dossiers(run),
+        ]
     else:
         drawn = [progress_picture(run, metric_of(run_directory))]
     directory.mkdir(parents=True, exist_ok=True)
     return tuple(path for name, draw in drawn for path in _save(name, draw, directory))
+
+
+def _dossiers(run: Run) -> Iterator[Picture]:
+    """Of the folds and of each new record, as the ledger keeps them."""
+    for place, found in enumerate(run.view.validated):
+        said = {one.name: one for one in found.checks}
+        checks = tuple(
+            Check(
+                drawn.name,
+                said[drawn.name].verdict,
+                said[drawn.name].sentence,
+                curves=tuple(_curve(one) for one in drawn.curves),
+                axes=drawn.axes,
+            )
+            for drawn in get_curves(run.store, found.curves)
+        )
+        counts = f"pass {found.passed}, doubt {found.doubtful}, fail {found.failed}"
+        name = "validation" if place == 0 else f"validation-{place + 1}"
+        yield name, partial(draw_dossier, checks, counts)
+
+
+def _curve(one: DrawnCurve) -> CheckCurve:
+    return CheckCurve(one.name, np.array(one.x), np.array(one.y), one.band)
 
 
 def _width(draw: Callable[[], Figure]) -> float:

@@ -102,8 +102,22 @@ def _found(view: SearchView) -> Iterator[str]:
         f"The best candidate, number {best.number} ({_words(best.proposed.title)}), has "
         f"{view.v_name} = {error_value(best.score.value)} (folds {folds})."
     )
+    yield from _confirmed(view)
     if view.refitted is not None:
         yield f"The model handed over is {_MODELS[named.model]}, chosen without test data."
+
+
+def _confirmed(view: SearchView) -> Iterator[str]:
+    found = view.confirmed
+    if found is None or found.expected is None:
+        return
+    ends = f"{error_value(found.expected.low)} to {error_value(found.expected.high)}"
+    yield (
+        f"After the search the {len(found.candidates)} candidates with the lowest V were fitted "
+        f"again, from {found.seeds} seeds; on a new record of the same kind a fold model of the "
+        f"best of the {found.tried} tried is expected to have {error_value(found.expected.value)} "
+        f"({100 * found.expected_level:g} % interval {ends})."
+    )
 
 
 def _tested(view: SearchView) -> Iterator[str]:
@@ -125,6 +139,10 @@ def _tested(view: SearchView) -> Iterator[str]:
     if opened.horizon is None:
         how = f"the first {opened.skip} samples of each left out"
     yield f"On them its error is {errors} ({how})."
+    if opened.bands is not None and opened.bands.model == named.model:
+        names = zip(opened.channels, opened.bands.covered, strict=True)
+        held = ", ".join(f"{100 * share:.1f} % of {_words(name)}" for name, share in names)
+        yield f"Output bands of {100 * opened.bands.level:g} % held {held}."
 
 
 def _words(text: str) -> str:

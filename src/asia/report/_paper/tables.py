@@ -9,10 +9,12 @@ from pathlib import Path
 from asia._text import one_line
 from asia.ledger import (
     Experiment,
+    IdentifiedModel,
     SearchView,
     TestedModel,
     Unsealed,
     error_value,
+    identified,
     metric_of,
     model_to_use,
     open_run,
@@ -39,6 +41,9 @@ def write_tables(run_directory: Path, directory: Path) -> tuple[Path, ...]:
     run = open_run(run_directory)
     view = run.view
     tables = {"experiments": _experiments(view), "winner": _winner(view, metric_of(run_directory))}
+    found = identified(run)
+    if found is not None and found.parameters:
+        tables["parameters"] = _parameters(view, found)
     if view.unsealed is not None:
         tables["test"] = _test(view, view.unsealed)
     directory.mkdir(parents=True, exist_ok=True)
@@ -98,6 +103,21 @@ def _winner(view: SearchView, metric: str) -> str:
     ]
     what = f"The winner beside the rungs, {metric_label(metric)} over the variation of the output"
     return _table("l" + "r" * (folds + 1), head, rows, _note(view, what))
+
+
+def _parameters(view: SearchView, found: IdentifiedModel) -> str:
+    """Of the refit, with their uncertainty."""
+    rows: list[list[str]] = []
+    for one in (row.fitted for row in found.parameters):
+        interval = "--"
+        if one.low is not None and one.high is not None:
+            interval = f"{one.low:.4g} to {one.high:.4g}"
+        error = "--" if one.standard_error is None else f"{one.standard_error:.2g}"
+        remark = "" if one.identifiable else "not identifiable"
+        rows.append([latex(one.name), f"{one.value:.5g}", latex(one.unit), error, interval, remark])
+    head = ["Parameter", "Value", "Unit", "Standard error", r"95\,\% interval", ""]
+    what = "Parameters of the winner, fitted to all training records"
+    return _table("lrlrrl", head, rows, _note(view, what))
 
 
 def _test(view: SearchView, opened: Unsealed) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from asia.report._drawing.style import (
     BLUE,
@@ -32,6 +33,9 @@ _VERDICTS = {
     Verdict.ABSENT: QUIET,
 }
 _LOGARITHMIC = frozenset({"frequency response", "error spectrum"})
+# Curves of so few points are marked at each.
+_FEW_POINTS = 12
+_MOST_LETTERS = 40
 
 
 def draw_dossier(checks: Sequence[Check], title: str) -> Figure:
@@ -49,18 +53,40 @@ def draw_dossier(checks: Sequence[Check], title: str) -> Figure:
 
 
 def _draw(axes: Axes, check: Check) -> None:
-    for colour, curve in zip(_COLOURS, check.curves[:_MOST_CURVES], strict=False):
+    shown = check.curves[:_MOST_CURVES]
+    common = _common([curve.name for curve in shown])
+    for colour, curve in zip(_COLOURS, shown, strict=False):
         if curve.band is not None:
             axes.axhspan(-curve.band, curve.band, color=SHADE, lw=0, zorder=0)
-        axes.plot(curve.x, curve.y, color=colour, lw=1.0, label=plain(curve.name, 34))
+        name = plain(curve.name[len(common) :], _MOST_LETTERS)
+        mark = "o" if len(curve.x) <= _FEW_POINTS else ""
+        axes.plot(curve.x, curve.y, color=colour, lw=1.0, marker=mark, ms=3.0, label=name)
     if check.name in _LOGARITHMIC:
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        _logarithmic(axes)
     elif any(curve.band is not None for curve in check.curves):
         axes.axhline(0.0, color=INK, lw=0.7)
+    elif all(len(curve.x) <= _FEW_POINTS for curve in shown):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_title(f"{check.name}: {check.verdict}", color=_VERDICTS[check.verdict])
     axes.set_xlabel(check.axes[0])
     axes.set_ylabel(check.axes[1])
-    if len(check.curves) > 1:
-        axes.legend(fontsize=6.0)
+    if len(shown) > 1:
+        title = plain(common.rstrip(" ,"), _MOST_LETTERS)
+        axes.legend(fontsize=6.0, title=title or None, title_fontsize=6.0, alignment="left")
     quiet_grid(axes)
+
+
+def _common(names: Sequence[str]) -> str:
+    """What stands before the first comma, where it is the same in all names."""
+    first = names[0].partition(", ")[0] + ", "
+    return first if len(names) > 1 and all(name.startswith(first) for name in names) else ""
+
+
+def _logarithmic(axes: Axes) -> None:
+    """Both axes, with plain numbers."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(numticks=6))
+        axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+        axis.set_minor_locator(NullLocator())

@@ -198,7 +198,7 @@ def _mark(axes: Axes, search: _Points) -> None:
         )
     if search.discarded:
         x, y = [p.number for p in search.discarded], [p.value for p in search.discarded]
-        axes.plot(x, y, "o", mfc="white", mec=QUIET, ms=5.0, zorder=4, label="discarded")
+        axes.plot(x, y, "o", mfc="white", mec=QUIET, ms=5.0, zorder=4, label="not kept")
     if search.guard:
         x, y = [p.number for p in search.guard], [p.value for p in search.guard]
         axes.plot(

@@ -6,6 +6,7 @@ own correlation, and only where that part is large enough to matter.
 """
 
 from asia.scoring.dossier.ahead import check_ahead, no_steps_ahead
+from asia.scoring.dossier.banded import check_bands, no_bands
 from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict, most_serious, summary
 from asia.scoring.dossier.gain import check_gain
 from asia.scoring.dossier.long_run import HORIZONS, check_long_run
@@ -34,6 +35,7 @@ __all__ = [
     "SimulatedBlocks",
     "Verdict",
     "check_ahead",
+    "check_bands",
     "check_frequency_response",
     "check_gain",
     "check_long_run",
@@ -44,6 +46,7 @@ __all__ = [
     "frequency_response_of",
     "impulse_response",
     "most_serious",
+    "no_bands",
     "no_steps_ahead",
     "poles",
     "residual_checks",

@@ -98,7 +98,7 @@ def check_inputs(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
             one = with_input(found.residuals(output), found.input(number))
             band = one.band * _wider(pairs * len(one.lags))
             lags = np.array(one.lags, dtype=np.float64)
-            curves.append(CheckCurve(f"{name} with {other}", lags, one.values, one.band))
+            curves.append(CheckCurve(f"{name} with {other}", lags, one.values, band))
             past = lags >= 0
             peak = float(np.max(np.abs(one.values[past])) / max(band, 1e-300))
             if output == worst.output and peak > best[0]:

@@ -15,6 +15,8 @@ from asia.scoring.dossier.response import LinearResponse, frequency_response_of
 
 _LONGEST, _SHORTEST = 256, 16
 _COHERENT = 0.8
+# Below it the gain of the data is mostly noise, and is not drawn.
+_DRAWN = 0.5
 _OFF, _FAR_OFF = 0.25, 0.5
 _CHANCE = 1e-4
 _TOO_SHORT = (
@@ -130,6 +132,12 @@ def _judged(
         sentence = f"nowhere is the coherence of an input and an output above {_COHERENT:g}"
         return Check(title, Verdict.SHOWN, sentence, curves=curves, axes=axes)
     size, frequency, coherence, pair = worst
+    if size == 0.0:
+        sentence = (
+            "the gain of the simulation is that of the data, within chance, wherever the coherence "
+            f"is above {_COHERENT:g}"
+        )
+        return Check(title, Verdict.PASS, sentence, curves=curves, axes=axes)
     words = f"{pair} at {frequency} Hz is {percent(size)} off the data (coherence {coherence:.2f})"
     if size < _OFF:
         return Check(title, Verdict.PASS, f"at most, {words}", curves=curves, axes=axes)
@@ -140,7 +148,7 @@ def _judged(
 def _off(one: Spectra) -> tuple[float, str, float] | None:
     """The largest relative difference of the two gains beyond chance, the frequency, and the
     coherence there; None where no line is coherent."""
-    coherence = np.abs(one.output_cross) ** 2 / np.maximum(one.input * one.output, 1e-300)
+    coherence = _coherence(one)
     judged = (coherence >= _COHERENT) & (one.input > 1e-6 * one.input.max())
     if not judged.any():
         return None
@@ -153,14 +161,23 @@ def _off(one: Spectra) -> tuple[float, str, float] | None:
     return float(size[place]), f"{one.frequency[place]:.3g}", float(coherence[place])
 
 
+def _coherence(one: Spectra) -> Array:
+    return np.abs(one.output_cross) ** 2 / np.maximum(one.input * one.output, 1e-300)
+
+
 def _drawn(
     one: Spectra, linear: Sequence[LinearResponse], pair: str, name: str, output: int, ts: float
 ) -> list[CheckCurve]:
     power = np.maximum(one.input, 1e-300)
     model = np.abs(one.output_cross - one.residual_cross) / power
+    clear = _coherence(one) >= _DRAWN
+    words = f", coherence above {_DRAWN:g}"
+    if not clear.any():
+        clear, words = np.ones_like(clear), ""
+    frequency = one.frequency[clear]
     curves = [
-        CheckCurve(f"{pair}, data", one.frequency, np.abs(one.output_cross) / power),
-        CheckCurve(f"{pair}, simulation", one.frequency, model),
+        CheckCurve(f"{pair}, data{words}", frequency, (np.abs(one.output_cross) / power)[clear]),
+        CheckCurve(f"{pair}, simulation{words}", frequency, model[clear]),
     ]
     for response in linear:
         if response.input == name:

@@ -27,12 +27,12 @@ from asia.ledger import (
 from asia.problem.frequency import responses
 from asia.problem.load import Problem, load_lock, read_record
 from asia.protocol import Block, whole
-from asia.scoring import region_of
 from asia.scoring.dossier import (
     Check,
     SimulatedBlock,
     SimulatedBlocks,
     check_ahead,
+    check_bands,
     check_frequency_response,
     check_gain,
     check_long_run,
@@ -40,14 +40,16 @@ from asia.scoring.dossier import (
     check_region,
     check_responses,
     check_spectrum,
+    no_bands,
     no_steps_ahead,
     residual_checks,
     summary,
 )
 from asia.search._run import LOCK, make_evaluator
+from asia.search._simulate import simulate_members
 from asia.search.dossier.probes import ProbeRange, Simulator, linear_responses, long_run, starts
 from asia.search.dossier.recording import record_dossier
-from asia.search.final.bands import band_basis
+from asia.search.final.bands import BAND_LEVEL, BandBasis, band_basis, models_behind
 from asia.search.final.members import FinalMember, final_members
 
 
@@ -156,9 +158,26 @@ class _Validation:
                 for (b, error), y in zip(pairs, y_hat, strict=True)
             )
         )
-        region = region_of([(r.u, r.y) for r in self.evaluator.records])
         ahead = () if self.evaluator.horizon is None else (self._of_windows(pairs),)
-        return (*self._of_residuals(found), *ahead, check_region(found, region))
+        basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
+        bands = self._bands(basis, blocks, y_hat)
+        return (*self._of_residuals(found), *ahead, check_region(found, basis.region), bands)
+
+    def _bands(self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]) -> Check:
+        """How much of a new record the output bands hold."""
+        behind = models_behind(self.run.view, self.use)
+        self.progress("output bands")
+        try:
+            each = simulate_members(self.evaluator, self.run, behind, blocks)
+        except CandidateError:
+            return no_bands("a fold model does not simulate this record")
+        held, known = 0.0, 0
+        for block, folds, mean in zip(blocks, each, y_hat, strict=True):
+            bands, _ = basis.around(block.case, folds, mean, BAND_LEVEL)
+            inside = (bands.lower <= block.y) & (block.y <= bands.upper)
+            held, known = held + inside.sum(axis=0), known + (~np.isnan(block.y)).sum(axis=0)
+        outputs = [s.name for s in self.problem.outputs]
+        return check_bands(held / np.maximum(known, 1), outputs, BAND_LEVEL)
 
     def _simulations(self, blocks: tuple[SimulatedBlock, ...]) -> SimulatedBlocks:
         inputs = tuple(s.name for s in self.problem.inputs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,23 @@ from asia.data import Array, filled
 from asia.evaluation import Evaluator
 from asia.ledger import Experiment, SearchView, Store, Use
 from asia.protocol import Case, Fold
-from asia.scoring import Bands, HeldOutErrors, Region, output_bands, region_of
+from asia.scoring import (
+    Bands,
+    ErrorSizes,
+    HeldOutErrors,
+    Region,
+    error_sizes,
+    output_bands,
+    region_of,
+)
 from asia.search.final.members import FinalMember, final_members
+
+BAND_LEVEL = 0.9
+"""Of the bands that are drawn and recorded."""
+
+# Of the differences between the fold models. Held-out errors have the luck of a fold model in
+# them already; the whole differences would count it twice.
+_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -27,15 +43,20 @@ class BandBasis:
     windows: bool
     """Whether the protocol simulates windows, so that errors depend on the step."""
 
+    @cached_property
+    def _sizes(self) -> ErrorSizes:
+        return error_sizes(self.errors, by_step=self.windows)
+
     def around(
         self, case: Case, folds: Array, y_hat: Array, level: float
     ) -> tuple[Bands, NDArray[np.bool_]]:
         """Bands at the level, and whether each sample (H,) is outside the region of validity,
         where the bands are wider in proportion to the distance. folds: the simulations (K, H, ny)
         of the fold models; y_hat (H, ny) that of the final model, which the bands always hold."""
+        centres = y_hat + _SHARE * (folds - folds.mean(axis=0))
         distance = self.region.distance(case.past_u, case.u, y_hat)
         wider = np.maximum(distance, 1.0)
-        found = output_bands(self.errors, folds, level, wider, by_step=self.windows)
+        found = output_bands(self._sizes, centres, level, wider)
         bands = Bands(np.minimum(found.lower, y_hat), np.maximum(found.upper, y_hat))
         return bands, distance > 1.0
 

@@ -17,6 +17,7 @@ from asia.scoring.dossier import (
     SimulatedBlocks,
     Verdict,
     check_ahead,
+    check_bands,
     check_frequency_response,
     check_gain,
     check_long_run,
@@ -27,6 +28,7 @@ from asia.scoring.dossier import (
     frequency_response_of,
     impulse_response,
     most_serious,
+    no_bands,
     poles,
     residual_checks,
     summary,
@@ -191,3 +193,25 @@ def test_the_error_spectrum_is_shown_with_the_noise(random: np.random.Generator)
     assert check.verdict is Verdict.SHOWN
     assert "noise 10 %" in check.sentence
     assert len(check.curves) == 2
+
+
+def test_bands_that_hold_too_little() -> None:
+    names = ("a", "b", "c", "d")
+    good = check_bands(np.array([0.91, 0.84, 0.9, 1.0]), names, 0.9)
+    assert good.verdict is Verdict.PASS
+    assert good.sentence == "output bands of 90 % held at least: b 84 %, c 90 %, a 91 %"
+    assert check_bands(np.array([0.79]), ("a",), 0.9).verdict is Verdict.DOUBT
+    assert check_bands(np.array([0.45]), ("a",), 0.9).verdict is Verdict.FAIL
+    assert no_bands("why").verdict is Verdict.ABSENT
+
+
+def test_the_gain_of_the_data_is_drawn_where_it_is_clear(random: np.random.Generator) -> None:
+    u = held_steps(random)
+    y_hat = signal.lfilter(B, A, u)
+    slow = signal.lfilter([0.02], [1.0, -0.98], u)
+    noisy = slow + 0.05 * random.standard_normal(SAMPLES)
+    check = check_frequency_response(simulations(slow, noisy, u), ())
+    assert check.curves[0].name == "valve to level, data, coherence above 0.5"
+    assert "within chance" in check.sentence
+    clear = check_frequency_response(simulations(y_hat, y_hat, u), ())
+    assert 0 < len(check.curves[0].x) < len(clear.curves[0].x)

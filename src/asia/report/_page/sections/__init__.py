@@ -9,10 +9,7 @@ from typing import Final
 
 from asia.report._page.section import Section
 from asia.report._page.sections import (
-    ablation,
     accuracy,
-    bands,
-    confirmation,
     experiments,
     handover,
     integrity,
@@ -24,10 +21,12 @@ from asia.report._page.sections import (
     validation,
     verdict,
 )
+from asia.report._page.sections.evidence import ablation, bands, confirmation, identified
 
 SECTIONS: Final[tuple[Section, ...]] = (
     verdict.SECTION,
     model.SECTION,
+    identified.SECTION,
     accuracy.SECTION,
     validation.SECTION,
     confirmation.SECTION,

@@ -27,7 +27,10 @@ def _write(subject: Subject) -> Html | None:
             parts.append(table(head, rows, "The models that the search ends with"))
         parts += [_stack(subject, refitted), _again(subject, refitted)]
     name = one_line(view.started.run, 120).replace('"', "'")
-    source = f'import asia\n\ny_hat = asia.simulate("runs/{name}", past_u, past_y, u)\n'
+    source = (
+        f'import asia\n\nfound = asia.simulate("runs/{name}", past_u, past_y, u, bands=0.9)\n'
+        "found.y_hat, found.lower, found.upper, found.outside\n"
+    )
     parts += [tag("h3", "In a program"), python(source, "how to simulate with the model")]
     return join(parts)
 

@@ -142,6 +142,10 @@ def _pictures(subject: Subject, opened: Unsealed) -> Html | None:
     shapes = [(length, len(opened.channels)) for length in opened.lengths]
     measured = subject.run.store.get_arrays(opened.measured, shapes)
     simulated = subject.run.store.get_arrays(chosen[2].y_hat, shapes)
+    edges = None
+    if opened.bands is not None and opened.bands.model == chosen[0]:
+        stored = (opened.bands.lower, opened.bands.upper)
+        edges = [subject.run.store.get_arrays(one, shapes) for one in stored]
     parts = [
         Overlay(
             title=join((said(name), ", ", chosen[1])),
@@ -151,6 +155,7 @@ def _pictures(subject: Subject, opened: Unsealed) -> Html | None:
             measured=measured[i],
             simulated=simulated[i],
             skip=opened.skip,
+            band=None if edges is None else (edges[0][i], edges[1][i]),
         )
         for i, name in enumerate(opened.trajectories)
         for channel in range(len(problem.outputs))

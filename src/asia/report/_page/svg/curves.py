@@ -41,6 +41,8 @@ class Curves:
     """(H,)."""
     skip: int = 0
     """Samples at the start that do not count."""
+    band: tuple[Array, Array] | None = None
+    """Lower and upper edge (H,) of the output bands; None without any."""
 
 
 def draw_curves(curves: Curves) -> Html:
@@ -49,8 +51,10 @@ def draw_curves(curves: Curves) -> Html:
     low, high = _limits(y, y_hat)
     error = y - y_hat
     most = float(np.nanmax(np.abs(error), initial=0.0)) or 1.0
-    upper = _panel(_HEIGHT, Scale(low, high, _HEIGHT, 0), [("measured", y), ("model", y_hat)])
-    lower = _panel(_STRIP, Scale(-most, most, _STRIP, 0), [("error", error)])
+    around = None if curves.band is None else (curves.band[0] - y_hat, curves.band[1] - y_hat)
+    lines = [("measured", y), ("model", y_hat)]
+    upper = _panel(_HEIGHT, Scale(low, high, _HEIGHT, 0), lines, curves.band)
+    lower = _panel(_STRIP, Scale(-most, most, _STRIP, 0), [("error", error)], around)
     end = curves.start + curves.step * len(y)
     across = Scale(curves.start, end, 0, 100)
     marks = [
@@ -108,12 +112,18 @@ def _values(low: float, high: float, most: int = 4) -> Html:
     return tag("div", *marks, class_="values scale", aria_hidden="true")
 
 
-def _panel(height: int, scale: Scale, lines: Sequence[tuple[str, Array]]) -> Html:
+def _panel(
+    height: int,
+    scale: Scale,
+    lines: Sequence[tuple[str, Array]],
+    band: tuple[Array, Array] | None = None,
+) -> Html:
     parts = [_line(name, values, scale) for name, values in lines]
     zero = round(scale.at(0.0)) if scale.low < 0 < scale.high else None
     rule = None if zero is None else tag("path", d=f"M0 {zero}H{_WIDTH}", class_="zero")
     return tag(
         "svg",
+        None if band is None else _between(*band, scale),
         rule,
         *parts,
         viewBox=f"0 0 {_WIDTH} {height}",
@@ -132,6 +142,15 @@ def _line(name: str, values: Array, scale: Scale) -> Html:
         places = [f"{round(across.at(first + i))} {round(scale.at(v))}" for i, v in points]
         parts.append(f"M{'L'.join(places)}" + ("h1" if len(places) == 1 else ""))
     return tag("path", d="".join(parts), class_=f"line {name}")
+
+
+def _between(lower: Array, upper: Array, scale: Scale) -> Html:
+    """The area between two edges, as far as the panel shows it."""
+    across = Scale(0, max(len(lower) - 1, 1), 0, _WIDTH)
+    edges = [np.clip(edge, scale.low, scale.high).tolist() for edge in (upper, lower)]
+    there, back = (thinned(edge, _COLUMNS) for edge in edges)
+    places = [f"{round(across.at(i))} {round(scale.at(v))}" for i, v in (*there, *reversed(back))]
+    return tag("path", d=f"M{'L'.join(places)}Z", class_="outputs")
 
 
 def _stretches(values: Array) -> list[tuple[int, int]]:

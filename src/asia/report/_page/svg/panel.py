@@ -11,6 +11,8 @@ from asia.report._page.svg.scales import Scale, written
 
 _WIDTH, _HEIGHT = 600, 180
 _MARGIN = 0.06
+# Curves of so few points stand over numbers of folds or records, which are whole.
+_FEW_POINTS = 12
 
 
 def draw_panel(check: DrawnCheck, *, log: bool) -> Html:
@@ -48,7 +50,7 @@ def draw_panel(check: DrawnCheck, *, log: bool) -> Html:
             role="img",
             aria_label=f"{check.name}: {check.axes[1]} over {check.axes[0]}, of {names}",
         ),
-        tag("div", *_times(across, log=log), class_="times scale"),
+        tag("div", *_times(across, log=log, whole=_are_few(check)), class_="times scale"),
         tag("div", said(check.axes[0]), class_="axis right"),
         class_="curves panel",
     )
@@ -104,9 +106,14 @@ def _values(up: Scale, *, log: bool) -> list[Html]:
     return [tag("span", written(t), style=f"top:{at:.1f}%") for t, at in places if 3 <= at <= 97]
 
 
-def _times(across: Scale, *, log: bool) -> list[Html]:
+def _are_few(check: DrawnCheck) -> bool:
+    return all(len(c.x) <= _FEW_POINTS and all(x == int(x) for x in c.x) for c in check.curves)
+
+
+def _times(across: Scale, *, log: bool, whole: bool) -> list[Html]:
     share = 100 / _WIDTH
-    places = [(t, share * across.at(t)) for t in _ticks(across, 6, log=log)]
+    ticks = [t for t in _ticks(across, 6, log=log) if not whole or t == int(t)]
+    places = [(t, share * across.at(t)) for t in ticks]
     return [tag("span", written(t), style=f"left:{at:.2f}%") for t, at in places if at <= 96]
 
 
