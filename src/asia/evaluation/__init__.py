@@ -22,6 +22,7 @@ from asia.evaluation._results import (
 )
 from asia.evaluation._rungs import LINEAR, LINEAR_RUNG, MEAN_RUNG, TRUTH, Rung, score_rungs
 from asia.evaluation._training_checks import TrainingCheck
+from asia.evaluation.work.beside import SPARE_TURN, Beside
 from asia.evaluation.work.survey import MachineState, survey_machines
 
 __all__ = [
@@ -29,7 +30,9 @@ __all__ = [
     "LINEAR",
     "LINEAR_RUNG",
     "MEAN_RUNG",
+    "SPARE_TURN",
     "TRUTH",
+    "Beside",
     "DryFold",
     "DryRun",
     "Evaluation",

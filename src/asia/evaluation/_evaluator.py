@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import repeat
 from typing import TypeVar
 
 import numpy as np
@@ -101,14 +102,21 @@ class Evaluator(WorkerRunner):
         )
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
 
+    @property
+    def may_fit_ahead(self) -> bool:
+        """Whether fits that turn out not to be needed may be made: not one by one, nor where each
+        of them may ask for validation scores, which are counted."""
+        return not self.one_by_one and self._rule.early_stopping == "inner"
+
     def evaluate(self, source: str, start: int = 0) -> Evaluation:
         """Fit and simulate `source` on every fold. A failed fold fails the candidate. start: fits
         from another start have seeds of their own, the same for all candidates; 0 in a search."""
         return self._evaluate(source, start, None)
 
     def evaluate_first(self, source: str, over: float | None) -> Evaluation:
-        """As `evaluate`, for a first fit. over: no fold is begun once V must be above it, and the
-        outcome is a Failure with reason BEHIND; None where every fold counts."""
+        """As `evaluate`, for a first fit. over: no fold is begun once V must be above it, those
+        under way are ended, and the outcome is a Failure with reason BEHIND; None where every
+        fold counts."""
         if over is None:
             return self.evaluate(source)
         return self._evaluate(source, 0, FoldBound(len(self.folds), over))
@@ -124,13 +132,14 @@ class Evaluator(WorkerRunner):
             if bound is None:
                 ends = self._run(jobs)
             else:
-                begun = self._run([partial(bound.fit, i, job) for i, job in enumerate(jobs)])
+                stoppable = map(partial, repeat(self.stoppable), bound.stops, jobs)
+                begun = self._run([partial(bound.fit, i, job) for i, job in enumerate(stoppable)])
                 ends = [end for end in begun if end is not None]
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
         behind = None if bound is None else bound.failure()
-        if behind is not None:
-            return Evaluation(behind, output=ends[0].output)
+        if bound is not None and behind is not None:
+            return Evaluation(behind, output=ends[0].output, ended_folds=bound.ended)
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.result, Failure):
@@ -140,9 +149,14 @@ class Evaluator(WorkerRunner):
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
-        same as the worker that fitted it, and answers like a model (see `suspicions`). RESTART
-        depends on held-out outputs: it is the reason only if no other relation fails in any fold.
-        """
+        same as the worker that fitted it, and answers like a model (see `suspicions`), and unless V
+        stays where it is far below the training error."""
+        found = self.objection_to_answers(source, folds)
+        return self.objection_to_consistency(source, folds) if found is None else found
+
+    def objection_to_answers(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """The part of `objection` for which nothing is fitted. RESTART depends on held-out outputs:
+        it is the reason only if no other relation fails in any fold."""
         jobs = [
             partial(self._fold_objection, source, f, r)
             for f, r in zip(self.folds, folds, strict=True)
@@ -150,19 +164,28 @@ class Evaluator(WorkerRunner):
         try:
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 found = [f for f in self._run(jobs) if f is not None]
-                if not found and SuspicionKind.CONSISTENCY not in self._without:
-                    found = self._inconsistent(source, folds)
             return min(found, key=lambda f: f.reason is Reason.RESTART, default=None)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
-    def _inconsistent(self, source: str, folds: Sequence[FoldResult]) -> list[Failure]:
+    def objection_to_consistency(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """The part of `objection` with fits one after the other: no worker of the same candidate
+        may run beside it."""
+        if SuspicionKind.CONSISTENCY in self._without:
+            return None
+        try:
+            with self.stopwatch.activity(Activity.CHECKS, swallows=True):
+                return self._inconsistent(source, folds)
+        except CandidateError as error:
+            return Failure(error.reason, error.detail)
+
+    def _inconsistent(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Where V is far below the training error, the folds are fitted again one after the other,
-        in another order, so that none can tell another one anything; [] where V stays."""
+        in another order, so that none can tell another one anything; None where V stays."""
         value = float(np.mean([fold.score.value for fold in folds]))
         errors = [fold.diagnostics.train_error for fold in folds]
         if consistency(value, errors) >= FAR_BELOW:
-            return []
+            return None
         random = np.random.default_rng(self._check_seed(source, "consistency"))
         again: list[float] = []
         for place in random.permutation(len(folds)).tolist():
@@ -170,12 +193,12 @@ class Evaluator(WorkerRunner):
             result = self._run([job])[0].result
             if isinstance(result, Failure):
                 words = f"{SuspicionKind.CONSISTENCY}: fitted alone, a fold fails"
-                return [Failure(Reason.SUSPECT, words, place + 1)]
+                return Failure(Reason.SUSPECT, words, place + 1)
             again.append(result.score.value)
         if np.mean(again) <= _UNLIKE * value:
-            return []
+            return None
         words = "V is far below the training error, but not with the folds fitted one by one"
-        return [Failure(Reason.SUSPECT, f"{SuspicionKind.CONSISTENCY}: {words}")]
+        return Failure(Reason.SUSPECT, f"{SuspicionKind.CONSISTENCY}: {words}")
 
     def _fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
         place = fold.index + 1
@@ -316,8 +339,9 @@ class Evaluator(WorkerRunner):
         oracle = Oracle(opening, source, self._context, fold, self._rule)
         inner = self._rule.early_stopping == "inner"
         found = self._asker.ask(
-            source, fold, start, self._worker, None if inner else oracle, self.stopwatch
-        )
+            source, fold, start, self._worker, None if inner else oracle, self.stopwatch,
+            self.asked.stop,
+        )  # fmt: skip
         try:
             fitted = found.result
             if isinstance(fitted, CandidateError):

@@ -111,6 +111,8 @@ class Evaluation:
     stripped."""
     validation_scores: int = 0
     """How often it asked for its score on held-out parts, in all folds, failed ones included."""
+    ended_folds: int = 0
+    """How many folds were ended while they ran, since they did not count any more."""
 
     @property
     def y_hats(self) -> list[tuple[Array, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from asia._stopwatch import Stopwatch
 from asia.candidate import Context
@@ -23,6 +24,7 @@ from asia.evaluation.work.message import (
     encode_work,
     fold_data,
 )
+from asia.evaluation.work.stopping import FitStop
 from asia.executor import Carrier
 from asia.protocol import Fold, ProtocolRule, whole
 from asia.sandbox import Isolation, Limits, layers_in_force
@@ -60,9 +62,11 @@ class FoldAsker:
         open_worker: OpenWorker,
         oracle: Oracle | None,
         watch: Stopwatch,
+        stop: FitStop,
     ) -> FoldAnswer:
-        """What comes of `source` on a fold; start: another one has another seed. Raises
-        SandboxError, and UserError where a machine is not fit for the work."""
+        """What comes of `source` on a fold; start: another one has another seed; stop: ends it
+        elsewhere too. Raises SandboxError, and UserError where a machine is not fit for the
+        work."""
         data, digest, raw = self._data_of(fold)
         work = FoldWork(
             problem=self._problem,
@@ -80,7 +84,9 @@ class FoldAsker:
             reply = encode_answer(fit_fold(decode_work(request), data, open_worker, oracle))
             return decode_answer(reply, data, train)
         request = encode_work(work, installation())
-        found = decode_answer(self._carrier.carry(answer, request, digest, raw), data, train)
+        with stop.ending(partial(self._carrier.forget, request)):
+            reply = self._carrier.carry(answer, request, digest, raw)
+        found = decode_answer(reply, data, train)
         for activity, (wall, processor) in found.spent.items():
             watch.add(activity, wall, processor)
         return found

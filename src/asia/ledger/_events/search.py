@@ -26,6 +26,7 @@ _AtOnce = Annotated[int, Field(exclude_if=lambda value: value == 1)]
 _Elsewhere = Annotated[str, Field(exclude_if=lambda value: value == "")]
 _Flag = Annotated[bool, Field(exclude_if=lambda value: not value)]
 _Bound = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
+_Count = Annotated[int, Field(exclude_if=lambda value: value == 0)]
 _Elapsed = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
@@ -239,6 +240,9 @@ class Evaluated:
     elapsed: _Elapsed = None
     """Seconds that the search waited for it, decision included; None where one experiment runs at
     a time, which takes `seconds`."""
+    ended_folds: _Count = field(default=0, compare=False)
+    """How many folds were ended while they ran, since V was far above the best without them. It
+    depends on the machine."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -259,6 +263,8 @@ class Landed:
     """Duration of the fit and its simulations."""
     validation_scores: int = 0
     """Validation scores given in all folds, failed ones too."""
+    ended_folds: _Count = field(default=0, compare=False)
+    """As in `Evaluated`."""
     event: Literal["landed"] = "landed"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import pickle
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -64,6 +65,7 @@ class Worker:
         self._clock = WorkerClock(process.find)
         self.left_behind: int | None = None
         self._closed = False
+        self._ending = threading.Lock()
         self._ready = False
         self._started = False
         self._latest = math.inf
@@ -238,16 +240,19 @@ class Worker:
         self._latest = latest
 
     def abort(self) -> None:
-        """End the process from another thread: the one that uses it then sees it gone."""
-        with contextlib.suppress(OSError):
-            self._process.kill()
-            self._process.force()
+        """End the process from another thread: the one that uses it then sees it gone. Nothing
+        happens once that one ends it: its handles may belong to others by then."""
+        with self._ending, contextlib.suppress(OSError):
+            if not self._closed:
+                self._process.kill()
+                self._process.force()
 
     def close(self) -> None:
         """End the process with everything it started; may be called again. What the kernel does
         not let die is `left_behind`."""
         if not self._closed:
-            self._closed = True
+            with self._ending:
+                self._closed = True
             with self._clock.activity(Activity.START):
                 self._channel.close()
                 if not self._process.end():

@@ -45,6 +45,7 @@ def landed_of(number: int, evaluation: Evaluation, seconds: float, store: Store)
         output=keep_output(store, evaluation.output),
         seconds=seconds,
         validation_scores=evaluation.validation_scores,
+        ended_folds=evaluation.ended_folds,
     )
 
 
@@ -57,7 +58,7 @@ def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evalua
         rows = zip(outcome.folds, landed.folds, folds, strict=True)
         kept = tuple(_taken_up(score, found, fold, store) for score, found, fold in rows)
     output = store.text(landed.output) if landed.output else ""
-    return Evaluation(outcome, kept, output, landed.validation_scores)
+    return Evaluation(outcome, kept, output, landed.validation_scores, landed.ended_folds)
 
 
 def _taken_up(score: FoldScore, kept: FoldEvidence, fold: Fold, store: Store) -> FoldResult:
