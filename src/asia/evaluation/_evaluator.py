@@ -98,8 +98,9 @@ class Evaluator(WorkerRunner):
         self._salt = salt
         self._problem = problem
         self._asker = FoldAsker(
-            rule, self._context, self._limits, isolation, carrier_of(executor), problem
-        )
+            rule, self._context, self._limits, isolation, carrier_of(executor), problem,
+            self.one_by_one,
+        )  # fmt: skip
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
 
     @property

@@ -41,10 +41,12 @@ class FoldAsker:
         isolation: Isolation,
         carrier: Carrier | None,
         problem: str,
+        alone: bool,
     ) -> None:
         """context: what is the same for all folds; carrier: None where folds are fitted here;
-        problem: sha256 of the run's lock file. Raises UserError where candidates may ask for their
-        score, which takes the held-out outputs to the machine that fits."""
+        problem: sha256 of the run's lock file; alone: whether no two workers may run at once.
+        Raises UserError where candidates may ask for their score, which takes the held-out outputs
+        to the machine that fits."""
         if carrier is not None and rule.early_stopping != "inner":
             raise UserError(
                 "validation early stopping needs the held-out outputs where a candidate is fitted, "
@@ -52,6 +54,7 @@ class FoldAsker:
             )
         self._rule, self._context, self._limits = rule, context, limits
         self._isolation, self._carrier, self._problem = isolation, carrier, problem
+        self._alone = alone
         self._data: dict[int, tuple[FoldData, str, bytes]] = {}
 
     def ask(
@@ -77,6 +80,7 @@ class FoldAsker:
             limits=self._limits,
             isolation=self._isolation,
             layers=tuple(layer.value for layer in layers_in_force(self._isolation)),
+            alone=self._alone,
         )
         train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
         if self._carrier is None:

@@ -71,6 +71,8 @@ class FoldWork:
     """The level that must keep the candidate in."""
     layers: tuple[str, ...]
     """The layers of this level that must be in force."""
+    alone: bool = False
+    """Whether no worker may be started while it runs, since it could tell that one something."""
 
 
 @dataclass(frozen=True)

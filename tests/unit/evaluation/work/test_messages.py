@@ -150,6 +150,7 @@ def test_a_machine_that_isolates_less_is_refused(
     assert isinstance(found, UserError)
     assert "it lacks landlock" in str(found)
     monkeypatch.setattr(elsewhere, "why_not", lambda level: "no such thing")
+    elsewhere._check_isolation.cache_clear()
     assert "no such thing. Run asia doctor" in str(refusal(problem, *work(problem)))
 
 
