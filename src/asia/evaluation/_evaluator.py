@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from asia._stopwatch import Activity
-from asia.candidate import Context, check_source, executed_source, imported_libraries
+from asia.candidate import Context, check_source, executed_source
 from asia.data import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason
 from asia.evaluation._findings import fold_result
@@ -80,13 +80,16 @@ class Evaluator(WorkerRunner):
         salt: str = "",
         without: Collection[SuspicionKind] = (),
         problem: str = "",
+        *,
+        gpu: bool = False,
     ) -> None:
         """salt: a text that no candidate or agent knows, so that none can predict which cases are
         checked; without: relations that are not checked, to show what each of them finds; problem:
-        sha256 of the run's lock file. Raises UserError where folds would be fitted on other
-        machines and candidates may ask for scores, which takes the held-out outputs there."""
+        sha256 of the run's lock file; gpu: whether workers that train networks compute on the GPU.
+        Raises UserError where folds would be fitted on other machines and candidates may ask for
+        scores, which takes the held-out outputs there."""
         limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
-        super().__init__(isolation, limits, executor, len(folds))
+        super().__init__(isolation, limits, executor, len(folds), gpu=gpu)
         self._without = frozenset(without)
         self.folds = tuple(folds)
         self.horizon = rule.horizon
@@ -98,8 +101,7 @@ class Evaluator(WorkerRunner):
         self._salt = salt
         self._problem = problem
         self._asker = FoldAsker(
-            rule, self._context, self._limits, isolation, carrier_of(executor), problem,
-            self.one_by_one,
+            rule, self._context, isolation, carrier_of(executor), problem, self.one_by_one
         )  # fmt: skip
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
 
@@ -225,7 +227,7 @@ class Evaluator(WorkerRunner):
     ) -> Sequence[Suspicion]:
         """What `ask` finds in a worker that has seen no case. Raises CandidateError, with reason
         NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
-        with self._worker(imported_libraries(source, fitting=False)) as worker:
+        with self._worker_for(source, fitting=False) as worker:
             try:
                 worker.load(executed_source(source), model, self._fold_context("load"))
             except CandidateError as error:
@@ -270,7 +272,7 @@ class Evaluator(WorkerRunner):
         """Nothing is held out, so the candidate has no validation score to ask for."""
         model: bytes | None = None
         try:
-            with self._worker(imported_libraries(source, fitting=True)) as worker:
+            with self._worker_for(source, fitting=True) as worker:
                 worker.fit(source, self.records, self._fold_context("all", start))
                 model = worker.dump()
                 return RefitModel(model, worker.estimates())
@@ -324,7 +326,7 @@ class Evaluator(WorkerRunner):
 
     def _lowered(self, source: str, model: bytes) -> LoweredModel | str:
         context = self._fold_context("load")
-        with self._worker(imported_libraries(source, fitting=False)) as worker:
+        with self._worker_for(source, fitting=False) as worker:
             worker.load(executed_source(source), model, context)
             return worker.lowered(context)
 
@@ -336,12 +338,12 @@ class Evaluator(WorkerRunner):
         )
 
     def _fold_or_failure(self, source: str, fold: Fold, start: int = 0) -> FoldEnd:
-        opening = partial(self._worker, imported_libraries(source, fitting=False))
+        opening = partial(self._worker_for, source, fitting=False)
         oracle = Oracle(opening, source, self._context, fold, self._rule)
         inner = self._rule.early_stopping == "inner"
         found = self._asker.ask(
             source, fold, start, self._worker, None if inner else oracle, self.stopwatch,
-            self.asked.stop,
+            self.asked.stop, self.limits_for(source),
         )  # fmt: skip
         try:
             fitted = found.result
@@ -353,7 +355,12 @@ class Evaluator(WorkerRunner):
                 result = fold_result(
                     fold, fitted, self._rule, self._ranges, self._context, oracle.calls
                 )
-                result = replace(result, machine=found.machine, isolation=found.isolation)
+                result = replace(
+                    result,
+                    machine=found.machine,
+                    isolation=found.isolation,
+                    device=fitted.device,
+                )
         except CandidateError as error:
             result = Failure(error.reason, error.detail, fold.index + 1)
         return FoldEnd(result, found.printed, oracle.calls)
@@ -407,6 +414,6 @@ class Evaluator(WorkerRunner):
     def _simulate_model(
         self, source: str, model: bytes, blocks: Sequence[Block]
     ) -> tuple[Array, ...]:
-        with self._worker(imported_libraries(source, fitting=False)) as worker:
+        with self._worker_for(source, fitting=False) as worker:
             worker.load(executed_source(source), model, self._fold_context("load"))
             return simulate_held_out(worker, blocks, self.horizon)

@@ -84,6 +84,8 @@ class FoldResult:
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
     """The level that was in force there; "" for the search's own."""
+    device: str = ""
+    """What JAX computed on, by the worker's own word; "" where nobody asked for a GPU."""
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 from asia._stopwatch import Activity, Stopwatch
+from asia.candidate import imported_libraries, trains_network
 from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.evaluation.work.beside import Asked, Beside, nothing
 from asia.evaluation.work.stopping import FitStop
@@ -34,10 +35,18 @@ class WorkerRunner:
     """Runs jobs that open sandboxed workers."""
 
     def __init__(
-        self, isolation: Isolation, limits: Limits, executor: Executor, most_ready: int
+        self,
+        isolation: Isolation,
+        limits: Limits,
+        executor: Executor,
+        most_ready: int,
+        *,
+        gpu: bool = False,
     ) -> None:
-        """most_ready: how many workers are started before they are needed."""
+        """most_ready: how many workers are started before they are needed; gpu: whether those that
+        train networks compute on the GPU."""
         self.isolation = isolation
+        self._gpu = gpu
         self._limits = limits
         self._executor = executor
         self._most_ready = most_ready
@@ -175,8 +184,19 @@ class WorkerRunner:
                 Reason.MEMORY, f"{error}, twice, as a machine does whose memory has run out"
             ) from None
 
+    def limits_for(self, source: str) -> Limits:
+        """Those of workers that run a candidate."""
+        return replace(self._limits, gpu=True) if self.on_gpu(source) else self._limits
+
+    def on_gpu(self, source: str) -> bool:
+        """Whether workers that run a candidate compute on the GPU."""
+        return self._gpu and trains_network(source)
+
+    def _worker_for(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:
+        return self._worker(imported_libraries(source, fitting=fitting), self.limits_for(source))
+
     @contextmanager
-    def _worker(self, libraries: frozenset[str] = frozenset()) -> Generator[Worker]:
+    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
         if len(self.left_behind) >= _MOST_LEFT_BEHIND:
             pids = ", ".join(str(pid) for pid in self.left_behind)
             raise UserError(
@@ -187,13 +207,15 @@ class WorkerRunner:
         if asked.stop.stopped:
             raise SandboxError("the result of this fit is not wanted any more")
         with self._own.entered(asked.turn) if self._own else nullcontext():
-            yield from self._opened(libraries, asked.stop)
+            yield from self._opened(libraries, limits, asked.stop)
 
-    def _opened(self, libraries: frozenset[str], stop: FitStop) -> Generator[Worker]:
+    def _opened(
+        self, libraries: frozenset[str], limits: Limits, stop: FitStop
+    ) -> Generator[Worker]:
         with self.stopwatch.activity(Activity.START):
-            ready = self._ready
+            ready = self._ready if limits == self._limits else None
             waiting = ready.take(libraries) if ready else None
-            worker = waiting or open_worker(self.isolation, self._limits)
+            worker = waiting or open_worker(self.isolation, limits)
         try:
             with worker:
                 self._open.add(worker)

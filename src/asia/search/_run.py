@@ -40,7 +40,7 @@ from asia.problem.load import (
     protocol_digest,
 )
 from asia.protocol import EarlyStopping, Fold, fold_names, make_folds
-from asia.sandbox import Isolation, Probe, probe
+from asia.sandbox import Isolation, Probe, chosen_gpu, gpu_nodes, probe
 from asia.seal._guard import guard_digest
 from asia.seal._test import seal
 from asia.search._environment import environment
@@ -83,6 +83,7 @@ def prepare(
     legs: Sequence[Leg] = (),
     parallel: int = 1,
     stop_folds: bool = False,
+    device: str = "cpu",
 ) -> Prepared:
     """Check everything a search needs and compare with what is on disk. Writes nothing.
 
@@ -90,17 +91,19 @@ def prepare(
     the agent's proposals beside its name. lessons: of earlier searches, None for a
     search without; a run that exists keeps those that it began with.
     legs: those of a relay, `legs_of` its agent. parallel: experiments in flight. stop_folds: the
-    folds of a candidate that is far behind the best already are passed over.
+    folds of a candidate that is far behind the best already are passed over. device: `gpu` for
+    candidates that train networks on one, `auto` for one where there is one.
 
     Raises UserError when the folds cannot be made, the test does not fit, the legs do not fit into
-    the budget, the run exists with other settings, or several experiments are to be in flight while
-    folds are fitted one by one.
+    the budget, the run exists with other settings, several experiments are to be in flight while
+    folds are fitted one by one, or JAX does not reach the GPU that was asked for.
     """
     folds = _check(problem, legs, parallel, strict=isolation_strict, stop_folds=stop_folds)
     sealed = replace(seal(problem), guard=guard_digest(problem))
     directory = runs / (name or _default_name(problem, agent_name, seed))
     found = _probe(problem, directory, isolation)
     lock, taught = lock_text(problem, sealed), _taught(lessons)
+    gpu, about_gpu = chosen_gpu(device, found.level)
     started = Started(
         run=directory.name,
         problem=problem.name,
@@ -113,8 +116,8 @@ def prepare(
         protocol_digest=protocol_digest(problem),
         test_digest=sealed.sha256,
         isolation=found.level.value,
-        isolation_notes=found.notes,
-        environment=environment(agent_name, *(leg.agent for leg in legs)),
+        isolation_notes=(*found.notes, *about_gpu),
+        environment=environment(agent_name, *(leg.agent for leg in legs), gpu=gpu),
         early_stopping=problem.protocol.early_stopping,
         residuals=problem.protocol.residuals,
         agent_settings=dict(agent_settings or {}),
@@ -129,6 +132,7 @@ def prepare(
         retests=_retests(problem),
         parallel=parallel,
         stop_folds=stop_folds,
+        device="gpu" if gpu else "cpu",
     )
     return Prepared(problem, directory, lock, started, _resumes(problem, sealed, directory), taught)
 
@@ -222,6 +226,8 @@ def make_evaluator(
         salt=view.started.salt,
         without=without,
         problem=view.started.lock_digest,
+        # Elsewhere a finished search is still read: most models simulate without JAX.
+        gpu=view.started.device == "gpu" and bool(gpu_nodes()),
     )
 
 
@@ -318,6 +324,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("isolation", start.isolation_words, wanted.isolation_words),
         ("lessons", *("on" if s.lessons else "off" for s in (start, wanted))),
         ("--parallel", start.parallel, wanted.parallel),
+        ("--device", start.device, wanted.device),
         ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),
     ):
         if there != now:

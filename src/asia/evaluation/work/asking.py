@@ -12,7 +12,7 @@ from asia.evaluation._oracle import Oracle
 from asia.evaluation._results import derive_seed
 from asia.evaluation.work.elsewhere import answer
 from asia.evaluation.work.fit import OpenWorker, fit_fold
-from asia.evaluation.work.installation import installation
+from asia.evaluation.work.installation import installation_for
 from asia.evaluation.work.message import (
     FoldAnswer,
     FoldData,
@@ -37,7 +37,6 @@ class FoldAsker:
         self,
         rule: ProtocolRule,
         context: Context,
-        limits: Limits,
         isolation: Isolation,
         carrier: Carrier | None,
         problem: str,
@@ -52,7 +51,7 @@ class FoldAsker:
                 "validation early stopping needs the held-out outputs where a candidate is fitted, "
                 "and other machines do not get them: use --executor local"
             )
-        self._rule, self._context, self._limits = rule, context, limits
+        self._rule, self._context = rule, context
         self._isolation, self._carrier, self._problem = isolation, carrier, problem
         self._alone = alone
         self._data: dict[int, tuple[FoldData, str, bytes]] = {}
@@ -66,10 +65,11 @@ class FoldAsker:
         oracle: Oracle | None,
         watch: Stopwatch,
         stop: FitStop,
+        limits: Limits,
     ) -> FoldAnswer:
         """What comes of `source` on a fold; start: another one has another seed; stop: ends it
-        elsewhere too. Raises SandboxError, and UserError where a machine is not fit for the
-        work."""
+        elsewhere too; limits: of its worker. Raises SandboxError, and UserError where a machine is
+        not fit for the work."""
         data, digest, raw = self._data_of(fold)
         work = FoldWork(
             problem=self._problem,
@@ -77,7 +77,7 @@ class FoldAsker:
             fold=fold.index + 1,
             source=source,
             context=replace(self._context, seed=derive_seed(self._context.seed, fold.index, start)),
-            limits=self._limits,
+            limits=limits,
             isolation=self._isolation,
             layers=tuple(layer.value for layer in layers_in_force(self._isolation)),
             alone=self._alone,
@@ -87,7 +87,7 @@ class FoldAsker:
             request = encode_work(work, {})
             reply = encode_answer(fit_fold(decode_work(request), data, open_worker, oracle))
             return decode_answer(reply, data, train)
-        request = encode_work(work, installation())
+        request = encode_work(work, installation_for(limits))
         with stop.ending(partial(self._carrier.forget, request)):
             reply = self._carrier.carry(answer, request, digest, raw)
         found = decode_answer(reply, data, train)

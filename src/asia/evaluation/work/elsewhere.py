@@ -21,7 +21,7 @@ from asia.evaluation.work.message import (
     installation_of,
 )
 from asia.evaluation.work.spares import spare_workers
-from asia.sandbox import Isolation, Worker, layers_in_force, open_worker, why_not
+from asia.sandbox import Isolation, Limits, Worker, layers_in_force, open_worker, why_not
 
 _LOOK_SECONDS = 0.5
 
@@ -37,8 +37,8 @@ def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: F
         spent: list[Worker] = []
 
         @contextmanager
-        def opened(libraries: frozenset[str]) -> Generator[Worker]:
-            with _open(work, libraries) as worker:
+        def opened(libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+            with _open(work, libraries, limits) as worker:
                 spent.append(worker)
                 with _watched(worker, unwanted):
                     yield worker
@@ -52,10 +52,12 @@ def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: F
         return encode_trouble(error)
 
 
-def _open(work: FoldWork, libraries: frozenset[str]) -> AbstractContextManager[Worker]:
+def _open(
+    work: FoldWork, libraries: frozenset[str], limits: Limits
+) -> AbstractContextManager[Worker]:
     if work.alone:
-        return open_worker(work.isolation, work.limits, libraries=libraries)
-    return spare_workers().worker(work.isolation, work.limits, libraries)
+        return open_worker(work.isolation, limits, libraries=libraries)
+    return spare_workers().worker(work.isolation, limits, libraries)
 
 
 @cache

@@ -26,7 +26,7 @@ from asia.sandbox.worker.channel import (
     LateError,
     UnsolicitedError,
 )
-from asia.sandbox.worker.clock import WorkerClock, peak_memory_mb
+from asia.sandbox.worker.clock import MemoryWatch, WorkerClock, peak_memory_mb
 from asia.sandbox.worker.failures import KNOWN_ERRORS, OUT_OF_MEMORY, REASONS, shape_words
 from asia.sandbox.worker.figures import (
     ESTIMATES_BYTES,
@@ -40,6 +40,7 @@ from asia.sandbox.worker.wire import (
     COMPILED_BYTES,
     CURVE_ROW_BYTES,
     CURVE_ROWS,
+    DEVICE_BYTES,
     TEXT_BYTES,
     ReplyKind,
 )
@@ -74,6 +75,9 @@ class Worker:
         self._model_loaded = False
         self._cases_seen = False
         self._printed = ""
+        self._memory: MemoryWatch | None = None
+        if limits.gpu:
+            self._memory = MemoryWatch(process.find, limits.memory_mb, self.abort)
 
     def __enter__(self) -> Worker:
         return self
@@ -186,6 +190,12 @@ class Worker:
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
+    def device(self) -> str:
+        """What JAX computes on, by the worker's own word; "" where it has not loaded JAX. As
+        `parameters`, to be asked before any case."""
+        said = self._said_of_parameters("device", DEVICE_BYTES)
+        return printable(said.decode("utf-8", "replace"))
+
     def _said_of_parameters(self, request: str, most: int) -> bytes:
         if self._cases_seen:
             raise SandboxError(f"the worker has seen cases: {request} are asked for before them")
@@ -253,6 +263,8 @@ class Worker:
         if not self._closed:
             with self._ending:
                 self._closed = True
+            if self._memory is not None:
+                self._memory.close()
             with self._clock.activity(Activity.START):
                 self._channel.close()
                 if not self._process.end():
@@ -367,6 +379,8 @@ class Worker:
         if isinstance(error, UnsolicitedError):
             return self._failure(Reason.UNSOLICITED)
         ending = self._process.ending()
+        if self._memory is not None and self._memory.exceeded:
+            return self._failure(Reason.MEMORY, f"more than {self._limits.memory_mb} MB in memory")
         if ending.outside is not None:
             self.close()
             number = int(ending.outside)

@@ -28,6 +28,7 @@ def _keep(store: Store, fold: FoldResult) -> FoldEvidence:
         findings=put_findings(store, fold.findings) if fold.findings else None,
         machine=fold.machine,
         isolation=fold.isolation,
+        device=fold.device,
     )
 
 
@@ -74,4 +75,5 @@ def _taken_up(score: FoldScore, kept: FoldEvidence, fold: Fold, store: Store) ->
         findings=get_findings(store, kept.findings) if kept.findings else None,
         machine=kept.machine,
         isolation=kept.isolation,
+        device=kept.device,
     )
