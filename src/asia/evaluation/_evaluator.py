@@ -25,44 +25,29 @@ from asia.evaluation._metamorphic import (
 )
 from asia.evaluation._oracle import Oracle
 from asia.evaluation._relations import Suspicion, SuspicionKind
-from asia.evaluation._requests import (
-    MOST_TRAINING_WINDOWS,
-    simulate_held_out,
-    spread,
-)
+from asia.evaluation._requests import MOST_TRAINING_WINDOWS, simulate_held_out, spread
 from asia.evaluation._results import (
     Evaluation,
     FoldEnd,
     FoldResult,
     Refit,
     RefitModel,
-    consistency,
     derive_seed,
 )
 from asia.evaluation._workers import WorkerRunner
+from asia.evaluation.work.alone import objection_alone
 from asia.evaluation.work.asking import FoldAsker
 from asia.evaluation.work.behind import FoldBound
 from asia.executor import Executor, carrier_of
 from asia.lowering import LoweredModel
 from asia.problem import Budget
 from asia.protocol import Block, Fold, ProtocolRule, whole
-from asia.sandbox import (
-    Isolation,
-    Limits,
-    Worker,
-)
-from asia.scoring import (
-    Failure,
-    combine,
-    ranges_of,
-)
+from asia.sandbox import Isolation, Limits, Worker
+from asia.scoring import Failure, combine, ranges_of
 
 T = TypeVar("T")
 
 _STRANGERS_ASKED = 4
-# V over the training error, below which it takes more evidence; honest candidates lie above 0.9.
-FAR_BELOW = 0.6
-_UNLIKE = 1.5
 
 
 class Evaluator(WorkerRunner):
@@ -176,32 +161,17 @@ class Evaluator(WorkerRunner):
         may run beside it."""
         if SuspicionKind.CONSISTENCY in self._without:
             return None
+
+        def fit_alone(place: int) -> FoldResult | Failure:
+            job = partial(self._fold_or_failure, source, self.folds[place])
+            return self._run([job])[0].result
+
+        random = np.random.default_rng(self._check_seed(source, "consistency"))
         try:
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
-                return self._inconsistent(source, folds)
+                return objection_alone(folds, fit_alone, random)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
-
-    def _inconsistent(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """Where V is far below the training error, the folds are fitted again one after the other,
-        in another order, so that none can tell another one anything; None where V stays."""
-        value = float(np.mean([fold.score.value for fold in folds]))
-        errors = [fold.diagnostics.train_error for fold in folds]
-        if consistency(value, errors) >= FAR_BELOW:
-            return None
-        random = np.random.default_rng(self._check_seed(source, "consistency"))
-        again: list[float] = []
-        for place in random.permutation(len(folds)).tolist():
-            job = partial(self._fold_or_failure, source, self.folds[place])
-            result = self._run([job])[0].result
-            if isinstance(result, Failure):
-                words = f"{SuspicionKind.CONSISTENCY}: fitted alone, a fold fails"
-                return Failure(Reason.SUSPECT, words, place + 1)
-            again.append(result.score.value)
-        if np.mean(again) <= _UNLIKE * value:
-            return None
-        words = "V is far below the training error, but not with the folds fitted one by one"
-        return Failure(Reason.SUSPECT, f"{SuspicionKind.CONSISTENCY}: {words}")
 
     def _fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
         place = fold.index + 1

@@ -19,15 +19,9 @@ from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError
 from asia.lowering import LARGEST_BYTES, FormatError, LoweredModel, unpack_for
 from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError, WorkerKilledError
-from asia.sandbox.worker.channel import (
-    Channel,
-    GoneError,
-    Head,
-    LateError,
-    UnsolicitedError,
-)
+from asia.sandbox.worker.channel import Channel, GoneError, Head, LateError, UnsolicitedError
 from asia.sandbox.worker.clock import MemoryWatch, WorkerClock, peak_memory_mb
-from asia.sandbox.worker.failures import KNOWN_ERRORS, OUT_OF_MEMORY, REASONS, shape_words
+from asia.sandbox.worker.failures import OUT_OF_MEMORY, REASONS, failure_words
 from asia.sandbox.worker.figures import (
     ESTIMATES_BYTES,
     PARAMETERS_BYTES,
@@ -342,7 +336,8 @@ class Worker:
             body = self._channel.receive(length, deadline)
         except (LateError, GoneError, UnsolicitedError) as error:
             raise self._translated(error, late) from None
-        raise self._failure(REASONS[head.status], self._words(head.status, body, expected))
+        words = failure_words(head.status, body, expected, private=self._cases_seen)
+        raise self._failure(REASONS[head.status], words)
 
     def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
         """A model that follows `head`."""
@@ -356,17 +351,6 @@ class Worker:
             return self._channel.receive(head.length, deadline)
         except (LateError, GoneError) as error:
             raise self._translated(error, late) from None
-
-    def _words(self, status: ReplyKind, body: bytes, expected: tuple[int, ...]) -> str:
-        """Detail of a failure the worker reported. Once it knows cases it may not speak freely."""
-        if status is ReplyKind.SHAPE:
-            return f"got shape {shape_words(body, expected)}, expected {expected}"
-        text = printable(body.decode("utf-8", "replace")).strip()
-        if not self._cases_seen:
-            return text
-        if status is ReplyKind.CONTRACT:
-            return "no array of numbers, or no model with simulate"
-        return text if text in KNOWN_ERRORS else "an exception of its own"
 
     def _translated(self, error: Exception, late: Reason) -> CandidateError | SandboxError:
         if isinstance(error, LateError):

@@ -65,7 +65,7 @@ def test_none_waits_where_no_two_may_run_at_once(
 
     monkeypatch.setattr(elsewhere, "spare_workers", spare_workers)
     work = type("Work", (), {"isolation": Isolation.PROCESS, "limits": LIMITS, "alone": alone})
-    with elsewhere._open(work(), NOTHING):  # type: ignore[arg-type]
+    with elsewhere._open(work(), NOTHING, LIMITS):  # type: ignore[arg-type]
         pass
     assert len(made) == (0 if alone else 1)
     for spares in made:
