@@ -103,7 +103,6 @@ def prepare(
     directory = runs / (name or _default_name(problem, agent_name, seed))
     found = _probe(problem, directory, isolation)
     lock, taught = lock_text(problem, sealed), _taught(lessons)
-    gpu, about_gpu = chosen_gpu(device, found.level)
     started = Started(
         run=directory.name,
         problem=problem.name,
@@ -116,15 +115,13 @@ def prepare(
         protocol_digest=protocol_digest(problem),
         test_digest=sealed.sha256,
         isolation=found.level.value,
-        isolation_notes=(*found.notes, *about_gpu),
-        environment=environment(agent_name, *(leg.agent for leg in legs), gpu=gpu),
+        isolation_notes=found.notes,
+        environment=environment(agent_name, *(leg.agent for leg in legs)),
         early_stopping=problem.protocol.early_stopping,
         residuals=problem.protocol.residuals,
         agent_settings=dict(agent_settings or {}),
         ladder=problem.protocol.ladder,
         guard_digest=sealed.guard,
-        layers=tuple(layer.value for layer in found.layers),
-        salt=secrets.token_hex(16),
         isolation_strict=isolation_strict,
         lessons=hashlib.sha256(taught).hexdigest() if taught else None,
         folds=fold_names(folds, problem.protocol),
@@ -132,9 +129,23 @@ def prepare(
         retests=_retests(problem),
         parallel=parallel,
         stop_folds=stop_folds,
-        device="gpu" if gpu else "cpu",
     )
-    return Prepared(problem, directory, lock, started, _resumes(problem, sealed, directory), taught)
+    resumes = _resumes(problem, sealed, directory)
+    return Prepared(problem, directory, lock, _on(device, started, found), resumes, taught)
+
+
+def _on(device: str, started: Started, found: Probe) -> Started:
+    """With what keeps candidates in and a salt, and the GPU where workers reach the one asked
+    for."""
+    gpu, notes = chosen_gpu(device, found.level)
+    return replace(
+        started,
+        layers=tuple(layer.value for layer in found.layers),
+        salt=secrets.token_hex(16),
+        isolation_notes=(*started.isolation_notes, *notes),
+        device="gpu" if gpu else "cpu",
+        environment={**started.environment, **({"GPU": gpu} if gpu else {})},
+    )
 
 
 def _taught(lessons: Sequence[Lesson] | None) -> bytes:
