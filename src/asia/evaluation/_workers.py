@@ -84,9 +84,11 @@ class WorkerRunner:
             return job()
 
     @contextmanager
-    def ready_workers(self) -> Generator[None]:
-        """Start workers before they are needed, until this is closed."""
-        with ReadyWorkers(self.isolation, self._limits, self._most_ready) as self._ready:
+    def ready_workers(self, at_once: int = 1) -> Generator[None]:
+        """Start workers before they are needed, until this is closed. at_once: experiments in
+        flight."""
+        most = self._most_ready * at_once
+        with ReadyWorkers(self.isolation, self._limits, most) as self._ready:
             try:
                 yield
             finally:

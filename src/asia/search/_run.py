@@ -210,7 +210,8 @@ def search(
             loop.record(Resumed())
         # One that starts while another runs could be told something by how long it takes.
         alone = view.started.isolation_strict or carrier_of(executor) is not None
-        with nullcontext() if alone else evaluator.ready_workers():
+        ready = nullcontext() if alone else evaluator.ready_workers(view.started.parallel)
+        with ready:
             return loop.run()
 
 
