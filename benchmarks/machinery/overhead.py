@@ -31,7 +31,7 @@ from asia.data import Array, Signal, Trajectory
 from asia.evaluation import Evaluator
 from asia.problem import Budget
 from asia.protocol import Fold, ProtocolRule, make_folds, whole
-from asia.sandbox import FitReply, Isolation, Worker, probe
+from asia.sandbox import FitReply, Isolation, Limits, Worker, probe
 from asia.scoring import Score
 
 T = TypeVar("T")
@@ -181,8 +181,8 @@ class WatchedEvaluator(Evaluator):
     clock: Clock
 
     @contextmanager
-    def _worker(self, libraries: frozenset[str] = frozenset()) -> Generator[Worker]:
-        with super()._worker(libraries) as worker:
+    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+        with super()._worker(libraries, limits) as worker:
             yield cast(Worker, Watched(worker, self.clock))
 
 

@@ -1,7 +1,7 @@
 """By how much several experiments in flight shorten a search, in one run, over one worker.
 
     python benchmarks/machinery/parallel.py --experiments 30 --seconds 2
-    python benchmarks/machinery/parallel.py --problem cascaded_tanks --agent random
+    python benchmarks/machinery/parallel.py --problem cascaded_tanks --agent random --in-flight 2
 
 The one worker, and its search, have one core.
 
@@ -11,7 +11,8 @@ The one worker, and its search, have one core.
 
 Searches of one kind have the same candidates, so V must be the same in all of them. The last line
 of each kind says so. With `--problem`, an agent searches a built-in problem instead, with one
-worker, two, and two of Dask; the best V of each search is printed beside what a better one needs.
+worker, two, and two of Dask, and with `--in-flight` experiments; the best V of each search is
+printed beside what a better one needs.
 The candidates of `random` do not depend on results, so its V must be the same. Valid only on a
 machine without other load; the load is printed.
 """
@@ -61,6 +62,12 @@ COMPUTE = (
     "end = time.process_time() + {seconds}\n    while time.process_time() < end:\n        pass"
 )
 SLEEP = "time.sleep({seconds})"
+# Otherwise the scheduler and two workers take 8 % of a core for themselves.
+QUIET = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "10s",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
+}
 
 
 @dataclass(frozen=True)
@@ -123,7 +130,10 @@ def dask_workers(folder: Path, count: int) -> Iterator[Executor]:
     commands = [[str(dask), "scheduler", "--port", "0", "--host", "127.0.0.1", *common]]
     commands += [[str(dask), "worker", "--nthreads", "1", "--no-nanny", *common]] * count
     with (folder / "dask.log").open("wb") as log:
-        started = [subprocess.Popen(command, stdout=log, stderr=log) for command in commands]
+        started = [
+            subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ, **QUIET})
+            for command in commands
+        ]
     try:
         executor = _connected(f"dask:{file}")
         yield executor
@@ -188,7 +198,7 @@ def compare(root: Path, kind: str, spend: str, seconds: float, experiments: int)
     print(f"{kind}: V is {'the same' if same else 'NOT the same'} in all searches")
 
 
-def compare_searches(root: Path, name: str, agent: str, experiments: int) -> None:
+def compare_searches(root: Path, name: str, agent: str, experiments: int, in_flight: int) -> None:
     problem = load_problem(name)
     problem = replace(problem, budget=replace(problem.budget, experiments=experiments))
     walls: list[float] = []
@@ -208,10 +218,10 @@ def compare_searches(root: Path, name: str, agent: str, experiments: int) -> Non
 
     with one_core():
         run("one worker", 1, make_executor("local:1"))
-    run("two workers", 2, make_executor("local:2"))
+    run("two workers", in_flight, make_executor("local:2"))
     if importlib.util.find_spec("distributed") is not None:
         with dask_workers(root, 2) as executor:
-            run("two Dask workers", 2, executor)
+            run("two Dask workers", in_flight, executor)
     same = all(values(one) == values(found[0]) for one in found)
     print(f"{name}, {agent}: V is {'the same' if same else 'NOT the same'} in all experiments")
 
@@ -222,11 +232,14 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.0, help="of a fold's fit, about")
     parser.add_argument("--problem", help="a built-in problem, for searches by an agent")
     parser.add_argument("--agent", default="random")
+    parser.add_argument("--in-flight", type=int, default=2, help="with --problem; default 2")
     options = parser.parse_args()
     print(f"load before {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     with tempfile.TemporaryDirectory() as folder:
         if options.problem:
-            compare_searches(Path(folder), options.problem, options.agent, options.experiments)
+            compare_searches(
+                Path(folder), options.problem, options.agent, options.experiments, options.in_flight
+            )
             return
         for kind, spend in (("compute", COMPUTE), ("sleep", SLEEP)):
             compare(Path(folder), kind, spend, options.seconds, options.experiments)

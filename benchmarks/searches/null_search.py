@@ -89,6 +89,8 @@ def searched(seed: int, retests: int, root: Path) -> tuple[int, int, float]:
 class _Drawn(Evaluator):
     """V of every fit is drawn anew."""
 
+    one_by_one, may_fit_ahead = True, False
+
     def __init__(self, random: np.random.Generator, scatter: float) -> None:
         self._random, self._scatter, self.fits = random, scatter, 0
 

@@ -37,6 +37,7 @@ def run(
     lessons: Sequence[Lesson] | None = None,
     parallel: int = 1,
     stop_folds: bool = False,
+    device: str = "cpu",
 ) -> Run:
     """Search for a model; the finished run, with its view and artifacts.
 
@@ -48,7 +49,8 @@ def run(
     by the name of an installed one, `module:Name`, or what opens one; see `asia.search.Sink`.
     lessons: of earlier searches, such as `asia.agents.lessons.kept_lessons()`; None for a search
     without. parallel: experiments in flight. stop_folds: pass over the folds of a candidate that is
-    far behind the best without them. Raises UserError for anything the caller can mend.
+    far behind the best without them. device: what networks are trained on, `cpu`, `gpu` or `auto`.
+    Raises UserError for anything the caller can mend.
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
@@ -74,6 +76,7 @@ def run(
         legs=legs,
         parallel=parallel,
         stop_folds=stop_folds,
+        device=device,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:

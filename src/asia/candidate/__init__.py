@@ -2,7 +2,7 @@
 
 from asia.candidate._contract import VALIDATION_SCORES, Context, Fit, Model
 from asia.candidate._estimates import ParameterEstimate, ParameterEstimates
-from asia.candidate._imports import imported_libraries
+from asia.candidate._imports import imported_libraries, trains_network
 from asia.candidate._libraries import installed_libraries
 from asia.candidate._source import check_source, executed_source, source_digest
 from asia.candidate._steps import Steps
@@ -20,4 +20,5 @@ __all__ = [
     "imported_libraries",
     "installed_libraries",
     "source_digest",
+    "trains_network",
 ]

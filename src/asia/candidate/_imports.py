@@ -13,6 +13,7 @@ from asia._syntax import syntax_tree
 
 JAX = frozenset({"jax"})
 _LOAD_JAX = ("jax", "equinox", "optax")
+_TRAIN = ("equinox", "optax")
 _MODELS = "asia.models"
 
 
@@ -31,7 +32,22 @@ def imported_libraries(source: str, *, fitting: bool) -> frozenset[str]:
     """`JAX` where executing a source loads it, else nothing: no other library takes long to load.
     fitting: also where what it imports from `asia.models` does so when it is called; modules there
     import at their top what they cannot do without."""
+    found = _reached(_imports(source), fitting=fitting)
+    return JAX if any(name.split(".")[0] in _LOAD_JAX for name in found) else frozenset()
+
+
+@lru_cache(64)
+def trains_network(source: str) -> bool:
+    """Whether fitting a candidate trains a network: with a family of the library that does, or with
+    JAX in its own source. Those are the fits that a GPU can shorten."""
     own = _imports(source)
+    if any(name.split(".")[0] in _LOAD_JAX for name in own.first | own.later):
+        return True
+    return any(name.split(".")[0] in _TRAIN for name in _reached(own, fitting=True))
+
+
+def _reached(own: _Imports, *, fitting: bool) -> set[str]:
+    """Modules that a source imports, and that the library does for it."""
     found, queue, seen = set(own.first), [*own.first], set[str]()
     while queue:
         name = queue.pop()
@@ -41,7 +57,7 @@ def imported_libraries(source: str, *, fitting: bool) -> frozenset[str]:
         inside = _imports_of_module(name)
         found |= inside.first
         queue += [*inside.first, *(inside.later if fitting else ())]
-    return JAX if any(name.split(".")[0] in _LOAD_JAX for name in found) else frozenset()
+    return found
 
 
 @cache

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -35,6 +35,7 @@ def doctor(
         _print_executor(executor, json=json)
         return
     here, levels = machine(), survey()
+    gpu = _gpu(levels)
     plugged, clash = _plugged()
     if json:
         from json import dumps
@@ -44,12 +45,14 @@ def doctor(
             "level": best,
             "machine": asdict(here),
             "levels": [asdict(s) for s in levels],
+            "gpu": None if gpu is None else asdict(gpu),
             "parts": [_part_object(p) for p in plugged],
             "clash": clash,
         }
         say(dumps(found))
     else:
         _print_machine(here)
+        _print_gpu(gpu)
         _print_levels(levels)
         _print_parts(plugged, clash)
         say()
@@ -75,12 +78,50 @@ def _print_executor(name: str, *, json: bool) -> None:
         say(
             f"worker     {state.worker} on {state.machine}, {state.cores} cores, "
             f"isolation {level}, round trip {1000 * state.round_trip:.0f} ms, "
-            f"clock {state.clock:+.2f} s"
+            f"clock {state.clock:+.2f} s" + (f", GPU {state.gpu}" if state.gpu else "")
         )
         if state.unlike:
             say(f"{'':<11}{state.unlike}")
     if unfit:
         raise typer.Exit(2)
+
+
+@dataclass(frozen=True)
+class _Gpu:
+    """The GPU of this machine."""
+
+    driver: str
+    """What its driver says."""
+    jax: str | None
+    """What JAX calls it; None where workers do not reach it."""
+    why_not: str | None
+    """Why not."""
+
+
+def _gpu(levels: Sequence[LevelState]) -> _Gpu | None:
+    """Tried at the level that a search uses here; None where there is none."""
+    from asia.errors import SandboxError
+    from asia.sandbox import gpu_here, gpu_nodes, gpu_words
+
+    if not gpu_nodes():
+        return None
+    level = next(state.level for state in levels if state.works)
+    try:
+        return _Gpu(gpu_words(), gpu_here(level), None)
+    except SandboxError as error:
+        return _Gpu(gpu_words(), None, str(error))
+
+
+def _print_gpu(gpu: _Gpu | None) -> None:
+    if gpu is None:
+        say("gpu        none: candidates compute on the processor")
+        return
+    say(f"gpu        {gpu.driver or 'an NVIDIA GPU'}")
+    if gpu.jax is not None:
+        say(f"{'':<11}--device gpu: JAX reaches it as {gpu.jax}")
+        return
+    say(f"{'':<11}--device gpu does not work: {gpu.why_not}")
+    say(f"{'':<11}to get it: NVIDIA's driver, and pip install 'asia-sysid[gpu]'")
 
 
 def _plugged() -> tuple[tuple[Part, ...], str | None]:

@@ -99,6 +99,7 @@ def run(
             lessons=chosen_lessons(lessons, agent),
             parallel=engine.parallel,
             stop_folds=engine.stop_folds,
+            device=engine.device,
         )
         runs_on = engine.chosen()
     view = _search(driver, loaded, ready, sink or (), watch, runs_on, profile=profile, json=json)

@@ -37,7 +37,7 @@ def status(
 
 
 def _object(directory: Path, found: Brief) -> dict[str, Any]:
-    from asia.ledger import control, floor_to_beat, folds_passed_over, metric_of, model_to_use
+    from asia.ledger import control, floor_to_beat, metric_of, model_to_use
     from asia.scoring import Score
 
     view, best = found.view, found.view.best
@@ -59,9 +59,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "budget": view.budget,
         "isolation": view.started.isolation,
         "isolation_strict": view.started.isolation_strict,
-        "parallel": view.started.parallel,
-        "stop_folds": view.started.stop_folds,
-        "folds_passed_over": sum(folds_passed_over(view)),
+        **_engine_object(view),
         "running": [e.number for e in view.running] if found.state == "running" else [],
         "metric": metric_of(directory),
         "early_stopping": view.started.early_stopping,
@@ -81,6 +79,19 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "rungs": {
             r.name: r.outcome.value if isinstance(r.outcome, Score) else None for r in view.rungs
         },
+    }
+
+
+def _engine_object(view: SearchView) -> dict[str, Any]:
+    """How experiments were evaluated."""
+    from asia.ledger import folds_ended, folds_passed_over
+
+    return {
+        "parallel": view.started.parallel,
+        "device": view.started.device,
+        "stop_folds": view.started.stop_folds,
+        "folds_passed_over": sum(folds_passed_over(view)),
+        "folds_ended": folds_ended(view),
     }
 
 
@@ -152,13 +163,15 @@ def _remark(view: SearchView) -> str:
 def _print_course(view: SearchView, *, running: bool) -> None:
     """What is in flight, and who took over from whom."""
     from asia.cli._output.words import running_words
-    from asia.ledger import folds_passed_over, hand_over_words
+    from asia.ledger import folds_ended, folds_passed_over, hand_over_words
 
     for words in running_words(view) if running else ():
         say(f"running {words}")
     if view.started.stop_folds:
         left = folds_passed_over(view)
-        say(f"folds   {sum(left)} passed over, in {len(left)} experiments far behind the best")
+        ended = folds_ended(view)
+        ran = f", {ended} of them ended while they ran" if ended else ""
+        say(f"folds   {sum(left)} passed over{ran}, in {len(left)} experiments far behind the best")
     for event in view.handed_over:
         say(f"relay   {hand_over_words(event)}")
 

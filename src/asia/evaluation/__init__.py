@@ -3,7 +3,7 @@ what goes to a worker is a `Case`, what is scored stays here."""
 
 from asia.evaluation._context import search_context
 from asia.evaluation._dry_run import DryFold, DryRun, allowed_seconds, dry_run, short_fold
-from asia.evaluation._evaluator import FAR_BELOW, Evaluator
+from asia.evaluation._evaluator import Evaluator
 from asia.evaluation._metamorphic import dependences, suspicions
 from asia.evaluation._oracle import rounded_score
 from asia.evaluation._relations import Suspicion, SuspicionKind
@@ -22,6 +22,8 @@ from asia.evaluation._results import (
 )
 from asia.evaluation._rungs import LINEAR, LINEAR_RUNG, MEAN_RUNG, TRUTH, Rung, score_rungs
 from asia.evaluation._training_checks import TrainingCheck
+from asia.evaluation.work.alone import FAR_BELOW
+from asia.evaluation.work.beside import SPARE_TURN, Beside
 from asia.evaluation.work.survey import MachineState, survey_machines
 
 __all__ = [
@@ -29,7 +31,9 @@ __all__ = [
     "LINEAR",
     "LINEAR_RUNG",
     "MEAN_RUNG",
+    "SPARE_TURN",
     "TRUTH",
+    "Beside",
     "DryFold",
     "DryRun",
     "Evaluation",

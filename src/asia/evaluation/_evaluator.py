@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import repeat
 from typing import TypeVar
 
 import numpy as np
 
 from asia._stopwatch import Activity
-from asia.candidate import Context, check_source, executed_source, imported_libraries
+from asia.candidate import Context, check_source, executed_source
 from asia.data import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason
 from asia.evaluation._findings import fold_result
@@ -24,44 +25,29 @@ from asia.evaluation._metamorphic import (
 )
 from asia.evaluation._oracle import Oracle
 from asia.evaluation._relations import Suspicion, SuspicionKind
-from asia.evaluation._requests import (
-    MOST_TRAINING_WINDOWS,
-    simulate_held_out,
-    spread,
-)
+from asia.evaluation._requests import MOST_TRAINING_WINDOWS, simulate_held_out, spread
 from asia.evaluation._results import (
     Evaluation,
     FoldEnd,
     FoldResult,
     Refit,
     RefitModel,
-    consistency,
     derive_seed,
 )
 from asia.evaluation._workers import WorkerRunner
+from asia.evaluation.work.alone import objection_alone
 from asia.evaluation.work.asking import FoldAsker
 from asia.evaluation.work.behind import FoldBound
 from asia.executor import Executor, carrier_of
 from asia.lowering import LoweredModel
 from asia.problem import Budget
 from asia.protocol import Block, Fold, ProtocolRule, whole
-from asia.sandbox import (
-    Isolation,
-    Limits,
-    Worker,
-)
-from asia.scoring import (
-    Failure,
-    combine,
-    ranges_of,
-)
+from asia.sandbox import Isolation, Limits, Worker
+from asia.scoring import Failure, combine, ranges_of
 
 T = TypeVar("T")
 
 _STRANGERS_ASKED = 4
-# V over the training error, below which it takes more evidence; honest candidates lie above 0.9.
-FAR_BELOW = 0.6
-_UNLIKE = 1.5
 
 
 class Evaluator(WorkerRunner):
@@ -79,13 +65,16 @@ class Evaluator(WorkerRunner):
         salt: str = "",
         without: Collection[SuspicionKind] = (),
         problem: str = "",
+        *,
+        gpu: bool = False,
     ) -> None:
         """salt: a text that no candidate or agent knows, so that none can predict which cases are
         checked; without: relations that are not checked, to show what each of them finds; problem:
-        sha256 of the run's lock file. Raises UserError where folds would be fitted on other
-        machines and candidates may ask for scores, which takes the held-out outputs there."""
+        sha256 of the run's lock file; gpu: whether workers that train networks compute on the GPU.
+        Raises UserError where folds would be fitted on other machines and candidates may ask for
+        scores, which takes the held-out outputs there."""
         limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
-        super().__init__(isolation, limits, executor, len(folds))
+        super().__init__(isolation, limits, executor, len(folds), gpu=gpu)
         self._without = frozenset(without)
         self.folds = tuple(folds)
         self.horizon = rule.horizon
@@ -97,9 +86,15 @@ class Evaluator(WorkerRunner):
         self._salt = salt
         self._problem = problem
         self._asker = FoldAsker(
-            rule, self._context, self._limits, isolation, carrier_of(executor), problem
-        )
+            rule, self._context, isolation, carrier_of(executor), problem, self.one_by_one
+        )  # fmt: skip
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
+
+    @property
+    def may_fit_ahead(self) -> bool:
+        """Whether fits that turn out not to be needed may be made: not one by one, nor where each
+        of them may ask for validation scores, which are counted."""
+        return not self.one_by_one and self._rule.early_stopping == "inner"
 
     def evaluate(self, source: str, start: int = 0) -> Evaluation:
         """Fit and simulate `source` on every fold. A failed fold fails the candidate. start: fits
@@ -107,8 +102,9 @@ class Evaluator(WorkerRunner):
         return self._evaluate(source, start, None)
 
     def evaluate_first(self, source: str, over: float | None) -> Evaluation:
-        """As `evaluate`, for a first fit. over: no fold is begun once V must be above it, and the
-        outcome is a Failure with reason BEHIND; None where every fold counts."""
+        """As `evaluate`, for a first fit. over: no fold is begun once V must be above it, those
+        under way are ended, and the outcome is a Failure with reason BEHIND; None where every
+        fold counts."""
         if over is None:
             return self.evaluate(source)
         return self._evaluate(source, 0, FoldBound(len(self.folds), over))
@@ -124,13 +120,14 @@ class Evaluator(WorkerRunner):
             if bound is None:
                 ends = self._run(jobs)
             else:
-                begun = self._run([partial(bound.fit, i, job) for i, job in enumerate(jobs)])
+                stoppable = map(partial, repeat(self.stoppable), bound.stops, jobs)
+                begun = self._run([partial(bound.fit, i, job) for i, job in enumerate(stoppable)])
                 ends = [end for end in begun if end is not None]
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
         behind = None if bound is None else bound.failure()
-        if behind is not None:
-            return Evaluation(behind, output=ends[0].output)
+        if bound is not None and behind is not None:
+            return Evaluation(behind, output=ends[0].output, ended_folds=bound.ended)
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.result, Failure):
@@ -140,9 +137,14 @@ class Evaluator(WorkerRunner):
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
-        same as the worker that fitted it, and answers like a model (see `suspicions`). RESTART
-        depends on held-out outputs: it is the reason only if no other relation fails in any fold.
-        """
+        same as the worker that fitted it, and answers like a model (see `suspicions`), and unless V
+        stays where it is far below the training error."""
+        found = self.objection_to_answers(source, folds)
+        return self.objection_to_consistency(source, folds) if found is None else found
+
+    def objection_to_answers(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """The part of `objection` for which nothing is fitted. RESTART depends on held-out outputs:
+        it is the reason only if no other relation fails in any fold."""
         jobs = [
             partial(self._fold_objection, source, f, r)
             for f, r in zip(self.folds, folds, strict=True)
@@ -150,32 +152,26 @@ class Evaluator(WorkerRunner):
         try:
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 found = [f for f in self._run(jobs) if f is not None]
-                if not found and SuspicionKind.CONSISTENCY not in self._without:
-                    found = self._inconsistent(source, folds)
             return min(found, key=lambda f: f.reason is Reason.RESTART, default=None)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
-    def _inconsistent(self, source: str, folds: Sequence[FoldResult]) -> list[Failure]:
-        """Where V is far below the training error, the folds are fitted again one after the other,
-        in another order, so that none can tell another one anything; [] where V stays."""
-        value = float(np.mean([fold.score.value for fold in folds]))
-        errors = [fold.diagnostics.train_error for fold in folds]
-        if consistency(value, errors) >= FAR_BELOW:
-            return []
-        random = np.random.default_rng(self._check_seed(source, "consistency"))
-        again: list[float] = []
-        for place in random.permutation(len(folds)).tolist():
+    def objection_to_consistency(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """The part of `objection` with fits one after the other: no worker of the same candidate
+        may run beside it."""
+        if SuspicionKind.CONSISTENCY in self._without:
+            return None
+
+        def fit_alone(place: int) -> FoldResult | Failure:
             job = partial(self._fold_or_failure, source, self.folds[place])
-            result = self._run([job])[0].result
-            if isinstance(result, Failure):
-                words = f"{SuspicionKind.CONSISTENCY}: fitted alone, a fold fails"
-                return [Failure(Reason.SUSPECT, words, place + 1)]
-            again.append(result.score.value)
-        if np.mean(again) <= _UNLIKE * value:
-            return []
-        words = "V is far below the training error, but not with the folds fitted one by one"
-        return [Failure(Reason.SUSPECT, f"{SuspicionKind.CONSISTENCY}: {words}")]
+            return self._run([job])[0].result
+
+        random = np.random.default_rng(self._check_seed(source, "consistency"))
+        try:
+            with self.stopwatch.activity(Activity.CHECKS, swallows=True):
+                return objection_alone(folds, fit_alone, random)
+        except CandidateError as error:
+            return Failure(error.reason, error.detail)
 
     def _fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
         place = fold.index + 1
@@ -201,7 +197,7 @@ class Evaluator(WorkerRunner):
     ) -> Sequence[Suspicion]:
         """What `ask` finds in a worker that has seen no case. Raises CandidateError, with reason
         NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
-        with self._worker(imported_libraries(source, fitting=False)) as worker:
+        with self._worker_for(source, fitting=False) as worker:
             try:
                 worker.load(executed_source(source), model, self._fold_context("load"))
             except CandidateError as error:
@@ -246,7 +242,7 @@ class Evaluator(WorkerRunner):
         """Nothing is held out, so the candidate has no validation score to ask for."""
         model: bytes | None = None
         try:
-            with self._worker(imported_libraries(source, fitting=True)) as worker:
+            with self._worker_for(source, fitting=True) as worker:
                 worker.fit(source, self.records, self._fold_context("all", start))
                 model = worker.dump()
                 return RefitModel(model, worker.estimates())
@@ -300,7 +296,7 @@ class Evaluator(WorkerRunner):
 
     def _lowered(self, source: str, model: bytes) -> LoweredModel | str:
         context = self._fold_context("load")
-        with self._worker(imported_libraries(source, fitting=False)) as worker:
+        with self._worker_for(source, fitting=False) as worker:
             worker.load(executed_source(source), model, context)
             return worker.lowered(context)
 
@@ -312,12 +308,13 @@ class Evaluator(WorkerRunner):
         )
 
     def _fold_or_failure(self, source: str, fold: Fold, start: int = 0) -> FoldEnd:
-        opening = partial(self._worker, imported_libraries(source, fitting=False))
+        opening = partial(self._worker_for, source, fitting=False)
         oracle = Oracle(opening, source, self._context, fold, self._rule)
         inner = self._rule.early_stopping == "inner"
         found = self._asker.ask(
-            source, fold, start, self._worker, None if inner else oracle, self.stopwatch
-        )
+            source, fold, start, self._worker, None if inner else oracle, self.stopwatch,
+            self.asked.stop, self.limits_for(source),
+        )  # fmt: skip
         try:
             fitted = found.result
             if isinstance(fitted, CandidateError):
@@ -328,7 +325,12 @@ class Evaluator(WorkerRunner):
                 result = fold_result(
                     fold, fitted, self._rule, self._ranges, self._context, oracle.calls
                 )
-                result = replace(result, machine=found.machine, isolation=found.isolation)
+                result = replace(
+                    result,
+                    machine=found.machine,
+                    isolation=found.isolation,
+                    device=fitted.device,
+                )
         except CandidateError as error:
             result = Failure(error.reason, error.detail, fold.index + 1)
         return FoldEnd(result, found.printed, oracle.calls)
@@ -382,6 +384,6 @@ class Evaluator(WorkerRunner):
     def _simulate_model(
         self, source: str, model: bytes, blocks: Sequence[Block]
     ) -> tuple[Array, ...]:
-        with self._worker(imported_libraries(source, fitting=False)) as worker:
+        with self._worker_for(source, fitting=False) as worker:
             worker.load(executed_source(source), model, self._fold_context("load"))
             return simulate_held_out(worker, blocks, self.horizon)

@@ -43,6 +43,8 @@ class Fitted:
     """The largest address space of the worker."""
     compile_seconds: float
     """How long JAX traced and compiled."""
+    device: str = ""
+    """What JAX computed on, by the worker's own word; "" where nobody asked for a GPU."""
 
 
 def fold_result(

@@ -84,6 +84,8 @@ class FoldResult:
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
     """The level that was in force there; "" for the search's own."""
+    device: str = ""
+    """What JAX computed on, by the worker's own word; "" where nobody asked for a GPU."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,8 @@ class Evaluation:
     stripped."""
     validation_scores: int = 0
     """How often it asked for its score on held-out parts, in all folds, failed ones included."""
+    ended_folds: int = 0
+    """How many folds were ended while they ran, since they did not count any more."""
 
     @property
     def y_hats(self) -> list[tuple[Array, ...]]:

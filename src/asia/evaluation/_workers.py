@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 from asia._stopwatch import Activity, Stopwatch
+from asia.candidate import imported_libraries, trains_network
 from asia.errors import CandidateError, Reason, SandboxError, UserError
-from asia.executor import Executor, carrier_of
+from asia.evaluation.work.beside import Asked, Beside, nothing
+from asia.evaluation.work.stopping import FitStop
+from asia.executor import (
+    Executor,
+    Gate,
+    SequentialExecutor,
+    Turn,
+    TurnedJob,
+    carrier_of,
+    local_cores,
+)
 from asia.sandbox import Isolation, Limits, ReadyWorkers, Worker, WorkerKilledError, open_worker
 
 T = TypeVar("T")
@@ -22,10 +35,18 @@ class WorkerRunner:
     """Runs jobs that open sandboxed workers."""
 
     def __init__(
-        self, isolation: Isolation, limits: Limits, executor: Executor, most_ready: int
+        self,
+        isolation: Isolation,
+        limits: Limits,
+        executor: Executor,
+        most_ready: int,
+        *,
+        gpu: bool = False,
     ) -> None:
-        """most_ready: how many workers are started before they are needed."""
+        """most_ready: how many workers are started before they are needed; gpu: whether those that
+        train networks compute on the GPU."""
         self.isolation = isolation
+        self._gpu = gpu
         self._limits = limits
         self._executor = executor
         self._most_ready = most_ready
@@ -35,26 +56,92 @@ class WorkerRunner:
         self._interrupted = self._aborted = False
         self._runs, self._counting = 0, threading.Lock()
         self._ready: ReadyWorkers | None = None
+        self._here = threading.local()
+        # Where folds go to other machines, what is left here is not held back by the executor.
+        cores = local_cores()
+        self._own = Gate(lambda: cores) if carrier_of(executor) is not None else None
         self.stopwatch = Stopwatch()
 
+    @property
+    def asked(self) -> Asked:
+        """What this thread was asked for."""
+        found: Asked | None = getattr(self._here, "asked", None)
+        return Asked() if found is None else found
+
     @contextmanager
-    def ready_workers(self) -> Generator[None]:
-        """Start workers before they are needed, until this is closed."""
-        with ReadyWorkers(self.isolation, self._limits, self._most_ready) as self._ready:
+    def asking(self, asked: Asked) -> Generator[None]:
+        """Ask this thread for it, until this is closed."""
+        before = self.asked
+        self._here.asked = asked
+        try:
+            yield
+        finally:
+            self._here.asked = before
+
+    def stoppable(self, stop: FitStop, job: Callable[[], T]) -> T:
+        """Do a job whose workers `stop` ends."""
+        with self.asking(replace(self.asked, stop=stop)):
+            return job()
+
+    @contextmanager
+    def ready_workers(self, at_once: int = 1) -> Generator[None]:
+        """Start workers before they are needed, until this is closed. at_once: experiments in
+        flight."""
+        most = self._most_ready * at_once
+        with ReadyWorkers(self.isolation, self._limits, most) as self._ready:
             try:
                 yield
             finally:
                 self._ready = None
 
+    @property
+    def one_by_one(self) -> bool:
+        """Whether no two workers may run at once."""
+        return isinstance(self._executor, SequentialExecutor)
+
+    @contextmanager
+    def beside(
+        self, job: Callable[[], T], turn: int = 0, on_begin: Callable[[], None] = nothing
+    ) -> Generator[Beside[T]]:
+        """`job`, whose workers run beside those of this thread until this is closed; then it is
+        dropped unless it has ended. turn, on_begin: as in `Asked`. Not where no two workers may run
+        at once."""
+        asked = Asked(Turn(turn), on_begin=on_begin)
+
+        def asked_for() -> T:
+            with self.asking(asked):
+                return job()
+
+        thread = ThreadPoolExecutor(1, "beside")
+        one = Beside(asked, self.stopwatch, thread, asked_for)
+        try:
+            yield one
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                self.abort()
+            raise
+        finally:
+            one.drop()
+            thread.shutdown(wait=False)
+
     def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results of the jobs; one whose worker fails for no fault of the candidate is tried once
         more. Raises CandidateError when somebody ended the worker both times. Several threads may
         run jobs; workers still open when the last of them ends are those of an interrupted run."""
+        asked = self.asked
+
+        def run(timed: Sequence[Callable[[], T]]) -> list[T]:
+            return self._executor.run([TurnedJob(asked.turn, job) for job in timed])
+
+        def asked_for(job: Callable[[], T]) -> T:
+            asked.on_begin()
+            with self.asking(asked):
+                return self._with_one_retry(job)
+
         with self._counting:
             self._runs += 1
         try:
-            tries = [partial(self._with_one_retry, job) for job in jobs]
-            return self.stopwatch.run(self._executor.run, tries)
+            return self.stopwatch.run(run, [partial(asked_for, job) for job in jobs])
         except BaseException as error:
             if not isinstance(error, Exception):
                 self._cancel_elsewhere()
@@ -84,39 +171,61 @@ class WorkerRunner:
             worker.abort()
 
     def _with_one_retry(self, job: Callable[[], T]) -> T:
+        stop = self.asked.stop
         try:
             return job()
         except SandboxError:
-            if self._interrupted:
+            if self._interrupted or stop.stopped:
                 raise
         try:
             return job()
         except WorkerKilledError as error:
-            if self._interrupted:
+            if self._interrupted or stop.stopped:
                 raise
             raise CandidateError(
                 Reason.MEMORY, f"{error}, twice, as a machine does whose memory has run out"
             ) from None
 
+    def limits_for(self, source: str) -> Limits:
+        """Those of workers that run a candidate."""
+        return replace(self._limits, gpu=True) if self.on_gpu(source) else self._limits
+
+    def on_gpu(self, source: str) -> bool:
+        """Whether workers that run a candidate compute on the GPU."""
+        return self._gpu and trains_network(source)
+
+    def _worker_for(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:
+        return self._worker(imported_libraries(source, fitting=fitting), self.limits_for(source))
+
     @contextmanager
-    def _worker(self, libraries: frozenset[str] = frozenset()) -> Generator[Worker]:
+    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
         if len(self.left_behind) >= _MOST_LEFT_BEHIND:
             pids = ", ".join(str(pid) for pid in self.left_behind)
             raise UserError(
                 f"worker processes {pids} cannot be ended: restart the machine, and give the same "
                 "command again, which goes on from here"
             )
+        asked = self.asked
+        if asked.stop.stopped:
+            raise SandboxError("the result of this fit is not wanted any more")
+        with self._own.entered(asked.turn) if self._own else nullcontext():
+            yield from self._opened(libraries, limits, asked.stop)
+
+    def _opened(
+        self, libraries: frozenset[str], limits: Limits, stop: FitStop
+    ) -> Generator[Worker]:
         with self.stopwatch.activity(Activity.START):
-            ready = self._ready
+            ready = self._ready if limits == self._limits else None
             waiting = ready.take(libraries) if ready else None
-            worker = waiting or open_worker(self.isolation, self._limits)
+            worker = waiting or open_worker(self.isolation, limits)
         try:
             with worker:
                 self._open.add(worker)
                 try:
                     if self._interrupted:
                         raise SandboxError("the search was interrupted")
-                    yield worker
+                    with stop.ending(worker.abort):
+                        yield worker
                     worker.count_compiling()
                 finally:
                     self._open.discard(worker)

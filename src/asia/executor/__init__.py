@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -12,15 +11,20 @@ from typing import Protocol, TypeVar, cast, runtime_checkable
 from asia._nearest import suggestion
 from asia._plugins import Part, parts_of
 from asia.errors import UserError
+from asia.executor._gate import Gate, Turn, TurnedJob, turn_of
 
 __all__ = [
     "EXECUTORS",
     "Carrier",
     "Executor",
+    "Gate",
     "LocalExecutor",
     "SequentialExecutor",
+    "Turn",
+    "TurnedJob",
     "carrier_of",
     "executor_names",
+    "local_cores",
     "make_executor",
 ]
 
@@ -53,8 +57,12 @@ class Carrier(Protocol):
         """`answer(request, data, unwanted)`, called on one of the machines, where the package is
         installed; `unwanted()` is True there once nobody waits any more. digest: sha256 of `data`,
         which are sent to a machine once. A machine that dies is replaced by another one. Raises
-        SandboxError where none answers, or after `cancel`, and UserError where somebody must start
-        machines or what distributes the work among them."""
+        SandboxError where none answers, or after `cancel` and `forget`, and UserError where
+        somebody must start machines or what distributes the work among them."""
+        ...
+
+    def forget(self, request: bytes) -> None:
+        """From another thread: end the work on this request; who waits gets a SandboxError."""
         ...
 
     def ask_each(
@@ -70,12 +78,12 @@ class Carrier(Protocol):
 
 
 class LocalExecutor:
-    """Jobs on the local cores, no more at once than there are workers, whoever gives them. Threads
-    suffice: the work is done in sandboxed processes."""
+    """Jobs on the local cores, no more at once than there are workers, whoever gives them, and by
+    turn. Threads suffice: the work is done in sandboxed processes."""
 
     def __init__(self, workers: int | None = None) -> None:
-        self._workers = workers or _cores()
-        self._free = threading.BoundedSemaphore(self._workers)
+        self._workers = workers or local_cores()
+        self._gate = Gate(lambda: self._workers)
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
@@ -90,7 +98,7 @@ class LocalExecutor:
         return [future.result() for future in futures]
 
     def _when_free(self, job: Callable[[], T]) -> T:
-        with self._free:
+        with self._gate.entered(turn_of(job)):
             return job()
 
 
@@ -187,7 +195,8 @@ def _made(part: Part) -> Executor:
     return cast("Executor", found)
 
 
-def _cores() -> int:
+def local_cores() -> int:
+    """How many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import importlib.util
 import itertools
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from asia.errors import SandboxError, UserError
+from asia.executor._gate import Gate, Turn, turn_of
 
 T = TypeVar("T")
 
@@ -23,12 +25,14 @@ _ATTEMPTS = 3
 _NO_WORKERS_SECONDS = 600.0
 _LOOK_SECONDS = 20.0
 _POLL_SECONDS = 0.1
+_COUNT_SECONDS = 1.0
 
 Answer = Callable[[bytes, bytes, Callable[[], bool]], bytes]
 
 
 class DaskExecutor:
-    """Folds on a Dask cluster, as many at once as it has threads. What scores them stays here.
+    """Folds on a Dask cluster, as many at once as it has threads; the others wait here, by turn.
+    So none waits for one worker while another one is idle. What scores them stays here.
 
     A cluster runs the code that its clients send: it belongs into a network of your own. Raises
     UserError without the extra `dask`, or where no scheduler answers.
@@ -45,8 +49,12 @@ class DaskExecutor:
         self._numbers = itertools.count()
         self._sent: dict[str, Any] = {}
         self._lock = threading.Lock()
-        self._under_way: set[Any] = set()
+        self._under_way: dict[Any, bytes] = {}
+        self._forgotten: set[bytes] = set()
         self._cancelled = False
+        self._gate = Gate(self._room)
+        self._threads, self._counted = 0, float("-inf")
+        self._here = threading.local()
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`, which wait here for what is fitted there."""
@@ -54,7 +62,7 @@ class DaskExecutor:
             return []
         pool = ThreadPoolExecutor(max_workers=len(jobs), thread_name_prefix="fold")
         try:
-            futures = [pool.submit(job) for job in jobs]
+            futures = [pool.submit(self._in_turn, job) for job in jobs]
             wait(futures)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -62,10 +70,17 @@ class DaskExecutor:
 
     def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
         """As `Carrier.carry`."""
+        try:
+            with self._gate.entered(getattr(self._here, "turn", Turn())):
+                return self._carried(answer, request, digest, data)
+        finally:
+            with self._lock:
+                self._forgotten.discard(request)
+
+    def _carried(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
         trouble: Exception | None = None
         for _ in range(_ATTEMPTS):
-            if self._cancelled:
-                raise SandboxError("the search was interrupted")
+            self._check_wanted(request)
             try:
                 self._await_workers()
                 return self._answered(answer, request, self._data(digest, data))
@@ -73,13 +88,11 @@ class DaskExecutor:
                 raise
             # Whatever the engine raises: a machine died, and perhaps the data with it.
             except Exception as error:  # noqa: BLE001
+                self._check_wanted(request)
                 trouble = error
                 with self._lock:
                     self._sent.pop(digest, None)
-                if not self._cancelled:
-                    self._check_scheduler()
-        if self._cancelled:
-            raise SandboxError("the search was interrupted")
+                self._check_scheduler()
         raise SandboxError(
             f"no machine of the cluster at {self._where} has fitted a fold in {_ATTEMPTS} attempts "
             f"({type(trouble).__name__}: {trouble}): see the output of its workers, then give the "
@@ -102,14 +115,45 @@ class DaskExecutor:
             found[address] = answers[address], seconds, asked
         return found
 
+    def forget(self, request: bytes) -> None:
+        """As `Carrier.forget`: its worker's sandbox ends within a second."""
+        with self._lock:
+            self._forgotten.add(request)
+            under_way = [one for one, what in self._under_way.items() if what == request]
+        self._end(under_way)
+
     def cancel(self) -> None:
         """As `Carrier.cancel`: the workers' sandboxes end within a second."""
         self._cancelled = True
         with self._lock:
             under_way = list(self._under_way)
+        self._end(under_way)
+
+    def _end(self, under_way: Sequence[Any]) -> None:
         # A scheduler that is gone has forgotten them.
         if under_way and self._client.status == "running":
             self._client.cancel(under_way, force=True)
+
+    def _check_wanted(self, request: bytes) -> None:
+        """Raises SandboxError where nobody waits for the answer any more."""
+        if self._cancelled:
+            raise SandboxError("the search was interrupted")
+        if request in self._forgotten:
+            raise SandboxError("the result of this fit is not wanted any more")
+
+    def _in_turn(self, job: Callable[[], T]) -> T:
+        self._here.turn = turn_of(job)
+        return job()
+
+    def _room(self) -> int:
+        """Threads of the cluster, counted anew now and then. All may enter where there are none:
+        each of them waits for a worker then, or says that there is none."""
+        now = time.monotonic()
+        if now - self._counted > _COUNT_SECONDS and self._client.status == "running":
+            self._counted = now
+            workers: dict[str, Any] = self._client.scheduler_info(n_workers=-1)["workers"]
+            self._threads = sum(int(worker["nthreads"]) for worker in workers.values())
+        return self._threads or sys.maxsize
 
     def close(self) -> None:
         """Leave the cluster."""
@@ -127,8 +171,10 @@ class DaskExecutor:
         key = f"asia-fold-{hashlib.sha256(request).hexdigest()}-{next(self._numbers)}"
         future = self._client.submit(_task, answer, request, data, key=key, pure=False)
         with self._lock:
-            self._under_way.add(future)
+            self._under_way[future] = request
         try:
+            # For one that was forgotten before it was under way.
+            self._check_wanted(request)
             while True:
                 try:
                     return future.result(_LOOK_SECONDS)
@@ -138,7 +184,7 @@ class DaskExecutor:
                     self._await_workers()
         finally:
             with self._lock:
-                self._under_way.discard(future)
+                self._under_way.pop(future, None)
 
     def _await_workers(self) -> None:
         """Until there is a worker. Raises UserError where none comes for long."""

@@ -100,7 +100,7 @@ from asia.ledger.evidence.parameters import (
     identified,
     put_estimates,
 )
-from asia.ledger.evidence.passed_over import folds_passed_over
+from asia.ledger.evidence.passed_over import folds_ended, folds_passed_over
 from asia.ledger.evidence.words import evidence_lines
 from asia.scoring import Diagnostics
 
@@ -190,6 +190,7 @@ __all__ = [
     "findings_of",
     "floor_to_beat",
     "floor_words",
+    "folds_ended",
     "folds_passed_over",
     "get_curves",
     "get_estimates",

@@ -1,6 +1,7 @@
 """Run untrusted candidates in worker processes. What comes back is bytes and is never parsed."""
 
 from asia.sandbox._doctor import Lack, LevelState, Machine, machine, survey
+from asia.sandbox._gpu import DEVICES, chosen_gpu, gpu_here
 from asia.sandbox._jail import INSIDE, SOCKET_FOLDER, Jail, jail_environment
 from asia.sandbox._level import Level
 from asia.sandbox._open import fitting_levels, layers_in_force, open_worker, probe, why_not
@@ -16,10 +17,12 @@ from asia.sandbox._types import (
     WorkerKilledError,
 )
 from asia.sandbox.levels import LEVELS
+from asia.sandbox.walls.gpu import gpu_nodes, gpu_words
 from asia.sandbox.walls.surroundings import REPEATABLE, shown_in
 from asia.sandbox.worker.worker import Worker
 
 __all__ = [
+    "DEVICES",
     "INSIDE",
     "LEVELS",
     "REPEATABLE",
@@ -39,7 +42,11 @@ __all__ = [
     "ScoreRefusedError",
     "Worker",
     "WorkerKilledError",
+    "chosen_gpu",
     "fitting_levels",
+    "gpu_here",
+    "gpu_nodes",
+    "gpu_words",
     "jail_environment",
     "layers_in_force",
     "machine",

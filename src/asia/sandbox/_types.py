@@ -53,6 +53,9 @@ class Limits:
     """Address space of the worker process."""
     model_mb: int = 64
     """Largest fitted model that is kept."""
+    gpu: bool = False
+    """Whether it computes on the GPU. Then `memory_mb` is what it may have in memory: CUDA reserves
+    far more addresses than it uses."""
 
 
 class WorkerKilledError(SandboxError):

@@ -16,10 +16,11 @@ from asia.candidate import installed_libraries
 PACKAGES = ("cloudpickle", "asia-sysid")
 
 
-def environment(*agents: str) -> dict[str, str]:
+def environment(*agents: str, gpu: str = "") -> dict[str, str]:
     """Python, platform and the versions of the packages that outcomes or prompts may depend on,
     those that bring parts included, and the digest of the model library, which may change between
-    two versions. Raises UserError as `asia._plugins.parts` does."""
+    two versions. gpu: what candidates compute on beside the processor. Raises UserError as
+    `asia._plugins.parts` does."""
     names = (
         *installed_libraries(),
         *PACKAGES,
@@ -28,7 +29,8 @@ def environment(*agents: str) -> dict[str, str]:
     versions = {name: importlib.metadata.version(name) for name in names}
     plugged = {part.package: part.version for part in parts()}
     python = {"python": platform.python_version(), "platform": platform.platform()}
-    return {**python, **plugged, **versions, "asia.models": _library_digest()}
+    card = {"GPU": gpu} if gpu else {}
+    return {**python, **plugged, **versions, **card, "asia.models": _library_digest()}
 
 
 @cache

@@ -320,6 +320,7 @@ class Loop:
             floor=judged.floor,
             lowest=judged.lowest,
             elapsed=None if view.started.parallel == 1 else now - start,
+            ended_folds=evaluation.ended_folds,
         )
 
     def _refit(self) -> None:

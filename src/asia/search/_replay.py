@@ -41,7 +41,7 @@ from asia.ledger import (
     without_artifacts,
 )
 from asia.problem.load import Problem, load_lock
-from asia.sandbox import LEVELS, Isolation, probe
+from asia.sandbox import LEVELS, Isolation, gpu_nodes, probe
 from asia.scoring import Failure, Outcome, Score
 from asia.search._agent_view import agent_view, as_bytes, problem_facts
 from asia.search._environment import environment, environment_changes
@@ -338,9 +338,9 @@ def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
     wanted, found = Isolation(started.isolation), probe().level
     level = wanted if wanted is found or not LEVELS[wanted].confined else found
     notes = () if level is wanted else (f"isolation {level.value} here, {wanted.value} then",)
-    changes = environment_changes(
-        started.environment, environment(started.agent, *(leg.agent for leg in started.legs))
-    )
+    gpu = started.environment.get("GPU", "") if gpu_nodes() else ""
+    here = environment(started.agent, *(leg.agent for leg in started.legs), gpu=gpu)
+    changes = environment_changes(started.environment, here)
     return level, (*notes, *changes)
 
 

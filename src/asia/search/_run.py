@@ -40,7 +40,7 @@ from asia.problem.load import (
     protocol_digest,
 )
 from asia.protocol import EarlyStopping, Fold, fold_names, make_folds
-from asia.sandbox import Isolation, Probe, probe
+from asia.sandbox import Isolation, Probe, chosen_gpu, gpu_nodes, probe
 from asia.seal._guard import guard_digest
 from asia.seal._test import seal
 from asia.search._environment import environment
@@ -83,6 +83,7 @@ def prepare(
     legs: Sequence[Leg] = (),
     parallel: int = 1,
     stop_folds: bool = False,
+    device: str = "cpu",
 ) -> Prepared:
     """Check everything a search needs and compare with what is on disk. Writes nothing.
 
@@ -90,11 +91,12 @@ def prepare(
     the agent's proposals beside its name. lessons: of earlier searches, None for a
     search without; a run that exists keeps those that it began with.
     legs: those of a relay, `legs_of` its agent. parallel: experiments in flight. stop_folds: the
-    folds of a candidate that is far behind the best already are passed over.
+    folds of a candidate that is far behind the best already are passed over. device: `gpu` for
+    candidates that train networks on one, `auto` for one where there is one.
 
     Raises UserError when the folds cannot be made, the test does not fit, the legs do not fit into
-    the budget, the run exists with other settings, or several experiments are to be in flight while
-    folds are fitted one by one.
+    the budget, the run exists with other settings, several experiments are to be in flight while
+    folds are fitted one by one, or JAX does not reach the GPU that was asked for.
     """
     folds = _check(problem, legs, parallel, strict=isolation_strict, stop_folds=stop_folds)
     sealed = replace(seal(problem), guard=guard_digest(problem))
@@ -120,8 +122,6 @@ def prepare(
         agent_settings=dict(agent_settings or {}),
         ladder=problem.protocol.ladder,
         guard_digest=sealed.guard,
-        layers=tuple(layer.value for layer in found.layers),
-        salt=secrets.token_hex(16),
         isolation_strict=isolation_strict,
         lessons=hashlib.sha256(taught).hexdigest() if taught else None,
         folds=fold_names(folds, problem.protocol),
@@ -130,7 +130,22 @@ def prepare(
         parallel=parallel,
         stop_folds=stop_folds,
     )
-    return Prepared(problem, directory, lock, started, _resumes(problem, sealed, directory), taught)
+    resumes = _resumes(problem, sealed, directory)
+    return Prepared(problem, directory, lock, _on(device, started, found), resumes, taught)
+
+
+def _on(device: str, started: Started, found: Probe) -> Started:
+    """With what keeps candidates in and a salt, and the GPU where workers reach the one asked
+    for."""
+    gpu, notes = chosen_gpu(device, found.level)
+    return replace(
+        started,
+        layers=tuple(layer.value for layer in found.layers),
+        salt=secrets.token_hex(16),
+        isolation_notes=(*started.isolation_notes, *notes),
+        device="gpu" if gpu else "cpu",
+        environment={**started.environment, **({"GPU": gpu} if gpu else {})},
+    )
 
 
 def _taught(lessons: Sequence[Lesson] | None) -> bytes:
@@ -195,7 +210,8 @@ def search(
             loop.record(Resumed())
         # One that starts while another runs could be told something by how long it takes.
         alone = view.started.isolation_strict or carrier_of(executor) is not None
-        with nullcontext() if alone else evaluator.ready_workers():
+        ready = nullcontext() if alone else evaluator.ready_workers(view.started.parallel)
+        with ready:
             return loop.run()
 
 
@@ -222,6 +238,8 @@ def make_evaluator(
         salt=view.started.salt,
         without=without,
         problem=view.started.lock_digest,
+        # Elsewhere a finished search is still read: most models simulate without JAX.
+        gpu=view.started.device == "gpu" and bool(gpu_nodes()),
     )
 
 
@@ -318,6 +336,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("isolation", start.isolation_words, wanted.isolation_words),
         ("lessons", *("on" if s.lessons else "off" for s in (start, wanted))),
         ("--parallel", start.parallel, wanted.parallel),
+        ("--device", start.device, wanted.device),
         ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),
     ):
         if there != now:

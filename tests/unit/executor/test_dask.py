@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 from asia.agents import Agent, AgentView, Proposal
 from asia.errors import SandboxError, UserError
 from asia.evaluation import survey_machines
-from asia.executor import make_executor
+from asia.executor import Turn, TurnedJob, make_executor
 from asia.executor.dask import DaskExecutor
 from asia.ledger import Event, Landed, Proposed, SearchView, open_run, verify
 from asia.problem.load import load_problem
@@ -128,6 +129,69 @@ def test_a_scheduler_that_is_gone_is_said(threads: Any) -> None:
         executor.carry(joined, b"a", "digest", b"b")
     executor.cancel()
     executor.close()
+
+
+def until_unwanted(request: bytes, data: bytes, unwanted: Callable[[], bool]) -> bytes:
+    end = time.monotonic() + 30.0
+    while not unwanted():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    return b"ended"
+
+
+def test_one_that_is_forgotten_ends_alone(threads: Any) -> None:
+    executor = DaskExecutor(threads.scheduler_address)
+    raised: list[str] = []
+
+    def carried() -> None:
+        try:
+            executor.carry(until_unwanted, b"long", "digest", b"")
+        except SandboxError as error:
+            raised.append(str(error))
+
+    waiting = threading.Thread(target=carried)
+    waiting.start()
+    while not executor._under_way:
+        time.sleep(0.01)
+    executor.forget(b"long")
+    waiting.join()
+    assert raised == ["the result of this fit is not wanted any more"]
+    # Its thread there is free again, and the same request may come back.
+    assert executor.carry(joined, b"long", "other", b"b") == b"longb"
+    executor.close()
+
+
+def test_folds_wait_here_until_a_thread_is_free_the_oldest_experiment_first(threads: Any) -> None:
+    executor = DaskExecutor(threads.scheduler_address)
+    assert executor._room() == 1
+    order: list[bytes] = []
+
+    def job(request: bytes) -> None:
+        executor.carry(slowly, request, "digest", b"")
+        order.append(request)
+
+    begun = threading.Thread(target=executor.run, args=([partial(job, b"first")],))
+    begun.start()
+    while not executor._under_way:
+        time.sleep(0.01)
+    others = [
+        threading.Thread(target=executor.run, args=([TurnedJob(Turn(turn), partial(job, name))],))
+        for turn, name in ((7, b"later"), (3, b"sooner"))
+    ]
+    for other in others:
+        other.start()
+    while len(executor._gate._waiting) < 2:
+        time.sleep(0.01)
+    assert len(executor._under_way) == 1
+    for thread in (begun, *others):
+        thread.join()
+    assert order == [b"first", b"sooner", b"later"]
+    executor.close()
+
+
+def slowly(request: bytes, data: bytes, unwanted: Callable[[], bool]) -> bytes:
+    time.sleep(0.5)
+    return b""
 
 
 @pytest.mark.slow

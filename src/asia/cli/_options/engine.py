@@ -29,6 +29,13 @@ class EngineOptions:
             help="Pass over the folds of a candidate that is far behind the best without them.",
         ),
     ] = False
+    device: Annotated[
+        str,
+        typer.Option(
+            help="What networks are trained on: cpu, gpu (NVIDIA, extra gpu), or auto for a GPU "
+            "where there is one."
+        ),
+    ] = "cpu"
     executor: Annotated[
         str,
         typer.Option(

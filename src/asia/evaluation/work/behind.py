@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from asia.errors import Reason
+from asia.errors import Reason, SandboxError
 from asia.evaluation._results import FoldEnd, FoldResult
+from asia.evaluation.work.stopping import FitStop
 from asia.scoring import Failure
 
 
@@ -15,7 +16,7 @@ class FoldBound:
 
     The parts of V are never negative. So V is at least the sum of those that are known, over the
     number of folds. Only folds without a gap before them count, so what comes out does not depend
-    on which fold ends first.
+    on which fold ends first. Those behind the last one that counts are ended where they run.
     """
 
     def __init__(self, folds: int, over: float) -> None:
@@ -23,16 +24,34 @@ class FoldBound:
         self._over = over
         self._parts: list[float | None] = [None] * folds
         self._lock = threading.Lock()
+        self.stops = tuple(FitStop() for _ in range(folds))
+        self.ended = 0
+        """How many folds were ended while they ran."""
 
     def fit(self, index: int, job: Callable[[], FoldEnd]) -> FoldEnd | None:
-        """What the fold gives; None, and nothing is fitted, where it does not count any more."""
+        """What the fold gives; None where it does not count any more: then nothing is fitted, or
+        the fit was ended by its stop."""
         if self.failure() is not None:
             return None
-        end = job()
+        try:
+            end = job()
+        except SandboxError:
+            if not self.stops[index].stopped:
+                raise
+            with self._lock:
+                self.ended += 1
+            return None
         if isinstance(end.result, FoldResult):
             with self._lock:
                 self._parts[index] = end.result.score.value
+            self._end_what_does_not_count()
         return end
+
+    def _end_what_does_not_count(self) -> None:
+        failure = self.failure()
+        if failure is not None:
+            for stop in self.stops[failure.fold :]:
+                stop.stop()
 
     def failure(self) -> Failure | None:
         """Why the candidate has no V: its last fold that counts, and the bound there; None as long

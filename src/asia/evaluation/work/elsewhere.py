@@ -5,8 +5,9 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import cache
 
 from asia.errors import SandboxError, UserError
 from asia.evaluation.work.fit import fit_fold
@@ -19,7 +20,8 @@ from asia.evaluation.work.message import (
     encode_trouble,
     installation_of,
 )
-from asia.sandbox import Worker, layers_in_force, open_worker, why_not
+from asia.evaluation.work.spares import spare_workers
+from asia.sandbox import Isolation, Limits, Worker, layers_in_force, open_worker, why_not
 
 _LOOK_SECONDS = 0.5
 
@@ -31,12 +33,12 @@ def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: F
     try:
         check_installation(installation_of(request), machine)
         work = decode_work(request)
-        _check_isolation(work, machine)
+        _check_isolation(work.isolation, work.layers, machine)
         spent: list[Worker] = []
 
         @contextmanager
-        def opened(libraries: frozenset[str]) -> Generator[Worker]:
-            with open_worker(work.isolation, work.limits, libraries=libraries) as worker:
+        def opened(libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+            with _open(work, libraries, limits) as worker:
                 spent.append(worker)
                 with _watched(worker, unwanted):
                     yield worker
@@ -50,15 +52,25 @@ def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: F
         return encode_trouble(error)
 
 
-def _check_isolation(work: FoldWork, machine: str) -> None:
-    reason = why_not(work.isolation)
+def _open(
+    work: FoldWork, libraries: frozenset[str], limits: Limits
+) -> AbstractContextManager[Worker]:
+    if work.alone:
+        return open_worker(work.isolation, limits, libraries=libraries)
+    return spare_workers().worker(work.isolation, limits, libraries)
+
+
+@cache
+def _check_isolation(isolation: Isolation, layers: tuple[str, ...], machine: str) -> None:
+    """Tried once in a process, where it works."""
+    reason = why_not(isolation)
     if reason is None:
-        lost = sorted({*work.layers} - {layer.value for layer in layers_in_force(work.isolation)})
+        lost = sorted({*layers} - {layer.value for layer in layers_in_force(isolation)})
         reason = f"it lacks {', '.join(lost)}" if lost else None
     if reason is not None:
         raise UserError(
             f"worker machine {machine} cannot isolate candidates as the search does "
-            f"({work.isolation.value}): {reason}. Run asia doctor on that machine, or begin the "
+            f"({isolation.value}): {reason}. Run asia doctor on that machine, or begin the "
             "search with an --isolation that all machines have"
         )
 

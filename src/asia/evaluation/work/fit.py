@@ -15,9 +15,9 @@ from asia.evaluation._oracle import Oracle
 from asia.evaluation._requests import largest, simulate_requests, simulate_training
 from asia.evaluation.work.message import FoldAnswer, FoldData, FoldWork
 from asia.protocol import whole
-from asia.sandbox import FitReply, Worker
+from asia.sandbox import FitReply, Limits, Worker
 
-OpenWorker = Callable[[frozenset[str]], AbstractContextManager[Worker]]
+OpenWorker = Callable[[frozenset[str], Limits], AbstractContextManager[Worker]]
 
 
 def fit_fold(
@@ -45,18 +45,19 @@ def _fitted(
     printed: list[str],
 ) -> Fitted:
     inside, horizon = whole(data.train, data.rule), data.rule.horizon
-    with open_worker(imported_libraries(work.source, fitting=True)) as worker:
+    with open_worker(imported_libraries(work.source, fitting=True), work.limits) as worker:
         try:
             reply = _fit(worker, work, data, oracle)
         finally:
             printed.append(worker.printed)
+        device = worker.device() if work.limits.gpu else ""
         parameters, model = worker.parameters(), worker.dump()
         found = simulate_requests(worker, data.blocks, data.requests, largest(data.requests))
         y_hat = tuple(found[i] for i in range(len(data.cases)))
         train_y_hat = simulate_training(worker, inside, horizon)
         memory = worker.peak_memory_mb
     seconds = [worker.spent.get(a, (0.0, 0.0))[0] for a in (Activity.TRACE, Activity.COMPILE)]
-    return Fitted(reply, model, parameters, y_hat, train_y_hat, memory, sum(seconds))
+    return Fitted(reply, model, parameters, y_hat, train_y_hat, memory, sum(seconds), device)
 
 
 def _fit(worker: Worker, work: FoldWork, data: FoldData, oracle: Oracle | None) -> FitReply:

@@ -11,8 +11,10 @@ from pathlib import Path
 
 from asia.candidate import installed_libraries
 from asia.errors import UserError
+from asia.sandbox import Limits, gpu_words
 
 _PACKAGES = ("cloudpickle", "jaxlib")
+_GPU = "GPU"
 _FLAGS = ("flags", "Features")
 
 
@@ -29,9 +31,14 @@ def installation() -> Mapping[str, str]:
     }
 
 
+def installation_for(limits: Limits) -> Mapping[str, str]:
+    """The same, with the GPU where a worker computes on it: its rounding is another one."""
+    return {**installation(), _GPU: gpu_words()} if limits.gpu else installation()
+
+
 def check_installation(there: Mapping[str, str], machine: str) -> None:
     """Raises UserError unless this machine, by its name, has what the search's own has."""
-    here = installation()
+    here = {**installation(), _GPU: gpu_words()} if _GPU in there else installation()
     different = [
         f"{name} {here.get(name, 'missing')} there, {there.get(name, 'missing')} here"
         for name in sorted({*here, *there})

@@ -71,6 +71,8 @@ class FoldWork:
     """The level that must keep the candidate in."""
     layers: tuple[str, ...]
     """The layers of this level that must be in force."""
+    alone: bool = False
+    """Whether no worker may be started while it runs, since it could tell that one something."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,7 @@ def encode_answer(answer: FoldAnswer) -> bytes:
         "parameters": result.parameters,
         "memory_mb": result.memory_mb,
         "compile_seconds": result.compile_seconds,
+        "device": result.device,
         "train": len(result.train_y_hat),
     }
     arrays = (reply.curve, *result.y_hat, *result.train_y_hat)
@@ -194,6 +197,7 @@ def _answer(
             train_y_hat=tuple(y_hat[len(data.shapes) :]),
             memory_mb=None if memory is None else float(memory),
             compile_seconds=float(head["compile_seconds"]),
+            device=str(head["device"]),
         )
     spent = {Activity(k): (float(a), float(b)) for k, (a, b) in head["spent"].items()}
     return FoldAnswer(result, head["printed"], head["machine"], head["isolation"], spent)

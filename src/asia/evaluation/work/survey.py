@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from asia.errors import SandboxError, UserError
 from asia.evaluation.work.installation import check_installation, installation
 from asia.executor import Carrier
-from asia.sandbox import probe
+from asia.sandbox import gpu_words, probe
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,8 @@ class MachineState:
     """Seconds by which its clock is ahead. Nothing depends on it."""
     unlike: str
     """What is not as on this machine, in a sentence; "" for nothing."""
+    gpu: str
+    """What the driver says of its GPU; "" for none."""
 
 
 def survey_machines(carrier: Carrier) -> list[MachineState]:
@@ -53,6 +55,7 @@ def survey_machines(carrier: Carrier) -> list[MachineState]:
                 round_trip=seconds,
                 clock=float(str(said["time"])) - asked - seconds / 2,
                 unlike=str(said["unlike"]),
+                gpu=str(said["gpu"]),
             )
         )
     return states
@@ -80,5 +83,6 @@ def described(request: bytes) -> bytes:
         "layers": layers,
         "time": now,
         "unlike": unlike,
+        "gpu": gpu_words(),
     }
     return json.dumps(said).encode()

@@ -17,6 +17,7 @@ Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
 ]
+Device = Literal["cpu", "gpu"]
 HandOverReason = Literal[
     "planned", "saturated", "exhausted", "stuck", "tokens", "cost", "time", "agent"
 ]
@@ -24,9 +25,13 @@ HandOverReason = Literal[
 _AtOnce = Annotated[int, Field(exclude_if=lambda value: value == 1)]
 # Left out where the search's own machine fitted.
 _Elsewhere = Annotated[str, Field(exclude_if=lambda value: value == "")]
+# Left out where nobody asked for a GPU.
+_Device = Annotated[Device, Field(exclude_if=lambda value: value == "cpu")]
 _Flag = Annotated[bool, Field(exclude_if=lambda value: not value)]
 _Bound = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
+_Count = Annotated[int, Field(exclude_if=lambda value: value == 0)]
 _Elapsed = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
+
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
 
@@ -105,6 +110,8 @@ class Started:
     before it have their results."""
     stop_folds: _Flag = False
     """Whether folds of a first fit are passed over once V must be above `Proposed.over`."""
+    device: _Device = "cpu"
+    """What candidates that train networks compute on; `environment` names the GPU."""
     event: Literal["started"] = "started"
 
     @property
@@ -182,6 +189,9 @@ class FoldEvidence:
     isolation: _Elsewhere = ""
     """The level that was in force on that machine; "" for the search's own, which the result
     names."""
+    device: _Elsewhere = ""
+    """What JAX computed on, by the word of the worker, which runs the candidate; "" where nobody
+    asked for a GPU."""
 
 
 @dataclass(frozen=True)
@@ -239,6 +249,9 @@ class Evaluated:
     elapsed: _Elapsed = None
     """Seconds that the search waited for it, decision included; None where one experiment runs at
     a time, which takes `seconds`."""
+    ended_folds: _Count = field(default=0, compare=False)
+    """How many folds were ended while they ran, since V was far above the best without them. It
+    depends on the machine."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -259,6 +272,8 @@ class Landed:
     """Duration of the fit and its simulations."""
     validation_scores: int = 0
     """Validation scores given in all folds, failed ones too."""
+    ended_folds: _Count = field(default=0, compare=False)
+    """As in `Evaluated`."""
     event: Literal["landed"] = "landed"
 
 

@@ -19,3 +19,8 @@ def folds_passed_over(view: SearchView) -> tuple[int, ...]:
         and e.result is not None
         and e.result.duplicate_of is None
     )
+
+
+def folds_ended(view: SearchView) -> int:
+    """How many of the folds that were passed over ran already, and were ended."""
+    return sum(e.result.ended_folds for e in view.finished if e.result is not None)

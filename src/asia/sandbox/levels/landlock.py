@@ -54,7 +54,7 @@ class Landlock(Level):
             raise SandboxError(f"isolation level '{self.isolation}' cannot run here: {reasons}")
         pipes = PipePairs(os.pipe(), os.pipe())
         command = child_command(*pipes.child_ends, limits, layers, libraries)
-        process = start(command, pipes, env=environment(_NOWHERE), cwd=_NOWHERE)
+        process = start(command, pipes, env=environment(_NOWHERE, gpu=limits.gpu), cwd=_NOWHERE)
         return WorkerProcess(
             process=process,
             pipes=parent_ends(process, pipes),

@@ -105,20 +105,21 @@ class Namespace(Level):
             return child_command(*ends, limits, layers, libraries)
 
         try:
-            return _open(bwrap, watch, command)
+            return _open(bwrap, watch, command, gpu=limits.gpu)
         except BaseException:
             watch.end_orphans()
             raise
 
 
 def _open(
-    bwrap: str, watch: OrphanWatch, worker: Callable[[tuple[int, int]], list[str]]
+    bwrap: str, watch: OrphanWatch, worker: Callable[[tuple[int, int]], list[str]], *, gpu: bool
 ) -> WorkerProcess:
-    """worker: the command line inside, for the child's ends of the pipes."""
+    """worker: the command line inside, for the child's ends of the pipes; gpu: whether it computes
+    on the GPU."""
     pipes = PipePairs(os.pipe(), os.pipe())
     info, info_write = os.pipe()
     inside = ["--info-fd", str(info_write), "--", *worker(pipes.child_ends)]
-    command = [watch.mark, *worker_walls(), *inside]
+    command = [watch.mark, *worker_walls(gpu=gpu), *inside]
     try:
         # env={}: bwrap stays process 1 inside, where its environment can be read.
         process = start(command, pipes, env={}, cwd="/", also_pass=(info_write,), program=bwrap)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Collection, Mapping
 from typing import Literal
 
+from asia.sandbox.walls.gpu import GPU_FACTS, gpu_nodes
 from asia.sandbox.walls.surroundings import (
     SYSTEM_FILES,
     code_folders,
@@ -20,14 +21,29 @@ _SHM_BYTES = 16 * 1024 * 1024
 
 
 def worker_walls(
-    tmp_bytes: int = _TMP_BYTES, *, shared: Collection[Shared] = (), nesting: bool = False
+    tmp_bytes: int = _TMP_BYTES,
+    *,
+    shared: Collection[Shared] = (),
+    nesting: bool = False,
+    gpu: bool = False,
 ) -> list[str]:
-    """bwrap options of a worker, up to the command. shared, nesting: as of `walls`."""
+    """bwrap options of a worker, up to the command. shared, nesting: as of `walls`; gpu: whether it
+    computes on the GPU."""
     memory = {"/dev/shm": _SHM_BYTES, "/tmp": tmp_bytes}
-    options = walls(memory, _HOME, ["--chdir", _HOME], shared=shared, nesting=nesting)
+    shown = [*(_gpu_options() if gpu else []), "--chdir", _HOME]
+    options = walls(memory, _HOME, shown, shared=shared, nesting=nesting)
     options += ["--uid", "65534", "--gid", "65534", "--hostname", "sandbox", "--clearenv"]
-    for name, value in environment(_HOME).items():
+    for name, value in environment(_HOME, gpu=gpu).items():
         options += ["--setenv", name, value]
+    return options
+
+
+def _gpu_options() -> list[str]:
+    """What lies in /proc is there already."""
+    options = [word for node in gpu_nodes() for word in ("--dev-bind-try", node, node)]
+    for place in GPU_FACTS:
+        if not place.startswith("/proc/"):
+            options += ["--ro-bind-try", place, place]
     return options
 
 

@@ -46,11 +46,12 @@ def why_not() -> str | None:
     return None
 
 
-def restrict(readable: Iterable[str], writable: Iterable[str]) -> None:
+def restrict(readable: Iterable[str], writable: Iterable[str], devices: Iterable[str] = ()) -> None:
     """Bind the calling thread and all that it starts; threads that run already stay free.
 
-    readable: files, and folders with all below them; writable: files to read and write. What does
-    not exist is left out. Raises OSError if the kernel refuses.
+    readable: files, and folders with all below them; writable: files to read and write; devices:
+    those that take commands too. What does not exist is left out. Raises OSError if the kernel
+    refuses.
     """
     version = abi()
     files = _ALL_OF_ABI_1
@@ -66,6 +67,8 @@ def restrict(readable: Iterable[str], writable: Iterable[str]) -> None:
             _allow(ruleset, place, _READ_FILE | _READ_DIR)
         for place in writable:
             _allow(ruleset, place, _READ_FILE | _WRITE_FILE)
+        for place in devices:
+            _allow(ruleset, place, files & (_READ_FILE | _WRITE_FILE | _DEVICE_CONTROL))
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
             raise OSError(ctypes.get_errno(), "no_new_privs was refused")

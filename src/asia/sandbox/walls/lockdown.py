@@ -32,8 +32,9 @@ _PR_SET_PDEATHSIG = 1
 _AF_UNIX, _SOCK_STREAM = 1, 1
 
 
-def confine(layers: Collection[str], readable: Sequence[str]) -> None:
-    """Apply these layers for good. Raises OSError, or RuntimeError where a thread would stay out.
+def confine(layers: Collection[str], readable: Sequence[str], devices: Sequence[str] = ()) -> None:
+    """Apply these layers for good. devices: nodes that the process may give commands to. Raises
+    OSError, or RuntimeError where a thread would stay out.
 
     The process also ends with its parent from here on, which it cannot undo under the filter.
     """
@@ -48,9 +49,9 @@ def confine(layers: Collection[str], readable: Sequence[str]) -> None:
         raise OSError(ctypes.get_errno(), "capabilities could not be dropped")
     libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if LANDLOCK in layers:
-        landlock.restrict(readable, WRITABLE)
+        landlock.restrict(readable, WRITABLE, devices)
     if SECCOMP in layers:
-        seccomp.install()
+        seccomp.install(devices=bool(devices))
 
 
 def holds(layers: Collection[str], folder: str) -> str | None:

@@ -12,6 +12,7 @@ import asia
 from asia._plugins import plugin_packages
 from asia.errors import SandboxError
 from asia.sandbox._types import Layer, Limits
+from asia.sandbox.walls.gpu import GPU_FACTS, gpu_environment, gpu_nodes
 
 SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
 _CONTAINERS = (Path("/.dockerenv"), Path("/run/.containerenv"))
@@ -40,7 +41,7 @@ XLA sizes its thread pools by; without it the last bits of a sum depend on the n
 whatever XLA_FLAGS say."""
 
 
-def environment(home: str) -> dict[str, str]:
+def environment(home: str, *, gpu: bool = False) -> dict[str, str]:
     """All environment variables of a worker."""
     return {
         "PATH": "/usr/bin:/bin",
@@ -50,6 +51,7 @@ def environment(home: str) -> dict[str, str]:
         "LOGNAME": "candidate",
         "LANG": "C.UTF-8",
         **REPEATABLE,
+        **(gpu_environment(REPEATABLE["XLA_FLAGS"]) if gpu else {}),
     }
 
 
@@ -80,10 +82,13 @@ def child_command(
     script = package_folder() / "sandbox" / "worker" / "child.py"
     folders, packages = _user_site(), [f"asia={package_folder()}"]
     packages += [f"{one.name}={place}" for one in plugin_packages() for place in one.places]
-    words = [str(requests), str(replies), str(limits.memory_mb), ",".join(layers)]
-    for part in (sorted(libraries), folders, packages):
+    addresses_mb = 0 if limits.gpu else limits.memory_mb
+    words = [str(requests), str(replies), str(addresses_mb), ",".join(layers)]
+    devices = gpu_nodes() if limits.gpu else ()
+    for part in (sorted(libraries), folders, packages, devices):
         words += [str(len(part)), *part]
-    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *words, *readable()]
+    facts = GPU_FACTS if limits.gpu else ()
+    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *words, *readable(), *facts]
 
 
 def readable() -> list[str]:

@@ -54,14 +54,16 @@ _NOT_PORTABLE = (
 
 
 def _restrict(memory_mb: int) -> None:
-    """Limits on resources, before the system call filter takes away the means to set them."""
+    """Limits on resources, before the system call filter takes away the means to set them; 0 MB for
+    none on the address space."""
     limits = {
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: _LARGEST_FILE,
         resource.RLIMIT_NOFILE: _OPEN_FILES,
     }
     if sys.platform == "linux":
-        limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
+        if memory_mb:
+            limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
         limits[resource.RLIMIT_MEMLOCK] = 0
         limits[resource.RLIMIT_MSGQUEUE] = 0
         # Queued signals are counted over all processes of the user.
@@ -155,6 +157,7 @@ class _Session:
             "parameters": self._parameters,
             "estimates": self._estimates,
             "lower": self._lower,
+            "device": self._device,
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
         }
         while True:
@@ -278,6 +281,14 @@ class _Session:
         except Exception:  # noqa: BLE001 - the border to candidate code
             return b""
 
+    def _device(self) -> bytes:
+        """Evidence, as `_parameters`."""
+        try:
+            device = sys.modules["jax"].devices()[0]
+            return f"{device.platform} {device.device_kind}".encode()[: wire.DEVICE_BYTES]
+        except Exception:  # noqa: BLE001 - the border to candidate code
+            return b""
+
     def _pickled(self, model: object) -> bytes:
         import cloudpickle
 
@@ -360,11 +371,12 @@ def main(arguments: list[str]) -> NoReturn:
     layers = arguments[3].split(",")
     libraries, rest = _counted(arguments[4:])
     folders, rest = _counted(rest)
-    packages, readable = _counted(rest)
+    packages, rest = _counted(rest)
+    devices, readable = _counted(rest)
     if lockdown.RLIMITS in layers:
         _restrict(memory_mb)
     # Before numpy, whose threads Landlock would not bind.
-    lockdown.confine(layers, readable)
+    lockdown.confine(layers, readable, devices)
     sys.path.extend(folder for folder in folders if folder not in sys.path)
     sys.meta_path.insert(0, _PackageFinder(packages))
     for fd in (requests, replies):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import struct
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
@@ -16,6 +18,7 @@ from asia.sandbox.worker.wire import COMPILED, COMPILED_BYTES
 # What a request that compiles is counted as beside the compilation.
 _COUNTED_AS = {"fit": Activity.FIT, "load": Activity.IMPORT, "simulate": Activity.SIMULATE}
 _OF_A_PROCESS = 2
+_LOOK_SECONDS = 0.2
 
 
 class WorkerClock:
@@ -92,3 +95,37 @@ def peak_memory_mb(pid: int | None) -> float | None:
         text = Path(f"/proc/{pid}/status").read_text("ascii", "replace")
         return int(text.split("VmPeak:")[1].split()[0]) / 1024
     return None
+
+
+class MemoryWatch:
+    """Looks at a process until it has more than so many MB in memory, and ends it then: for one
+    that a limit on its address space would break."""
+
+    def __init__(
+        self, find: Callable[[], int | None], most_mb: int, end: Callable[[], None]
+    ) -> None:
+        """find: its process id."""
+        self.exceeded = False
+        self._find, self._most, self._end = find, most_mb * 1024 * 1024, end
+        self._over = threading.Event()
+        threading.Thread(target=self._look, name="memory", daemon=True).start()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._over.set()
+
+    def _look(self) -> None:
+        while not self._over.wait(_LOOK_SECONDS):
+            if resident_bytes(self._find()) > self._most:
+                self.exceeded = True
+                self._end()
+                return
+
+
+def resident_bytes(pid: int | None) -> int:
+    """What a process has in memory; 0 where the system does not say."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")

@@ -7,6 +7,7 @@ import builtins
 
 import numpy as np
 
+from asia._text import printable
 from asia.errors import Reason
 from asia.sandbox.worker.wire import SHAPE_DIMENSIONS, ReplyKind
 
@@ -25,6 +26,21 @@ KNOWN_ERRORS = frozenset(
     if isinstance(value, type) and issubclass(value, BaseException)
 ) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
 OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
+
+
+def failure_words(
+    status: ReplyKind, body: bytes, expected: tuple[int, ...], *, private: bool
+) -> str:
+    """Detail of a failure the worker reported. expected: the shape to name in one; private: whether
+    it knows cases, and may not speak freely."""
+    if status is ReplyKind.SHAPE:
+        return f"got shape {shape_words(body, expected)}, expected {expected}"
+    text = printable(body.decode("utf-8", "replace")).strip()
+    if not private:
+        return text
+    if status is ReplyKind.CONTRACT:
+        return "no array of numbers, or no model with simulate"
+    return text if text in KNOWN_ERRORS else "an exception of its own"
 
 
 def shape_words(body: bytes, expected: tuple[int, ...]) -> str:

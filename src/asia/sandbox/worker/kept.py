@@ -37,7 +37,7 @@ def start_kept(
     command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
     command += [*inside, *child_command(requests, replies, limits, layers, libraries)]
     try:
-        process = start(command, pipes, env=environment(home), cwd=home)
+        process = start(command, pipes, env=environment(home, gpu=limits.gpu), cwd=home)
     except BaseException:
         shutil.rmtree(home, ignore_errors=True)
         raise

@@ -18,6 +18,7 @@ CURVE_ROWS = 2000
 CURVE_ROW_BYTES = 16
 TEXT_BYTES = 2048
 SHAPE_DIMENSIONS = 8
+DEVICE_BYTES = 100
 COMPILED = ("fit", "load", "simulate")
 """Requests in which JAX may compile. What it took is two float64 each: to trace, to compile."""
 COMPILED_BYTES = len(COMPILED) * 16

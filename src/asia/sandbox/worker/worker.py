@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import pickle
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -18,15 +19,9 @@ from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError
 from asia.lowering import LARGEST_BYTES, FormatError, LoweredModel, unpack_for
 from asia.sandbox._types import FitReply, Limits, ScoreModel, ScoreRefusedError, WorkerKilledError
-from asia.sandbox.worker.channel import (
-    Channel,
-    GoneError,
-    Head,
-    LateError,
-    UnsolicitedError,
-)
-from asia.sandbox.worker.clock import WorkerClock, peak_memory_mb
-from asia.sandbox.worker.failures import KNOWN_ERRORS, OUT_OF_MEMORY, REASONS, shape_words
+from asia.sandbox.worker.channel import Channel, GoneError, Head, LateError, UnsolicitedError
+from asia.sandbox.worker.clock import MemoryWatch, WorkerClock, peak_memory_mb
+from asia.sandbox.worker.failures import OUT_OF_MEMORY, REASONS, failure_words
 from asia.sandbox.worker.figures import (
     ESTIMATES_BYTES,
     PARAMETERS_BYTES,
@@ -39,6 +34,7 @@ from asia.sandbox.worker.wire import (
     COMPILED_BYTES,
     CURVE_ROW_BYTES,
     CURVE_ROWS,
+    DEVICE_BYTES,
     TEXT_BYTES,
     ReplyKind,
 )
@@ -64,6 +60,7 @@ class Worker:
         self._clock = WorkerClock(process.find)
         self.left_behind: int | None = None
         self._closed = False
+        self._ending = threading.Lock()
         self._ready = False
         self._started = False
         self._latest = math.inf
@@ -72,6 +69,9 @@ class Worker:
         self._model_loaded = False
         self._cases_seen = False
         self._printed = ""
+        self._memory: MemoryWatch | None = None
+        if limits.gpu:
+            self._memory = MemoryWatch(process.find, limits.memory_mb, self.abort)
 
     def __enter__(self) -> Worker:
         return self
@@ -184,6 +184,12 @@ class Worker:
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
+    def device(self) -> str:
+        """What JAX computes on, by the worker's own word; "" where it has not loaded JAX. As
+        `parameters`, to be asked before any case."""
+        said = self._said_of_parameters("device", DEVICE_BYTES)
+        return printable(said.decode("utf-8", "replace"))
+
     def _said_of_parameters(self, request: str, most: int) -> bytes:
         if self._cases_seen:
             raise SandboxError(f"the worker has seen cases: {request} are asked for before them")
@@ -238,16 +244,21 @@ class Worker:
         self._latest = latest
 
     def abort(self) -> None:
-        """End the process from another thread: the one that uses it then sees it gone."""
-        with contextlib.suppress(OSError):
-            self._process.kill()
-            self._process.force()
+        """End the process from another thread: the one that uses it then sees it gone. Nothing
+        happens once that one ends it: its handles may belong to others by then."""
+        with self._ending, contextlib.suppress(OSError):
+            if not self._closed:
+                self._process.kill()
+                self._process.force()
 
     def close(self) -> None:
         """End the process with everything it started; may be called again. What the kernel does
         not let die is `left_behind`."""
         if not self._closed:
-            self._closed = True
+            with self._ending:
+                self._closed = True
+            if self._memory is not None:
+                self._memory.close()
             with self._clock.activity(Activity.START):
                 self._channel.close()
                 if not self._process.end():
@@ -325,7 +336,8 @@ class Worker:
             body = self._channel.receive(length, deadline)
         except (LateError, GoneError, UnsolicitedError) as error:
             raise self._translated(error, late) from None
-        raise self._failure(REASONS[head.status], self._words(head.status, body, expected))
+        words = failure_words(head.status, body, expected, private=self._cases_seen)
+        raise self._failure(REASONS[head.status], words)
 
     def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
         """A model that follows `head`."""
@@ -340,17 +352,6 @@ class Worker:
         except (LateError, GoneError) as error:
             raise self._translated(error, late) from None
 
-    def _words(self, status: ReplyKind, body: bytes, expected: tuple[int, ...]) -> str:
-        """Detail of a failure the worker reported. Once it knows cases it may not speak freely."""
-        if status is ReplyKind.SHAPE:
-            return f"got shape {shape_words(body, expected)}, expected {expected}"
-        text = printable(body.decode("utf-8", "replace")).strip()
-        if not self._cases_seen:
-            return text
-        if status is ReplyKind.CONTRACT:
-            return "no array of numbers, or no model with simulate"
-        return text if text in KNOWN_ERRORS else "an exception of its own"
-
     def _translated(self, error: Exception, late: Reason) -> CandidateError | SandboxError:
         if isinstance(error, LateError):
             seconds = (
@@ -362,6 +363,8 @@ class Worker:
         if isinstance(error, UnsolicitedError):
             return self._failure(Reason.UNSOLICITED)
         ending = self._process.ending()
+        if self._memory is not None and self._memory.exceeded:
+            return self._failure(Reason.MEMORY, f"more than {self._limits.memory_mb} MB in memory")
         if ending.outside is not None:
             self.close()
             number = int(ending.outside)

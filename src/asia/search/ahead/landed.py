@@ -28,6 +28,7 @@ def _keep(store: Store, fold: FoldResult) -> FoldEvidence:
         findings=put_findings(store, fold.findings) if fold.findings else None,
         machine=fold.machine,
         isolation=fold.isolation,
+        device=fold.device,
     )
 
 
@@ -45,6 +46,7 @@ def landed_of(number: int, evaluation: Evaluation, seconds: float, store: Store)
         output=keep_output(store, evaluation.output),
         seconds=seconds,
         validation_scores=evaluation.validation_scores,
+        ended_folds=evaluation.ended_folds,
     )
 
 
@@ -57,7 +59,7 @@ def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evalua
         rows = zip(outcome.folds, landed.folds, folds, strict=True)
         kept = tuple(_taken_up(score, found, fold, store) for score, found, fold in rows)
     output = store.text(landed.output) if landed.output else ""
-    return Evaluation(outcome, kept, output, landed.validation_scores)
+    return Evaluation(outcome, kept, output, landed.validation_scores, landed.ended_folds)
 
 
 def _taken_up(score: FoldScore, kept: FoldEvidence, fold: Fold, store: Store) -> FoldResult:
@@ -73,4 +75,5 @@ def _taken_up(score: FoldScore, kept: FoldEvidence, fold: Fold, store: Store) ->
         findings=get_findings(store, kept.findings) if kept.findings else None,
         machine=kept.machine,
         isolation=kept.isolation,
+        device=kept.device,
     )

@@ -9,13 +9,16 @@ over, whatever is said of the method.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from statistics import fmean
 
-from asia.evaluation import Evaluation, Evaluator, same_simulations
+from asia.evaluation import Beside, Evaluation, Evaluator, FoldResult, same_simulations
 from asia.ledger import Retest, SearchView, Status
 from asia.scoring import Failure, Score, least_significant_difference
+from asia.search.deciding.retesting import retest_fits
 from asia.search.deciding.rules import decide
 
 _FIRST_SEED = 1_000_000
@@ -80,23 +83,41 @@ def judge(
     if isinstance(evaluation.outcome, Failure):
         status = evaluation.outcome.reason.status
         return Judged(evaluation, status, (), None, status == "timeout", asked)
-    if view.started.retests:
-        found = _Retesting(evaluator, source, evaluation, evaluation.outcome, view).decide()
-    else:
-        found = _Decision(decide(evaluation.outcome, view))
-    status = found.status
+    folds, answers = evaluation.folds, None
     lowest = view.started.retests > 0 and _is_best(evaluation.outcome, view)
-    if lowest and status == "discard":
-        # From other seeds its method is no better. Its own fit is.
-        status = "inconclusive"
-    if status == "keep" or lowest or view.started.ladder is not None:
-        failure = evaluator.objection(source, evaluation.folds)
-        if failure is not None:
-            evaluation = replace(evaluation, outcome=failure)
-            status, lowest = failure.reason.status, False
+    with ExitStack() as opened:
+        if lowest and not evaluator.one_by_one:
+            # It is checked whatever the retests say.
+            check = partial(evaluator.objection_to_answers, source, folds)
+            answers = opened.enter_context(evaluator.beside(check))
+        if view.started.retests:
+            found = _Retesting(evaluator, source, evaluation, evaluation.outcome, view).decide()
+        else:
+            found = _Decision(decide(evaluation.outcome, view))
+        status = found.status
+        if lowest and status == "discard":
+            # From other seeds its method is no better. Its own fit is.
+            status = "inconclusive"
+        if status == "keep" or lowest or view.started.ladder is not None:
+            failure = _objection(evaluator, source, folds, answers)
+            if failure is not None:
+                evaluation = replace(evaluation, outcome=failure)
+                status, lowest = failure.reason.status, False
     deadline = found.deadline or status == "timeout"
     asked += found.validation_scores
     return Judged(evaluation, status, found.retests, found.floor, deadline, asked, lowest)
+
+
+def _objection(
+    evaluator: Evaluator,
+    source: str,
+    folds: Sequence[FoldResult],
+    answers: Beside[Failure | None] | None,
+) -> Failure | None:
+    """answers: the part of the checks that has been begun."""
+    if answers is None:
+        return evaluator.objection(source, folds)
+    return answers.result() or evaluator.objection_to_consistency(source, folds)
 
 
 @dataclass(frozen=True)
@@ -127,11 +148,21 @@ class _Retesting:
 
     def _repeat(self, known: Sequence[float]) -> _Decision:
         """Fit from other seeds until the decision is clear, or there are no more."""
+        most = self.view.started.retests
+        with retest_fits(self.evaluator, self._fit, most) as fit:
+            return self._decided(known, fit, most)
+
+    def _fit(self, number: int) -> Evaluation:
+        return self.evaluator.evaluate(self.source, _FIRST_SEED + number)
+
+    def _decided(
+        self, known: Sequence[float], fit: Callable[[int], Evaluation], most: int
+    ) -> _Decision:
         retests: list[Retest] = []
         values, asked, timed_out, failed = [self.score.value], 0, False, False
-        for number in range(self.view.started.retests):
+        for number in range(most):
             begin = time.monotonic()
-            again = self.evaluator.evaluate(self.source, _FIRST_SEED + number)
+            again = fit(number)
             seconds = time.monotonic() - begin
             asked += again.validation_scores
             outcome = again.outcome

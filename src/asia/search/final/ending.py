@@ -3,7 +3,9 @@ name the model to use."""
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 
 from asia.errors import CandidateError
 from asia.evaluation import Evaluator, Refit
@@ -20,11 +22,16 @@ def refit_winner(
     """The last line of a search, but for looks at the guard. Workers that end for no fault of the
     candidate leave a search without a refit, not without a model."""
     assert best.score is not None
-    try:
-        refit, checked = _refit(evaluator, best, store, metric)
-    except CandidateError as error:
-        refit, checked = None, CheckedRefit(None, str(error), None)
-    stack = make_stack(evaluator, view, store, metric)
+    with ExitStack() as opened:
+        stacked = partial(make_stack, evaluator, view, store, metric)
+        if not evaluator.one_by_one:
+            # It does not depend on the refit, which takes longer and goes first.
+            stacked = opened.enter_context(evaluator.beside(stacked, 1)).result
+        try:
+            refit, checked = _refit(evaluator, best, store, metric)
+        except CandidateError as error:
+            refit, checked = None, CheckedRefit(None, str(error), None)
+        stack = stacked()
     refitted = Refitted(
         experiment=best.number,
         model=None if checked.model is None else store.put(checked.model),

@@ -41,17 +41,21 @@ class Loopback(LocalExecutor):
         super().__init__(2)
         self.requests: list[bytes] = []
         self.sent: list[bytes] = []
+        self.forgotten: set[bytes] = set()
         self._change = change
 
     def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
         self.requests.append(request)
         self.sent.append(data)
-        return self._change(answer(request, data, lambda: False))
+        return self._change(answer(request, data, lambda: request in self.forgotten))
 
     def ask_each(
         self, describe: Callable[[bytes], bytes], request: bytes
     ) -> dict[str, tuple[bytes, float, float]]:
         return {"here": (describe(request), 0.001, time.time())}
+
+    def forget(self, request: bytes) -> None:
+        self.forgotten.add(request)
 
     def cancel(self) -> None: ...
 
@@ -146,6 +150,7 @@ def test_a_machine_that_isolates_less_is_refused(
     assert isinstance(found, UserError)
     assert "it lacks landlock" in str(found)
     monkeypatch.setattr(elsewhere, "why_not", lambda level: "no such thing")
+    elsewhere._check_isolation.cache_clear()
     assert "no such thing. Run asia doctor" in str(refusal(problem, *work(problem)))
 
 

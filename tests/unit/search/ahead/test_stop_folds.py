@@ -15,11 +15,12 @@ from asia.evaluation import Evaluator
 from asia.evaluation._results import FoldEnd
 from asia.evaluation.work.behind import FoldBound
 from asia.executor import make_executor
-from asia.ledger import Experiment, SearchView, folds_passed_over, open_run, verify
+from asia.ledger import Experiment, SearchView, folds_ended, folds_passed_over, open_run, verify
 from asia.problem.load import load_problem
-from asia.protocol import find_metric
+from asia.protocol import find_metric, make_folds
 from asia.scoring import Failure
 from asia.search import prepare, replay_run, search
+from tests.unit.cli.conftest import command_line
 from tests.unit.search.toy import arx, write_problem
 
 FAR = """
@@ -32,6 +33,18 @@ def fit(trajectories, context):
     return Model()
 """
 SOURCES = (arx(2), FAR, arx(3))
+# Its second fold has other training records, and is long.
+FAR_AND_LONG = FAR.replace(
+    "def fit(trajectories, context):\n",
+    """
+import time
+
+
+def fit(trajectories, context):
+    if abs(trajectories[0].u[0, 0] - {first}) > 1e-12:
+        time.sleep(50.0)
+""",
+)
 
 
 @dataclass(frozen=True)
@@ -167,3 +180,40 @@ def fed(parts: list[float], over: float, order: object) -> Failure | None:
     for place in order:  # type: ignore[attr-defined]
         bound._parts[place] = parts[place]  # pyright: ignore[reportPrivateUsage]
     return bound.failure()
+
+
+@dataclass(frozen=True)
+class Two:
+    """Proposes two candidates."""
+
+    sources: tuple[str, str]
+    name: str = "listed"
+    proposes_ahead: bool = True
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        place = len(view.proposed) - 1
+        if place >= 2:
+            return None
+        return Proposal(self.sources[place], "listed", f"number {place}", "listed", "listed")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("parallel", [1, 2])
+def test_a_fold_that_runs_is_ended_and_said(parallel: int, tmp_path: Path) -> None:
+    problem = load_problem(write_problem(tmp_path / "toy", experiments=3))
+    problem = replace(problem, budget=replace(problem.budget, retests=0))
+    first = make_folds(problem.train, problem.protocol)[0].train[0].u[0, 0]
+    agent = Two((arx(2), FAR_AND_LONG.replace("{first}", repr(float(first)))))
+    ready = prepare(
+        problem, "listed", seed=0, runs=tmp_path / "runs", parallel=parallel, stop_folds=True
+    )
+    view = search(ready, agent, lambda e, v: None, lambda v: None, make_executor("local:2"))
+    result = view.experiment(3).result
+    assert result is not None
+    assert result.status == "discard"
+    assert result.seconds < 40.0
+    assert (result.ended_folds, folds_ended(view)) == (1, 1)
+    done = command_line("status", ready.directory.name, "--runs", tmp_path / "runs")
+    assert "1 passed over, 1 of them ended while they ran, in 1 experiments" in done.out
+    verify(ready.directory)
+    assert replay_run(ready.directory, lambda item: None).agrees

@@ -53,6 +53,8 @@ def fit(trajectories, context):
 class Fits(Evaluator):
     """V of the fits of one candidate, one after the other."""
 
+    one_by_one, may_fit_ahead = True, False
+
     def __init__(self, *outcomes: float | Failure) -> None:
         self.outcomes, self.starts = outcomes, list[int]()
 

@@ -1,0 +1,72 @@
+"""The fits of a candidate from other seeds, the next one begun where workers are free."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+
+from asia.evaluation import SPARE_TURN, Beside, Evaluation, Evaluator
+
+
+@contextmanager
+def retest_fits(
+    evaluator: Evaluator, fit: Callable[[int], Evaluation], most: int
+) -> Generator[Callable[[int], Evaluation]]:
+    """`fit`, called with 0, 1, ... in order. Once all folds of one fit are under way the next one
+    begins, behind all other work; one that nobody asks for is ended. What comes out does not depend
+    on that. most: how many there may be."""
+    if not evaluator.may_fit_ahead:
+        yield fit
+        return
+    with ExitStack() as opened:
+        yield _RetestFits(evaluator, fit, most, opened).take
+
+
+class _RetestFits:
+    def __init__(
+        self,
+        evaluator: Evaluator,
+        fit: Callable[[int], Evaluation],
+        most: int,
+        opened: ExitStack,
+    ) -> None:
+        self._evaluator, self._fit, self._most, self._opened = evaluator, fit, most, opened
+        self._begun: list[_Begun] = []
+        self._fits: list[Beside[Evaluation]] = []
+
+    def take(self, number: int) -> Evaluation:
+        for following in range(len(self._fits), min(number + 2, self._most)):
+            self._begin(following, 0 if following == number else SPARE_TURN)
+        return self._fits[number].result()
+
+    def _begin(self, number: int, turn: int) -> None:
+        before = self._begun[-1] if self._begun else None
+        mine = _Begun(len(self._evaluator.folds))
+        self._begun.append(mine)
+
+        def fit() -> Evaluation:
+            if before is not None:
+                before.all.wait()
+            try:
+                return self._fit(number)
+            finally:
+                mine.all.set()
+
+        beside = self._evaluator.beside(fit, turn, mine.one)
+        self._fits.append(self._opened.enter_context(beside))
+
+
+class _Begun:
+    """How many folds of a fit have begun."""
+
+    def __init__(self, folds: int) -> None:
+        self.all = threading.Event()
+        self._left, self._lock = folds, threading.Lock()
+
+    def one(self) -> None:
+        """One more."""
+        with self._lock:
+            self._left -= 1
+            if self._left <= 0:
+                self.all.set()
