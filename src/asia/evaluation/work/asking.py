@@ -18,10 +18,10 @@ from asia.evaluation.work.message import (
     FoldWork,
     decode_answer,
     decode_work,
-    encode_answer,
     encode_data,
     encode_work,
     fold_data,
+    local_answer,
 )
 from asia.executor import Carrier
 from asia.protocol import Fold, ProtocolRule, whole
@@ -77,8 +77,8 @@ class FoldAsker:
         train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
         if self._carrier is None:
             request = encode_work(work, {})
-            reply = encode_answer(fit_fold(decode_work(request), data, open_worker, oracle))
-            return decode_answer(reply, data, train)
+            fitted = fit_fold(decode_work(request), data, open_worker, oracle)
+            return local_answer(fitted, data, train)
         request = encode_work(work, installation())
         found = decode_answer(self._carrier.carry(answer, request, digest, raw), data, train)
         for activity, (wall, processor) in found.spent.items():

@@ -1,8 +1,9 @@
 """The framing that both ends of a worker's pipes agree on.
 
-A request is a u64 length and a pickle, which only travels into the sandbox. A reply is a status
-byte, the token of the request it answers, a u64 length and raw bytes: nothing in it is parsed.
-During a fit a SCORE reply brings a model, and the next request brings its score.
+A request is the u64 length of a pickle, which only travels into the sandbox, the u64 number of its
+large arrays, their u64 lengths, the pickle, and these arrays, which neither end copies. A reply is
+a status byte, the token of the request it answers, a u64 length and raw bytes: nothing in it is
+parsed. During a fit a SCORE reply brings a model, and the next request brings its score.
 """
 
 from __future__ import annotations
@@ -10,7 +11,10 @@ from __future__ import annotations
 import struct
 from enum import IntEnum
 
-REQUEST_HEAD = struct.Struct("<Q")
+REQUEST_HEAD = struct.Struct("<QQ")
+LENGTH = struct.Struct("<Q")
+LARGE_BYTES = 65_536
+"""From so many on an array travels beside the pickle."""
 REPLY_HEAD = struct.Struct("<B8sQ")
 TOKEN_BYTES = 8
 
