@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -62,6 +64,8 @@ _STRANGERS_ASKED = 4
 # V over the training error, below which it takes more evidence; honest candidates lie above 0.9.
 FAR_BELOW = 0.6
 _UNLIKE = 1.5
+# Training samples of a fold.
+_LONG = 100_000
 
 
 class Evaluator(WorkerRunner):
@@ -96,6 +100,7 @@ class Evaluator(WorkerRunner):
         self._rule = rule
         self._salt = salt
         self._problem = problem
+        self._analysing = threading.Lock()
         self._asker = FoldAsker(
             rule, self._context, self._limits, isolation, carrier_of(executor), problem
         )
@@ -324,7 +329,7 @@ class Evaluator(WorkerRunner):
                 raise fitted
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._ask_strangers(source, fold, fitted.model, fitted.y_hat)
-            with self.stopwatch.activity(Activity.SCORE):
+            with self.stopwatch.activity(Activity.SCORE), self._turn(fold):
                 result = fold_result(
                     fold, fitted, self._rule, self._ranges, self._context, oracle.calls
                 )
@@ -332,6 +337,11 @@ class Evaluator(WorkerRunner):
         except CandidateError as error:
             result = Failure(error.reason, error.detail, fold.index + 1)
         return FoldEnd(result, found.printed, oracle.calls)
+
+    def _turn(self, fold: Fold) -> AbstractContextManager[object]:
+        """Of long records one fold is analysed at a time, for the sake of memory."""
+        long = sum(len(record) for record in fold.train) > _LONG
+        return self._analysing if long else nullcontext()
 
     def _ask_strangers(self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]) -> None:
         """Where several requests go to one worker, a few of their cases in a fresh one. Raises

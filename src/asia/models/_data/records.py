@@ -100,7 +100,9 @@ def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledT
 
 
 def measured_samples(record: Trajectory) -> Array:
-    """(T,), 1 where every output was measured, else 0."""
+    """(T,), 1 where every output was measured, else 0; read-only where all were."""
+    if record.missing is None:
+        return np.broadcast_to(np.float64(1.0), len(record))
     return np.asarray(record.measured.all(axis=1), dtype=np.float64)
 
 
