@@ -13,10 +13,12 @@ from asia.data import Array, Signal, Trajectory
 from asia.models import linear
 from asia.models._data import window_encoder
 from asia.models._data.records import ScaledTrajectory
-from asia.models._linear import long
+from asia.models._linear import estimates, long
+from asia.models._linear import system as linear_system
 from asia.models._linear.long import LongResponse
 from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
+from asia.models._noise import process
 from asia.models.methods import LevenbergMarquardt
 
 
@@ -110,14 +112,44 @@ def test_the_encoder_is_the_same_block_by_block(
         np.testing.assert_allclose(other, one, atol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0, 3, 40])
+def test_a_long_simulation_goes_on_from_block_to_block(
+    monkeypatch: pytest.MonkeyPatch, delay: int
+) -> None:
+    data = measured(300)
+    model = linear.build(linear.Config(order=2, delay=delay), context())
+    model = linear.train(model, [data], context(), LevenbergMarquardt(iterations=1))
+    u, y = np.stack([data.u, -data.u]), np.stack([data.y, data.y])
+    whole = model.simulate(u[:, :8], y[:, :8], u[:, 8:])
+    monkeypatch.setattr(linear_system, "_BLOCK", 32)
+    blocks = model.simulate(u[:, :8], y[:, :8], u[:, 8:])
+    np.testing.assert_allclose(blocks, whole, atol=1e-12)
+
+
+def test_standard_errors_of_a_long_record_are_those_of_a_short_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    data = measured(900)
+    model = linear.build(linear.Config(order=2), context())
+    model = linear.train(model, [data], context(), LevenbergMarquardt(iterations=30))
+    monkeypatch.setattr(process, "_MOST_WORK", 0)
+    known = model.estimates([data], context())
+    monkeypatch.setattr(estimates, "_LONG", 0)
+    monkeypatch.setattr(process, "_MANY", 0)
+    monkeypatch.setattr(process, "_BLOCK", 64)
+    found = model.estimates([data], context())
+    for one, other in zip(known.parameters, found.parameters, strict=True):
+        assert other.standard_error == pytest.approx(one.standard_error, rel=1e-6)
+
+
+@pytest.mark.long
 def test_memory_of_a_fit_grows_little_with_the_record() -> None:
     peaks = list[int]()
-    for samples in (100_000, 200_000):
+    for samples in (60_000, 120_000):
         data = measured(samples)
-        model = linear.build(linear.Config(order=2), context(10))
+        model = linear.build(linear.Config(order=4), context(10))
         tracemalloc.start()
-        linear.train(model, [data], context(10), LevenbergMarquardt(iterations=2))
+        linear.train(model, [data], context(10), LevenbergMarquardt(iterations=1))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[1] - peaks[0] < 5 * 16 * 100_000
+    assert peaks[1] - peaks[0] < 4 * 16 * 60_000
