@@ -40,14 +40,12 @@ class CaseBatch:
         spread = self.u.std(axis=(0, 1))
         spread = np.where(spread > 0, spread, np.abs(self.u).max(axis=(0, 1)))
         given = (self.past_u, spread), (self.past_y, scale), (self.u, spread)
-        steps = [size * unit * random.choice((-1.0, 1.0), a.shape) for a, unit in given]
-
-        def shifted(way: float) -> CaseBatch:
-            past_u, past_y, u = (a + way * d for (a, _), d in zip(given, steps, strict=True))
-            return replace(self, past_u=past_u, past_y=past_y, u=u)
-
-        yield shifted(1.0)
-        yield shifted(-1.0)
+        steps = [random.choice((-1.0, 1.0), a.shape) for a, _ in given]
+        for step, (_, unit) in zip(steps, given, strict=True):
+            step *= size * unit
+        for way in (np.add, np.subtract):
+            past_u, past_y, u = (way(a, d) for (a, _), d in zip(given, steps, strict=True))
+            yield replace(self, past_u=past_u, past_y=past_y, u=u)
 
     def prefix(self, length: int) -> CaseBatch:
         """The same cases with their first `length` inputs alone."""
@@ -94,8 +92,9 @@ class CaseBatch:
             return np.concatenate([_past(*row) for row in rows])
 
         length = self.u.shape[1]
-        held = np.concatenate([self.u, np.repeat(self.u[:, -1:], max(starts), axis=1)], axis=1)
-        u = np.stack([row[s : s + length] for row, s in zip(held, starts, strict=True)])
+        u = np.empty_like(self.u)
+        for row, known, start in zip(u, self.u, starts, strict=True):
+            row[: length - start], row[length - start :] = known[start:], known[-1]
         return replace(
             self, past_u=past(self.past_u, self.u), past_y=past(self.past_y, self.y), u=u
         )
@@ -103,6 +102,9 @@ class CaseBatch:
 
 def _past(before: Array, values: Array, start: int) -> Array:
     """The samples just before `start`, as many as `before` has of those before sample 0."""
+    count = before.shape[1]
+    if start >= count:
+        return values[:, start - count : start].copy()
     return np.concatenate([before, values[:, :start]], axis=1)[:, start:]
 
 

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from asia._heap import LARGE_RECORDS, give_back_large_arrays
 from asia._stopwatch import Activity
 from asia.candidate import Context, check_source, executed_source, imported_libraries
 from asia.data import Array, Trajectory, spread_of
@@ -104,6 +105,8 @@ class Evaluator(WorkerRunner):
         self._asker = FoldAsker(
             rule, self._context, self._limits, isolation, carrier_of(executor), problem
         )
+        if sum(r.u.nbytes + r.y.nbytes for r in records) > LARGE_RECORDS:
+            give_back_large_arrays()
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
 
     def evaluate(self, source: str, start: int = 0) -> Evaluation:

@@ -158,7 +158,7 @@ class _Session:
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
         }
         while True:
-            self._token, name, arguments = self._request()
+            self._token, name, arguments = wire.read_request(self._requests)
             status = wire.ReplyKind.OK
             self._compiling.request = name
             try:
@@ -170,31 +170,6 @@ class _Session:
             if os.getpid() != self._pid:
                 os._exit(0)  # a fork that strayed out of candidate code
             self._reply(status, body)
-
-    def _request(self) -> tuple[bytes, str, tuple[Any, ...]]:
-        """Token, name and arguments."""
-        import numpy as np
-
-        length, count = wire.REQUEST_HEAD.unpack(self._read(wire.REQUEST_HEAD.size))
-        lengths = [wire.LENGTH.unpack(self._read(wire.LENGTH.size))[0] for _ in range(count)]
-        body = self._read(length)
-        arrays = [np.empty(size, np.uint8) for size in lengths]
-        for array in arrays:
-            self._read_into(array.data)
-        return pickle.loads(body, buffers=arrays)
-
-    def _read(self, length: int) -> bytearray:
-        data = bytearray(length)
-        self._read_into(memoryview(data))
-        return data
-
-    def _read_into(self, data: memoryview) -> None:
-        done = 0
-        while done < len(data):
-            count = os.readv(self._requests, [data[done : done + (1 << 20)]])
-            if not count:
-                os._exit(0)
-            done += count
 
     def _reply(self, status: int, body: bytes | memoryview = b"") -> None:
         head = wire.REPLY_HEAD.pack(status, self._token, len(body))
@@ -235,7 +210,7 @@ class _Session:
             if not self._fitting:
                 raise RuntimeError("validation_score is there for the time of fit only")
             self._reply(wire.ReplyKind.SCORE, body)
-            self._token, name, (answer,) = self._request()
+            self._token, name, (answer,) = wire.read_request(self._requests)
         if name == "refuse":
             raise RuntimeError(answer)
         return answer
