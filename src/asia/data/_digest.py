@@ -6,6 +6,8 @@ import hashlib
 import json
 from collections.abc import Sequence
 
+import numpy as np
+
 from asia.data._trajectory import Trajectory
 
 
@@ -15,6 +17,6 @@ def data_digest(trajectories: Sequence[Trajectory]) -> str:
     digest = hashlib.sha256()
     for t in trajectories:
         digest.update(json.dumps([t.sampling_time, t.u.shape, t.y.shape]).encode())
-        digest.update(t.u.astype("<f8").tobytes())
-        digest.update(t.measured_y.astype("<f8").tobytes())
+        for values in (t.u, t.measured_y):
+            digest.update(np.ascontiguousarray(values, "<f8").data)
     return digest.hexdigest()

@@ -34,21 +34,18 @@ class CaseBatch:
     followed: bool = False
     """Whether data that come right after the block train."""
 
-    def moved(
-        self, size: float, scale: Array, random: np.random.Generator
-    ) -> tuple[CaseBatch, CaseBatch]:
+    def moved(self, size: float, scale: Array, random: np.random.Generator) -> Iterator[CaseBatch]:
         """Inputs and past window moved up or down at random by `size` standard deviations; and
-        moved the opposite way."""
+        moved the opposite way. One after the other: long ones are large."""
         spread = self.u.std(axis=(0, 1))
         spread = np.where(spread > 0, spread, np.abs(self.u).max(axis=(0, 1)))
         given = (self.past_u, spread), (self.past_y, scale), (self.u, spread)
-        steps = [size * unit * random.choice((-1.0, 1.0), a.shape) for a, unit in given]
-
-        def shifted(way: float) -> CaseBatch:
-            past_u, past_y, u = (a + way * d for (a, _), d in zip(given, steps, strict=True))
-            return replace(self, past_u=past_u, past_y=past_y, u=u)
-
-        return shifted(1.0), shifted(-1.0)
+        steps = [random.choice((-1.0, 1.0), a.shape) for a, _ in given]
+        for step, (_, unit) in zip(steps, given, strict=True):
+            step *= size * unit
+        for way in (np.add, np.subtract):
+            past_u, past_y, u = (way(a, d) for (a, _), d in zip(given, steps, strict=True))
+            yield replace(self, past_u=past_u, past_y=past_y, u=u)
 
     def prefix(self, length: int) -> CaseBatch:
         """The same cases with their first `length` inputs alone."""
@@ -80,9 +77,12 @@ class CaseBatch:
         """(B, H // 2 + 1): mean absolute step of the outputs over the samples from each one on."""
         y = np.concatenate([self.past_y[:, -1:], self.y], axis=1)
         steps = (np.abs(np.diff(y, axis=1)) / scale).mean(axis=2)
-        half = self.u.shape[1] // 2
-        near = [steps[:, k : k + _MOTION].mean(axis=1) for k in range(half + 1)]
-        return np.stack(near, axis=1) + 1e-3
+        wanted, length = self.u.shape[1] // 2 + 1, steps.shape[1]
+        near = steps[:, :wanted].copy()
+        for ahead in range(1, _MOTION):
+            later = steps[:, ahead : wanted + ahead]
+            near[:, : later.shape[1]] += later
+        return near / np.minimum(length - np.arange(wanted), _MOTION) + 1e-3
 
     def _from(self, starts: Sequence[int]) -> CaseBatch:
         """Each row from its own later start on."""
@@ -92,8 +92,9 @@ class CaseBatch:
             return np.concatenate([_past(*row) for row in rows])
 
         length = self.u.shape[1]
-        held = np.concatenate([self.u, np.repeat(self.u[:, -1:], max(starts), axis=1)], axis=1)
-        u = np.stack([row[s : s + length] for row, s in zip(held, starts, strict=True)])
+        u = np.empty_like(self.u)
+        for row, known, start in zip(u, self.u, starts, strict=True):
+            row[: length - start], row[length - start :] = known[start:], known[-1]
         return replace(
             self, past_u=past(self.past_u, self.u), past_y=past(self.past_y, self.y), u=u
         )
@@ -101,6 +102,9 @@ class CaseBatch:
 
 def _past(before: Array, values: Array, start: int) -> Array:
     """The samples just before `start`, as many as `before` has of those before sample 0."""
+    count = before.shape[1]
+    if start >= count:
+        return values[:, start - count : start].copy()
     return np.concatenate([before, values[:, :start]], axis=1)[:, start:]
 
 
@@ -135,8 +139,13 @@ def _batch(
         past_u=np.stack([case.past_u for case in cases]),
         past_y=np.stack([case.past_y for case in cases]),
         u=np.stack([case.u for case in cases]),
-        y=np.stack([filled(blocks[i].y) for i in rows]),
-        y_hat=np.stack([y_hat[i] for i in rows]),
+        y=_stacked([filled(blocks[i].y) for i in rows]),
+        y_hat=_stacked([y_hat[i] for i in rows]),
         count=len(request),
         followed=all(i in followed for i in request),
     )
+
+
+def _stacked(rows: Sequence[Array]) -> Array:
+    """Side by side; a single one, which may be long, without a copy."""
+    return rows[0][None] if len(rows) == 1 else np.stack(rows)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import repeat
@@ -11,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from asia._heap import LARGE_RECORDS, give_back_large_arrays
 from asia._stopwatch import Activity
 from asia.candidate import Context, check_source, executed_source
 from asia.data import Array, Trajectory, spread_of
@@ -48,6 +51,8 @@ from asia.scoring import Failure, combine, ranges_of
 T = TypeVar("T")
 
 _STRANGERS_ASKED = 4
+# Training samples of a fold.
+_LONG = 100_000
 
 
 class Evaluator(WorkerRunner):
@@ -85,9 +90,12 @@ class Evaluator(WorkerRunner):
         self._rule = rule
         self._salt = salt
         self._problem = problem
+        self._analysing = threading.Lock()
         self._asker = FoldAsker(
             rule, self._context, isolation, carrier_of(executor), problem, self.one_by_one
         )  # fmt: skip
+        if sum(r.u.nbytes + r.y.nbytes for r in records) > LARGE_RECORDS:
+            give_back_large_arrays()
         self._ranges = ranges_of([r.u for r in records], [r.y for r in records])
 
     @property
@@ -321,7 +329,7 @@ class Evaluator(WorkerRunner):
                 raise fitted
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._ask_strangers(source, fold, fitted.model, fitted.y_hat)
-            with self.stopwatch.activity(Activity.SCORE):
+            with self.stopwatch.activity(Activity.SCORE), self._turn(fold):
                 result = fold_result(
                     fold, fitted, self._rule, self._ranges, self._context, oracle.calls
                 )
@@ -334,6 +342,11 @@ class Evaluator(WorkerRunner):
         except CandidateError as error:
             result = Failure(error.reason, error.detail, fold.index + 1)
         return FoldEnd(result, found.printed, oracle.calls)
+
+    def _turn(self, fold: Fold) -> AbstractContextManager[object]:
+        """Of long records one fold is analysed at a time, for the sake of memory."""
+        long = sum(len(record) for record in fold.train) > _LONG
+        return self._analysing if long else nullcontext()
 
     def _ask_strangers(self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]) -> None:
         """Where several requests go to one worker, a few of their cases in a fresh one. Raises

@@ -198,7 +198,12 @@ class _Inquiry:
     def dependences(self) -> list[Suspicion | None]:
         """Prefixes come before any whole case, and are compared when 1e-6 was tried too."""
         lengths = self._prefixes() if self._ahead_is_asked else ()
-        asked = [(*one, self._prefix(*one)) for one in lengths]
+        asked: list[tuple[RequestCheck, int, Array | None]] = []
+        for check, length in lengths:
+            answer = self._prefix(check, length)
+            # What agrees is not kept: long answers are large.
+            if answer is None or not check.begins_with(answer):
+                asked.append((check, length, answer))
         return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]
 
     def _prefixes(self) -> Iterator[tuple[RequestCheck, int]]:

@@ -86,8 +86,8 @@ class RequestCheck:
     @cached_property
     def nearby(self) -> tuple[Array | None, Array | None]:
         """The answers to inputs and past moved by 1e-6, there and back."""
-        there, back = self.batch.moved(TINY, self.scale, self.random)
-        return self.ask(there), self.ask(back)
+        moved = self.batch.moved(TINY, self.scale, self.random)
+        return self.ask(next(moved)), self.ask(next(moved))
 
     def perturbation(self) -> Suspicion | None:
         """Answers to two cases close to the scored one must lie about as near to its answer as to
@@ -111,7 +111,7 @@ class RequestCheck:
 
     def table(self) -> Suspicion | None:
         """Outputs that move in time but depend on no input and no past output are stored data."""
-        near = self.ask(self.batch.moved(COARSE, self.scale, self.random)[0])
+        near = self.ask(next(self.batch.moved(COARSE, self.scale, self.random)))
         if near is None:
             return None
         y_hat = self.batch.y_hat[: self.batch.count]
@@ -122,6 +122,11 @@ class RequestCheck:
             return None
         words = "inputs and past moved by 1e-2 change no output, though the output moves in time"
         return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
+
+    def begins_with(self, answer: Array) -> bool:
+        """Whether this is the start of the scored answer: then `causality` has no objection."""
+        whole = self.batch.y_hat[:, : answer.shape[1]]
+        return float(self._apart(answer, whole).max(initial=0.0)) <= _SAME
 
     def causality(self, length: int, answer: Array | None) -> Suspicion | None:
         """answer: that to the first `length` inputs alone, which must be the start of the answer
@@ -239,7 +244,11 @@ class RequestCheck:
 
     def _apart(self, one: Array, other: Array) -> Array:
         """(rows, H): largest difference over the outputs, of the rows that count."""
-        return (np.abs(one - other)[: self.batch.count] / self.scale).max(axis=2)
+        count = self.batch.count
+        apart = one[:count] - other[:count]
+        np.abs(apart, out=apart)
+        apart /= self.scale
+        return apart[..., 0] if apart.shape[2] == 1 else apart.max(axis=2)
 
 
 def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:

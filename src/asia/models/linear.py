@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -191,10 +192,17 @@ def _parameters(f: FittedLinear) -> dict[str, float]:
 
 
 def _simulated(f: FittedLinear, past_u: Array, past_y: Array, u: Array) -> Array:
-    past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
+    past = f.scaling.inputs(past_u)
     x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
-    _, y = f.system.simulate(x0, delayed(past, future, f.delay))
+    y = f.system.outputs(x0, partial(_late_inputs, f, past, u), u.shape[1])
     return f.scaling.physical(y)
+
+
+def _late_inputs(f: FittedLinear, past: Array, u: Array, first: int, stop: int) -> Array:
+    """Scaled inputs (B, stop - first, nu) that act from sample `first` on; past: scaled."""
+    begin = max(first - f.delay, 0)
+    late = delayed(past, f.scaling.inputs(u[:, begin:stop]), f.delay)
+    return late[:, first - begin :]
 
 
 def _by_level(found: FittedLevels, past_u: Array, past_y: Array, u: Array) -> Array:

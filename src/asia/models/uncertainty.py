@@ -145,18 +145,14 @@ def jacobians_of(
     """Residuals (T, ny) of each record at theta (P,), and their derivatives (T, ny, P) by central
     differences."""
     steps = _STEP * np.maximum(np.abs(theta), 1.0)
-    columns = [
-        (residuals(theta + h * unit), residuals(theta - h * unit))
-        for h, unit in zip(steps, np.eye(len(theta)), strict=True)
-    ]
     at = [np.asarray(e) for e in residuals(theta)]
-    slopes = [
-        np.stack(
-            [(up[i] - down[i]) / (2 * h) for (up, down), h in zip(columns, steps, strict=True)],
-            axis=-1,
-        )
-        for i in range(len(at))
-    ]
+    slopes = [np.empty((*e.shape, len(theta))) for e in at]
+    for k, h in enumerate(steps.tolist()):
+        unit = np.zeros(len(theta))
+        unit[k] = h
+        up, down = residuals(theta + unit), residuals(theta - unit)
+        for found, more, less in zip(slopes, up, down, strict=True):
+            found[..., k] = (more - less) / (2 * h)
     return at, slopes
 
 
@@ -188,7 +184,8 @@ def _slopes(values: Callable[[Array], Array], theta: Array) -> Array:
 def _projected(jacobian: Array, nuisance: Array) -> Array:
     """Without what a change of the record's own unknowns would explain (Frisch and Waugh)."""
     flat, own = jacobian.reshape(-1, jacobian.shape[-1]), _basis(nuisance)
-    return (flat - own @ (own.T @ flat)).reshape(jacobian.shape)
+    explained = own @ (own.T @ flat)
+    return np.subtract(flat, explained, out=explained).reshape(jacobian.shape)
 
 
 def _basis(columns: Array) -> Array:

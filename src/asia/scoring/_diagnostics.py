@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from asia.data import Array
 from asia.errors import CandidateError, Reason
+from asia.scoring._fit import pooled
 
 Samples = NDArray[np.int64]
 
@@ -62,17 +63,18 @@ def _analyse(
     scale: Array,
     train_error: float,
 ) -> Diagnostics:
-    residual = [(a - b) / scale for a, b in zip(y, y_hat, strict=True)]
-    e, out = np.concatenate(residual), np.concatenate(list(y))
+    residual = [_error(a, b, scale) for a, b in zip(y, y_hat, strict=True)]
+    e, out = pooled(residual), pooled(y)
     rms = np.sqrt(np.mean(e**2, axis=0)) + 1e-300
     high, low = np.quantile(out, 0.9, axis=0), np.quantile(out, 0.1, axis=0)
     starts = np.concatenate([r[: max(1, len(r) // 20)] for r in residual])
-    place = np.concatenate([np.arange(len(r)) for r in residual])
+    place = np.concatenate([np.arange(len(r)) for r in residual]) if len(residual) > 1 else None
+    del residual
     return Diagnostics(
         train_error=train_error,
         bias=float(np.max(np.abs(e.mean(axis=0)))),
         whiteness=_whiteness(e, place),
-        input_correlation=_input_correlation(e, np.concatenate(list(u)), place),
+        input_correlation=_input_correlation(e, pooled(u), place),
         top_error=float(np.max(_rms_where(e, (out >= high).astype(np.float64)) / rms)),
         bottom_error=float(np.max(_rms_where(e, (out <= low).astype(np.float64)) / rms)),
         start_error=float(np.max(np.sqrt(np.mean(starts**2, axis=0)) / rms)),
@@ -90,32 +92,48 @@ def _unit(x: Array) -> Array:
 
 
 def _correlation(a: Array, b: Array) -> Array:
-    return (_unit(a - a.mean(axis=0)) * _unit(b - b.mean(axis=0))).sum(axis=0)
+    return _products(a - a.mean(axis=0), b - b.mean(axis=0))
 
 
-def _pairs(place: Samples, first_lag: int) -> Iterator[tuple[Samples, Samples]]:
-    """For each lag the samples t and t - lag of one record, both as positions in the pooled arrays.
-    place: each sample's number within its record. A lag with hardly any pair tells nothing."""
+def _error(y: Array, y_hat: Array, scale: Array) -> Array:
+    found = y - y_hat
+    found /= scale
+    return found
+
+
+def _pairs(
+    a: Array, b: Array, place: Samples | None, first_lag: int
+) -> Iterator[tuple[Array, Array]]:
+    """For each lag the samples a(t) and b(t - lag) of one record. place: each sample's number
+    within its record, None where there is but one. A lag with hardly any pair tells nothing."""
     for lag in range(first_lag, 21):
+        if place is None:
+            if len(a) - lag < 3:
+                return
+            yield a[lag:], b[: len(b) - lag]
+            continue
         late = np.flatnonzero(place >= lag)
         if len(late) < 3:
             return
-        yield late, late - lag
+        yield a[late], b[late - lag]
 
 
-def _whiteness(e: Array, place: Samples) -> float:
+def _whiteness(e: Array, place: Samples | None) -> float:
     a = e - e.mean(axis=0)
-    values = [
-        float(np.abs((_unit(a[late]) * _unit(a[early])).sum(axis=0)).max())
-        for late, early in _pairs(place, 1)
-    ]
+    values = [float(np.abs(_products(late, early)).max()) for late, early in _pairs(a, a, place, 1)]
     return max(values, default=0.0)
 
 
-def _input_correlation(e: Array, u: Array, place: Samples) -> float:
+def _products(a: Array, b: Array) -> Array:
+    found = _unit(a)
+    found *= _unit(b)
+    return found.sum(axis=0)
+
+
+def _input_correlation(e: Array, u: Array, place: Samples | None) -> float:
     """Largest |correlation| of e(t) with u(t - lag)."""
     a, b = e - e.mean(axis=0), u - u.mean(axis=0)
     values = [
-        float(np.abs(_unit(a[late]).T @ _unit(b[early])).max()) for late, early in _pairs(place, 0)
+        float(np.abs(_unit(late).T @ _unit(early)).max()) for late, early in _pairs(a, b, place, 0)
     ]
     return max(values, default=0.0)

@@ -35,5 +35,5 @@ def without_gaps(y: Array, y_hat: Array) -> Array:
 
 
 def pooled(parts: Sequence[Array]) -> Array:
-    """All samples of all cases, one below the other."""
-    return np.concatenate(list(parts), axis=0)
+    """All samples of all cases, one below the other; a single one, which may be long, as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(list(parts), axis=0)

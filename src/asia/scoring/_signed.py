@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array, Signal
+from asia.scoring._fit import pooled
 
 BINS = 5
 """Parts of equal width into which the range of a signal is cut."""
@@ -139,7 +140,7 @@ class Ranges:
 def ranges_of(u: Sequence[Array], y: Sequence[Array]) -> Ranges:
     """The ranges of signals in records of (H, nu) and (H, ny), their outermost hundredths left
     out."""
-    return Ranges(_edges(np.concatenate(list(u))), _edges(np.concatenate(list(y))))
+    return Ranges(_edges(pooled(u)), _edges(pooled(y)))
 
 
 def signed_residuals(
@@ -170,35 +171,43 @@ class _Records:
     def __init__(
         self, u: Sequence[Array], y: Sequence[Array], y_hat: Sequence[Array], scale: Array
     ) -> None:
-        self.u, self.y_hat = np.concatenate(list(u)), np.concatenate(list(y_hat))
+        self.u, self.y_hat = pooled(u), pooled(y_hat)
         self.scale = np.asarray(scale, dtype=np.float64)
-        self.residual = (np.concatenate(list(y)) - self.y_hat) / self.scale
+        self.residual = pooled(y) - self.y_hat
+        self.residual /= self.scale
         lengths = [len(one) for one in y]
-        self.place = np.concatenate([np.arange(n) for n in lengths])
+        small = np.int32
+        self.place = np.concatenate([np.arange(n, dtype=small) for n in lengths])
         """The number of each sample within its record."""
-        self.after = np.concatenate([np.arange(n)[::-1] for n in lengths])
+        self.after = np.concatenate([np.arange(n, dtype=small)[::-1] for n in lengths])
         """How many samples of its record follow it."""
-        lengths_of = np.concatenate([np.full(n, n) for n in lengths])
-        self.begun = self.place >= np.maximum(1, lengths_of // _START)
+        begun = [np.arange(n, dtype=small) >= max(1, n // _START) for n in lengths]
+        self.begun = np.concatenate(begun)
         """Whether a sample lies behind the start of its record."""
-        self.third = np.concatenate([np.arange(n) * 3 // n for n in lengths])
+        third = [(np.arange(n) * 3 // n).astype(np.int8) for n in lengths]
+        self.third = np.concatenate(third)
+        self.alone = len(lengths) == 1
 
     def shifted(self, x: Array, lag: int) -> Array:
         """x(t - lag) within the records; the nearest sample of the record beyond its ends."""
-        here = np.arange(len(x))
-        return x[here - np.clip(lag, -self.after, self.place)]
+        here = np.arange(len(x), dtype=np.int32)
+        here -= np.clip(np.int32(lag), -self.after, self.place)
+        return x[here]
 
     def follows(self, events: Mask, length: int) -> Mask:
         """Whether one of the samples t, t - 1 ... t - length + 1 of the record is an event."""
-        last = np.maximum.accumulate(np.where(events, np.arange(len(events)), -1))
-        since = np.arange(len(events)) - last
+        here = np.arange(len(events), dtype=np.int32)
+        last = np.maximum.accumulate(np.where(events, here, np.int32(-1)))
+        since = here - last
         return (last >= 0) & (since < length) & (since <= self.place)
 
     def stretches(self, chosen: Mask, length: int) -> int:
         """Into how many stretches of `length` samples the chosen ones fall, at least 1: as many of
         them count as independent where the residual remembers `length` samples."""
-        record = np.cumsum(self.place == 0)
-        begins = record * len(self.place) + self.place // length
+        if self.alone:
+            begins = self.place // length
+        else:
+            begins = np.cumsum(self.place == 0) * len(self.place) + self.place // length
         return max(1, len(np.unique(begins[chosen])))
 
     def memory(self, x: Array, least: float) -> int:
@@ -206,6 +215,12 @@ class _Records:
         centred = x - x.mean()
         power = float((centred**2).mean())
         for lag in range(1, _LONGEST_MEMORY):
+            if self.alone:
+                if power <= 0 or len(x) - lag < _FEWEST_SAMPLES:
+                    return lag
+                if float((centred[lag:] * centred[:-lag]).mean()) < least * power:
+                    return lag
+                continue
             late = self.place >= lag
             if power <= 0 or late.sum() < _FEWEST_SAMPLES:
                 return lag

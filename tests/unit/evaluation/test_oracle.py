@@ -113,10 +113,11 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> dict[Channel, list[tuple[str, Any, 
     requests: dict[Channel, list[tuple[str, Any, bytes]]] = {}
     send = Channel.send
 
-    def spy(self: Channel, body: bytes, deadline: float) -> None:
+    def spy(self: Channel, request: tuple[bytes, str, Any], deadline: float) -> None:
+        body = pickle.dumps(request, protocol=5)
         _, name, arguments = pickle.loads(body)
         requests.setdefault(self, []).append((name, arguments, body))
-        send(self, body, deadline)
+        send(self, request, deadline)
 
     monkeypatch.setattr(Channel, "send", spy)
     return requests

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from asia.candidate import Context
-from asia.data import Signal
+from asia.data import Signal, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError
 from asia.problem import ParameterRange, Physics
 from asia.sandbox import Isolation, Limits, open_worker, why_not
@@ -327,3 +327,19 @@ def _named(name: str) -> int:
             continue
         count += f"({name})" in text and text.rpartition(")")[2].split()[0] not in "ZX"
     return count
+
+
+def test_long_records_are_read_only_and_long_cases_are_the_candidates_own(worker, case):
+    rng = np.random.default_rng(1)
+    u, y = rng.normal(size=(20_000, 1)), rng.normal(size=(20_000, 2))
+    source = GAIN.replace(
+        "    print(", "    print(trajectories[0].u.flags.writeable, float(u.sum()))\n    print("
+    ).replace("        return u", "        u += 1.0\n        return u")
+    with worker() as one:
+        reply = one.fit(source, (Trajectory(u, y, 0.1, "long"),), case.context)
+        past_u, past_y, u_now = case.past_u[:1], case.past_y[:1], u[None]
+        y_hat = one.simulate(past_u, past_y, u_now)
+    assert reply.output.splitlines()[0] == f"False {u.sum()}"
+    gain = np.linalg.lstsq(u, y, rcond=None)[0]
+    np.testing.assert_allclose(y_hat, (u_now + 1.0) @ gain + past_y[:, -1:], rtol=1e-12)
+    assert np.array_equal(u_now[0], u)

@@ -19,10 +19,10 @@ from asia.evaluation.work.message import (
     FoldWork,
     decode_answer,
     decode_work,
-    encode_answer,
     encode_data,
     encode_work,
     fold_data,
+    local_answer,
 )
 from asia.evaluation.work.stopping import FitStop
 from asia.executor import Carrier
@@ -85,8 +85,8 @@ class FoldAsker:
         train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
         if self._carrier is None:
             request = encode_work(work, {})
-            reply = encode_answer(fit_fold(decode_work(request), data, open_worker, oracle))
-            return decode_answer(reply, data, train)
+            fitted = fit_fold(decode_work(request), data, open_worker, oracle)
+            return local_answer(fitted, data, train)
         request = encode_work(work, installation_for(limits))
         with stop.ending(partial(self._carrier.forget, request)):
             reply = self._carrier.carry(answer, request, digest, raw)

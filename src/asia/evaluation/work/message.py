@@ -12,7 +12,7 @@ import math
 import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from asia.protocol import Block, Case, Fold, ProtocolRule
 from asia.sandbox import FitReply, Isolation, Limits, WorkerKilledError
 
 _HEAD_BYTES = 8
+
+Blob: TypeAlias = bytes | memoryview
+"""Raw bytes of a message."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,19 @@ def decode_work(request: bytes) -> FoldWork:
 
 def encode_answer(answer: FoldAnswer) -> bytes:
     """Candidates' texts as JSON strings, their arrays as raw float64."""
+    return _packed(*_parts(answer))
+
+
+def local_answer(
+    answer: FoldAnswer, data: FoldData, train: Sequence[tuple[int, int]]
+) -> FoldAnswer:
+    """What `decode_answer` makes of the message that `encode_answer` makes, with its arrays as they
+    are: those of long records are large."""
+    head, blobs = _parts(answer)
+    return _answer(json.loads(json.dumps(head)), blobs, data, train)
+
+
+def _parts(answer: FoldAnswer) -> tuple[dict[str, Any], list[Blob]]:
     head: dict[str, Any] = {
         "printed": answer.printed,
         "machine": answer.machine,
@@ -142,7 +158,7 @@ def encode_answer(answer: FoldAnswer) -> bytes:
     }
     result = answer.result
     if isinstance(result, CandidateError):
-        return _packed({**head, "reason": result.reason.value, "detail": result.detail}, [])
+        return {**head, "reason": result.reason.value, "detail": result.detail}, []
     reply = result.reply
     head |= {
         "output": reply.output,
@@ -154,7 +170,7 @@ def encode_answer(answer: FoldAnswer) -> bytes:
         "train": len(result.train_y_hat),
     }
     arrays = (reply.curve, *result.y_hat, *result.train_y_hat)
-    return _packed(head, [result.model, *(_raw(array) for array in arrays)])
+    return head, [result.model, *(_raw(array) for array in arrays)]
 
 
 def encode_trouble(error: SandboxError | UserError) -> bytes:
@@ -177,7 +193,7 @@ def decode_answer(reply: bytes, data: FoldData, train: Sequence[tuple[int, int]]
 
 
 def _answer(
-    head: dict[str, Any], blobs: list[bytes], data: FoldData, train: Sequence[tuple[int, int]]
+    head: dict[str, Any], blobs: Sequence[Blob], data: FoldData, train: Sequence[tuple[int, int]]
 ) -> FoldAnswer:
     result: Fitted | CandidateError
     if "reason" in head:
@@ -191,7 +207,7 @@ def _answer(
         memory = head["memory_mb"]
         result = Fitted(
             reply=FitReply(curve, str(head["output"]), float(head["seconds"])),
-            model=blobs[0],
+            model=bytes(blobs[0]),
             parameters=tuple((str(name), float(value)) for name, value in head["parameters"]),
             y_hat=tuple(y_hat[: len(data.shapes)]),
             train_y_hat=tuple(y_hat[len(data.shapes) :]),
@@ -209,17 +225,18 @@ def _trouble(kind: str, words: str) -> SandboxError | UserError:
     return WorkerKilledError(words) if kind == "killed" else SandboxError(words)
 
 
-def _raw(array: Array) -> bytes:
-    return np.ascontiguousarray(array, "<f8").tobytes()
+def _raw(array: Array) -> memoryview:
+    return np.ascontiguousarray(array, "<f8").reshape(-1).view(np.uint8).data
 
 
-def _floats(raw: bytes, shape: tuple[int, int]) -> Array:
+def _floats(raw: Blob, shape: tuple[int, int]) -> Array:
     if len(raw) != 8 * math.prod(shape):
         raise ValueError(f"{len(raw)} bytes for an array {shape}")
-    return np.frombuffer(raw, "<f8").astype(np.float64).reshape(shape)
+    found = np.frombuffer(raw, "<f8").astype(np.float64, copy=isinstance(raw, bytes))
+    return found.reshape(shape)
 
 
-def _packed(head: dict[str, Any], blobs: Sequence[bytes]) -> bytes:
+def _packed(head: dict[str, Any], blobs: Sequence[Blob]) -> bytes:
     text = json.dumps({**head, "lengths": [len(blob) for blob in blobs]}).encode()
     return b"".join((len(text).to_bytes(_HEAD_BYTES, "little"), text, *blobs))
 

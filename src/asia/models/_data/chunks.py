@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asia.models._arrays import AnyArray
+from asia.models._arrays import AnyArray, namespace
 from asia.models._data.cuts import laid_end_to_end, rows
-from asia.models._data.records import PaddedBatch
+from asia.models._data.records import PaddedBatch, window
 
 
 class Simulations(NamedTuple):
@@ -37,12 +37,23 @@ class Places(NamedTuple):
     """(R, T, ny)."""
     weight: AnyArray
     """(R, T)."""
-    windows: AnyArray
-    """Past windows before the starts (S, d)."""
-    starts: AnyArray
-    """(trajectory, sample) of each start (S, 2)."""
+    past_u: AnyArray
+    """(R, n_past_u + T, nu), see `PaddedBatch`."""
+    past_y: AnyArray
+    """(R, n_past_y + T, ny)."""
+    ends: AnyArray
+    """How many starts there are in each record and those before it (R,)."""
+    moves: AnyArray
+    """(R,), 0 where all starts of a record are its first sample, else 1."""
     share: AnyArray | None = None
     """Probability (S,) that a chunk starts at one of the starts up to each; None: all alike."""
+
+    def at(self, picked: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Records and samples of starts, both as `picked`."""
+        xp = namespace(picked)
+        record = xp.searchsorted(self.ends, picked, side="right")
+        before = xp.where(record > 0, self.ends[record - 1], 0)
+        return record, (picked - before) * self.moves[record]
 
 
 def whole(batch: PaddedBatch) -> Simulations:
@@ -55,16 +66,13 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
     """Chunks of `length` samples end to end, in time order within each record; the last one of a
     record ends with it, overlapping its neighbour, or without `overlap` is padded."""
     length = min(length, batch.u.shape[1])
-    first: list[int] = []
-    firsts = np.concatenate([[0], np.cumsum(batch.lengths)[:-1]])
-    for total, base in zip(batch.lengths, firsts, strict=True):
-        first += (base + laid_end_to_end(total, length, overlap)).tolist()
-    record, begin = batch.starts[first].T
+    begins = [laid_end_to_end(total, length, overlap) for total in batch.lengths]
+    record, begin = np.repeat(np.arange(len(begins)), [*map(len, begins)]), np.concatenate(begins)
     samples = rows(begin, length)
     inside = samples < batch.u.shape[1]
     at = record[:, None], np.minimum(samples, batch.u.shape[1] - 1)
     weight = batch.weight[at] * inside
-    arrays = batch.start_windows[first], batch.u[at], batch.y[at], weight
+    arrays = batch.windows_at(record, begin), batch.u[at], batch.y[at], weight
     return Simulations(*(np.asarray(a, np.float32) for a in arrays))
 
 
@@ -87,17 +95,13 @@ def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> 
 def places(batch: PaddedBatch, length: int) -> Places:
     """Every sample from which a whole chunk fits; of a record shorter than that its start, as
     often as it has samples, so that it is drawn as often."""
-    starts = np.asarray(batch.starts, np.int32)
-    own = np.asarray(batch.lengths)[starts[:, 0]]
-    fits = starts[:, 1] + length <= own
-    chosen = np.flatnonzero(starts[:, 1] == 0)
-    if fits.any():
-        short = own < length
-        index = np.arange(len(starts))
-        chosen = np.where(short, index - starts[:, 1], index)[fits | short]
-    arrays = (batch.u, batch.y, batch.weight, batch.start_windows[chosen])
-    u, y, weight, windows = (np.asarray(a, np.float32) for a in arrays)
-    return Places(u, y, weight, windows, starts[chosen])
+    own = np.asarray(batch.lengths)
+    short = own < length
+    counts = np.where(short, own, own - length + 1)
+    if short.all():
+        counts = np.ones_like(own)
+    ends, moves = (np.asarray(a, np.int32) for a in (np.cumsum(counts), ~short))
+    return Places(batch.u, batch.y, batch.weight, batch.past_u, batch.past_y, ends, moves)
 
 
 def gently(p: Places, length: int, power: float) -> Places:
@@ -106,7 +110,7 @@ def gently(p: Places, length: int, power: float) -> Places:
     size = np.sqrt((moved**2).mean(axis=(0, 1)))
     squares = ((moved / np.where(size > 0, size, 1.0)) ** 2).mean(axis=-1)
     total = np.concatenate([np.zeros((len(squares), 1)), np.cumsum(squares, axis=1)], axis=1)
-    record, first = p.starts.T
+    record, first = p.at(np.arange(p.ends[-1]))
     last = np.minimum(first + length, total.shape[1]) - 1
     amplitude = np.sqrt((total[record, last] - total[record, first]) / np.maximum(last - first, 1))
     drawn = np.maximum(amplitude, 1e-3 * amplitude.max() + 1e-12) ** -power
@@ -121,15 +125,22 @@ def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> S
     if count is None:
         count = max(1, min(128, p.u.shape[0] * p.u.shape[1] // length))
     if p.share is None:
-        picked = jax.random.randint(key, (count,), 0, p.starts.shape[0])
+        picked = jax.random.randint(key, (count,), 0, p.ends[-1])
     else:
         at = jax.numpy.searchsorted(p.share, jax.random.uniform(key, (count,)))
-        picked = jax.numpy.minimum(at, p.starts.shape[0] - 1)
+        picked = jax.numpy.minimum(at, p.ends[-1] - 1)
+    record, first = p.at(picked)
 
-    def cut(values: AnyArray) -> AnyArray:
-        def one(start: AnyArray) -> AnyArray:
-            return jax.lax.dynamic_slice_in_dim(values[start[0]], start[1], length)
+    def cut(values: AnyArray, samples: int) -> AnyArray:
+        """The piece itself: a cut of a whole record would copy that for each chunk."""
+        size = (1, samples, *values.shape[2:])
 
-        return jax.vmap(one)(p.starts[picked])
+        def one(record: AnyArray, first: AnyArray) -> AnyArray:
+            start = (record, first, *[0] * (values.ndim - 2))
+            return jax.lax.dynamic_slice(values, start, size)[0]
 
-    return Simulations(p.windows[picked], cut(p.u), cut(p.y), cut(p.weight))
+        return jax.vmap(one)(record, first)
+
+    total = p.u.shape[1]
+    past = (cut(values, values.shape[1] - total) for values in (p.past_u, p.past_y))
+    return Simulations(window(*past), *(cut(v, length) for v in (p.u, p.y, p.weight)))

@@ -67,14 +67,19 @@ def fit_encoder(
     without = affine(*plain)
     if hidden == 0:
         return without
-    rng = np.random.default_rng(seed)
-    inner = rng.standard_normal((x.shape[1], hidden)) / np.sqrt(x.shape[1])
-    shift = rng.uniform(-1.0, 1.0, hidden)
+    inner, shift = random_bend(x.shape[1], hidden, seed)
     both = BlockedRidge(np.concatenate([x, np.tanh(x @ inner + shift)], 1))
     (weights, bias), error = both.solved(y)
     if error >= plain_error:
         return without
     return Encoder(weights[: x.shape[1]], bias, inner, shift, weights[x.shape[1] :])
+
+
+def random_bend(inputs: int, hidden: int, seed: int) -> tuple[Array, Array]:
+    """Weights (inputs, hidden) and shifts (hidden,) of random tanh functions."""
+    rng = np.random.default_rng(seed)
+    inner = rng.standard_normal((inputs, hidden)) / np.sqrt(inputs)
+    return inner, rng.uniform(-1.0, 1.0, hidden)
 
 
 def _no_bend(inputs: int, outputs: int) -> tuple[Array, Array, Array]:
@@ -88,7 +93,7 @@ class BlockedRidge:
     def __init__(self, x: Array) -> None:
         self._center = x.mean(axis=0)
         self._x = x - self._center
-        self._ridges = np.logspace(-6, 3, 10) * max(len(x) / 1000, 1e-3)
+        self._ridges = ridges_for(len(x))
 
     def solved(self, y: Array) -> tuple[tuple[Array, Array], float]:
         """Weights (d, n) and bias (n,), and the squared error of the blocks left out."""
@@ -119,6 +124,17 @@ class BlockedRidge:
         """Each block, and what is left without it."""
         parts = np.array_split(self._x, self._parts)
         return [(xb, _decomposed(self._gram - xb.T @ xb)) for xb in parts]
+
+
+def ridges_for(samples: int) -> Array:
+    """Those to choose from, for so many samples."""
+    return np.logspace(-6, 3, 10) * max(samples / 1000, 1e-3)
+
+
+def ridge_path(gram: Array, cross: Array, ridges: Array) -> list[Array]:
+    """Weights (d, n) for each ridge; gram (d, d) and cross (d, n): products of the features with
+    themselves and with the states."""
+    return _ridge_path(_decomposed(gram), cross, ridges)
 
 
 def _decomposed(gram: Array) -> Decomposed:

@@ -13,11 +13,12 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
-from asia.models._data.cuts import Indices, side_by_side, spread
+from asia.models._data.cuts import Indices, rows, side_by_side, spread
 from asia.models._data.scaling import Scaling
 
 # Share of the past windows that must be measured for the others to be left out.
 _ENOUGH = 0.1
+_SINGLE = np.float32
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,9 @@ def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledT
 
 
 def measured_samples(record: Trajectory) -> Array:
-    """(T,), 1 where every output was measured, else 0."""
+    """(T,), 1 where every output was measured, else 0; read-only where all were."""
+    if record.missing is None:
+        return np.broadcast_to(np.float64(1.0), len(record))
     return np.asarray(record.measured.all(axis=1), dtype=np.float64)
 
 
@@ -217,41 +220,62 @@ def contiguous_splits(
 
 @dataclass(frozen=True)
 class PaddedBatch:
-    """Trajectories padded to one length, without their past windows."""
+    """Trajectories padded to one length, in single precision, as networks are trained."""
 
-    window: Array
+    window: AnyArray
     """Past window of each (R, d)."""
-    u: Array
+    u: AnyArray
     """(R, T, nu)."""
-    y: Array
+    y: AnyArray
     """(R, T, ny)."""
-    weight: Array
+    weight: AnyArray
     """(R, T), zero in the padding."""
     lengths: tuple[int, ...]
     """Samples of each, without the padding."""
-    start_windows: Array
-    """The past windows before all samples of all trajectories (S, d)."""
-    starts: NDArray[np.int_]
-    """The (trajectory, sample) of each of these (S, 2)."""
+    past_u: AnyArray
+    """Inputs as past windows show them (R, n_past_u + T, nu): sample k's window begins at k."""
+    past_y: AnyArray
+    """Outputs likewise (R, n_past_y + T, ny)."""
+
+    def windows_at(self, record: Indices, sample: Indices) -> AnyArray:
+        """Past windows (N, d) before samples (N,) of records (N,)."""
+        length = self.u.shape[1]
+        each = (
+            p[record[:, None], rows(sample, p.shape[1] - length)]
+            for p in (self.past_u, self.past_y)
+        )
+        return window(*each)
 
 
 def batch(records: ScaledData, context: Context) -> PaddedBatch:
     """Pads the simulated part of each record to the longest."""
     skip = past_length(context)
-    lengths = tuple(len(r) - skip for r in records)
-    every = [windows(r, context) for r in records]
-    starts = np.concatenate(
-        [np.stack([np.full(n, i), np.arange(n)], axis=1) for i, n in enumerate(lengths)]
+    first = np.array([skip])
+    past_u, past_y = (
+        _single([getattr(r, name)[skip - past :] for r in records])
+        for name, past in (("measured_u", context.n_past_u), ("y", context.n_past_y))
     )
     return PaddedBatch(
-        window=np.stack([w[0] for w in every]),
-        u=side_by_side([r.u[skip:] for r in records]),
-        y=side_by_side([r.y[skip:] for r in records]),
-        weight=side_by_side([r.weight[skip:] for r in records]),
-        lengths=lengths,
-        start_windows=np.concatenate(every),
-        starts=starts,
+        window=np.concatenate([windows_before(r, first, context) for r in records], dtype=_SINGLE),
+        u=past_u[:, context.n_past_u :]
+        if all(r.u is r.measured_u for r in records)
+        else _single([r.u[skip:] for r in records]),
+        y=past_y[:, context.n_past_y :],
+        weight=batch_weight(records, context),
+        lengths=tuple(len(r) - skip for r in records),
+        past_u=past_u,
+        past_y=past_y,
     )
+
+
+def batch_weight(records: ScaledData, context: Context) -> AnyArray:
+    """That of a batch of these records."""
+    return _single([r.weight[past_length(context) :] for r in records])
+
+
+def _single(pieces: Sequence[Array]) -> AnyArray:
+    single: list[AnyArray] = [np.asarray(piece, _SINGLE) for piece in pieces]
+    return side_by_side(single)
 
 
 def delayed(past: Array, future: Array, delay: int) -> Array:

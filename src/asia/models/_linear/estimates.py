@@ -11,8 +11,9 @@ import numpy as np
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data import Array, Trajectory
 from asia.models import uncertainty
-from asia.models._data.records import refuse_gaps
+from asia.models._data.records import ScaledTrajectory, refuse_gaps
 from asia.models._data.scaling import Scaling
+from asia.models._linear.long import LongResponse
 from asia.models._linear.system import LinearSystem
 
 # Entries of the matrices: those of a larger model are no quantities that people know.
@@ -20,6 +21,8 @@ _MOST_ENTRIES = 150
 # Of a standard error: a fit that is further from its minimum minimises something else.
 _NEAR = 0.5
 
+# Samples from which a record is simulated by convolution.
+_LONG = 65_536
 _MOST_GAINS = 20
 _MOST_TIME_CONSTANTS = 6
 
@@ -65,15 +68,22 @@ def system_estimates(
 
     def residuals(theta: Array) -> list[Array]:
         other = _unpacked(theta, shapes)
-        return [
-            other.simulate(x0[None], record.u[None])[1][0] - record.y
-            for record, x0 in zip(records, starts, strict=True)
-        ]
+        return [_errors(other, record, x0) for record, x0 in zip(records, starts, strict=True)]
 
     found, slopes = uncertainty.jacobians_of(residuals, theta)
     covariance = uncertainty.sandwich(found, slopes, nuisance=responses)
     _check_minimum(covariance, found, slopes, responses)
     return uncertainty.estimates(covariance, lambda x: report(_unpacked(x, shapes)), theta)
+
+
+def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
+    """Simulated minus measured outputs (T, ny)."""
+    samples = len(record.u)
+    if samples <= _LONG:
+        return system.simulate(x0[None], record.u[None])[1][0] - record.y
+    every = np.broadcast_to(np.float64(1.0), samples)
+    scaled = ScaledTrajectory(record.u, record.y, every, record.u, every)
+    return -LongResponse([scaled], float(record.y.size), system, x0[None]).misfit(0)
 
 
 def _check_minimum(

@@ -11,7 +11,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.cuts import side_by_side
-from asia.models._data.encoder import BlockedRidge, Encoder, fit_encoder
+from asia.models._data.encoder import BlockedRidge, Encoder
 from asia.models._data.records import (
     ScaledData,
     contiguous_splits,
@@ -19,7 +19,9 @@ from asia.models._data.records import (
     window_rows,
     windows,
 )
+from asia.models._data.window_encoder import window_encoder
 from asia.models._linear.integrators import free_entries, integrating_starts
+from asia.models._linear.long import LongResponse
 from asia.models._linear.response import DrivenRecords, Response
 from asia.models._linear.subspace import spread_poles, starts
 from asia.models._linear.system import LinearSystem
@@ -127,15 +129,8 @@ def encoder_of(
 ) -> Encoder:
     """Past window -> state, from the model's own states on the records it was fitted to.
     regression: that on the past windows of these records, where it is known."""
-    states = DrivenRecords(records).response(fitted.system, fitted.x0).states
-    past = past_length(context)
-    pairs = [(r, x) for r, x in zip(records, states, strict=True) if len(r) > past]
-    rows = window_rows([r for r, _ in pairs], context)
-    return fit_encoder(
-        [windows(r, context)[at] for (r, _), at in zip(pairs, rows, strict=True)],
-        [x[past:][at] for (_, x), at in zip(pairs, rows, strict=True)],
-        regression=regression,
-    )
+    response = DrivenRecords(records).summed(fitted.system, fitted.x0)
+    return window_encoder(records, response.states_of, context, regression=regression)
 
 
 def _regression_of(records: ScaledData, context: Context) -> BlockedRidge:
@@ -164,19 +159,18 @@ def solve_linear_part(records: ScaledData, a: Array, c: Array) -> LinearFit:
     n, nu, ny = len(a), records[0].u.shape[1], records[0].y.shape[1]
     zero = LinearSystem(a, np.zeros((n, nu)), c, np.zeros((ny, nu)), np.zeros(ny))
     driven = DrivenRecords(records)
-    normal, gradient = driven.response(zero, np.zeros((len(records), n))).normal_equations(
-        poles=False
-    )
+    at_zero = driven.summed(zero, np.zeros((len(records), n)))
+    normal, gradient = at_zero.normal_equations(poles=False)
     theta = _damped_step(normal, gradient, 1e-8)
     b, d, offset, x0 = np.split(theta, np.cumsum([n * nu, ny * nu, ny]))
     system = LinearSystem(a, b.reshape(n, nu), c, d.reshape(ny, nu), offset)
-    return normalised(driven.response(system, x0.reshape(-1, n)))
+    return normalised(driven.summed(system, x0.reshape(-1, n)))
 
 
-def normalised(response: Response) -> LinearFit:
+def normalised(response: Response | LongResponse) -> LinearFit:
     """States scaled to unit mean square over the training records; full whitening would mix
     states of very different energy and lose accuracy."""
-    scale = np.sqrt((np.concatenate(response.states) ** 2).mean(axis=0))
+    scale = np.sqrt(response.state_squares)
     t = np.diag(1.0 / np.where(np.isfinite(scale) & (scale > 1e-12), scale, 1.0))
     return LinearFit(response.system.transformed(t), response.x0 @ t.T, response.error)
 
@@ -194,7 +188,7 @@ def refined_under_noise(
     if choice is None:
         return found
     for _ in range(NOISE_ROUNDS):
-        response = DrivenRecords(records).response(found.system, found.x0)
+        response = DrivenRecords(records).summed(found.system, found.x0)
         residual = side_by_side([response.misfit(i) for i in range(len(records))])
         mask = side_by_side([r.weight for r in records])
         floor = np.full(residual.shape[-1], LEAST_DEVIATION)
@@ -224,16 +218,16 @@ def refine(
     """
     prior = refinement.initial_ridge * start.error if np.isfinite(start.error) else 0.0
     driven, damping = DrivenRecords(records, weightings), refinement.damping
-    current, held = driven.response(start.system, start.x0), refinement.integrators
+    current, held = driven.summed(start.system, start.x0), refinement.integrators
     free = free_entries(start.system.order, held).ravel()
     for iteration in range(refinement.iterations):
         if log is not None:
             log(iteration, float(np.sqrt(current.error)))
         normal, gradient = _normal_equations(current, prior, free)
-        cost = float(current.residual @ current.residual) + prior * float((current.x0**2).sum())
+        cost = current.square + prior * float((current.x0**2).sum())
         proposal, proposed = current, cost
         while damping < 1e8:
-            proposal = _moved(current, _damped_step(normal, gradient, damping))
+            proposal = _moved(driven, current, _damped_step(normal, gradient, damping))
             proposed = _penalised(proposal, prior, held)
             if proposed < cost:
                 break
@@ -246,16 +240,18 @@ def refine(
     return LinearFit(current.system, current.x0, current.error)
 
 
-def _penalised(response: Response, prior: float, integrators: int) -> float:
+def _penalised(response: Response | LongResponse, prior: float, integrators: int) -> float:
     a = response.system.a
     own = a[: len(a) - integrators, : len(a) - integrators]
     if not np.isfinite(a).all() or abs(np.linalg.eigvals(own)).max(initial=0.0) > _LARGEST_RADIUS:
         return float("inf")
-    weighted = response.error * max(response.driven.samples, 1.0)
+    weighted = response.error * max(response.samples, 1.0)
     return weighted + prior * float((response.x0**2).sum())
 
 
-def _normal_equations(current: Response, prior: float, free: Array) -> tuple[Array, Array]:
+def _normal_equations(
+    current: Response | LongResponse, prior: float, free: Array
+) -> tuple[Array, Array]:
     """With the prior on initial states, and zeros for entries of A that are held."""
     normal, gradient = current.normal_equations()
     last = current.x0.size
@@ -267,14 +263,16 @@ def _normal_equations(current: Response, prior: float, free: Array) -> tuple[Arr
     return normal, gradient
 
 
-def _moved(current: Response, step: Array) -> Response:
+def _moved(
+    driven: DrivenRecords, current: Response | LongResponse, step: Array
+) -> Response | LongResponse:
     s = current.system
     shapes = [s.a, s.b, s.c, s.d, s.offset, current.x0]
     parts = np.split(step, np.cumsum([p.size for p in shapes])[:-1])
     a, b, c, d, offset, x0 = (
         old + part.reshape(old.shape) for old, part in zip(shapes, parts, strict=True)
     )
-    return current.driven.response(LinearSystem(a, b, c, d, offset), x0)
+    return driven.summed(LinearSystem(a, b, c, d, offset), x0)
 
 
 def _damped_step(normal: Array, gradient: Array, damping: float) -> Array:

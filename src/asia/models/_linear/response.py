@@ -8,53 +8,22 @@ once for a system.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asia.data import Array
 from asia.models._data.records import ScaledData
+from asia.models._linear.long import LongResponse, are_long
+from asia.models._linear.powers import Powers, Spectrum, transform_size
 from asia.models._linear.system import LinearSystem
 from asia.models._noise.weighting import ErrorWeighting
 
-Spectrum = NDArray[np.complex128]
 # Records whose lengths differ by less share the transforms of a system.
 _ROUNDED = 64
-
-
-@dataclass(frozen=True)
-class Powers:
-    """Powers of A, and their transform."""
-
-    values: Array
-    """a^0, a^1, .. (T, n, n)."""
-    spectrum: Spectrum
-    """(frequencies, n, n)."""
-    size: int
-    """Length of the transform, enough for a convolution not to wrap around."""
-
-    @classmethod
-    def of(cls, a: Array, count: int) -> Powers:
-        """By doubling."""
-        values = np.empty((count, *a.shape))
-        values[0] = np.eye(len(a))
-        done, power = 1, a
-        while done < count:
-            more = min(done, count - done)
-            values[done : done + more] = values[:more] @ power
-            power = power @ power
-            done += more
-        size = transform_size(count)
-        return cls(values, np.fft.rfft(values, size, axis=0), size)
-
-    def delayed(self, spectrum: Spectrum, length: int) -> Array:
-        """(frequencies, ...) -> the first `length` samples, one later than the product says."""
-        later = np.fft.irfft(spectrum, self.size, axis=0)[: length - 1]
-        return np.concatenate([np.zeros((1, *later.shape[1:])), later])
 
 
 class DrivenRecords:
@@ -66,14 +35,25 @@ class DrivenRecords:
     ) -> None:
         self.records, self.weightings = records, weightings
         self.counts = [-(-len(r) // _ROUNDED) * _ROUNDED for r in records]
-        self.spectra = [
-            np.fft.rfft(r.u, transform_size(count), axis=0)
-            for r, count in zip(records, self.counts, strict=True)
-        ]
         self.samples = sum(float((r.weight**2).sum()) for r in records) * records[0].y.shape[1]
+
+    @cached_property
+    def spectra(self) -> list[Spectrum]:
+        """Transforms of the inputs."""
+        return [
+            np.fft.rfft(r.u, transform_size(count), axis=0)
+            for r, count in zip(self.records, self.counts, strict=True)
+        ]
 
     def response(self, system: LinearSystem, x0: Array) -> Response:
         """Of the system from initial states x0 (R, n)."""
+        return Response(self, system, x0)
+
+    def summed(self, system: LinearSystem, x0: Array) -> Response | LongResponse:
+        """The same for those who need sums over samples alone: on long records block by block, but
+        for generalised least squares."""
+        if self.weightings is None and are_long(self.records, system.order):
+            return LongResponse(self.records, self.samples, system, x0)
         return Response(self, system, x0)
 
 
@@ -97,6 +77,25 @@ class Response:
     def states(self) -> list[Array]:
         """(T, n) of each record."""
         return [self._states(i) for i in range(len(self.x0))]
+
+    def states_of(self, i: int) -> Iterator[Array]:
+        """(T, n) of a record, as the one block that it is."""
+        yield self.states[i]
+
+    @property
+    def state_squares(self) -> Array:
+        """Mean square of each state (n,)."""
+        return (np.concatenate(self.states) ** 2).mean(axis=0)
+
+    @property
+    def square(self) -> float:
+        """Sum of the squared weighted residuals."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def samples(self) -> float:
+        """Squared weights of the records, summed over samples and outputs."""
+        return self.driven.samples
 
     def _states(self, i: int) -> Array:
         length, powers = len(self.driven.records[i]), self._powers(i)
@@ -129,7 +128,7 @@ class Response:
     def error(self) -> float:
         """Weighted mean squared simulation error over records and channels, infinite where it
         diverges."""
-        error = float(self.residual @ self.residual) / max(self.driven.samples, 1.0)
+        error = self.square / max(self.samples, 1.0)
         return error if np.isfinite(error) else float("inf")
 
     def jacobian(self) -> Array:
@@ -174,10 +173,3 @@ class Response:
             full = self.driven.weightings[i].jacobian(self.misfit(i)[None], full[None])[0]
         full *= record.weight[:, None, None]
         return full.reshape(length * ny, -1)
-
-
-def transform_size(samples: int) -> int:
-    """Length of a fast Fourier transform whose convolution does not wrap around."""
-    from scipy.fft import next_fast_len  # not needed by a simulation
-
-    return next_fast_len(2 * samples, real=True)  # pyright: ignore[reportReturnType]

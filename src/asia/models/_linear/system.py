@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from asia.data import Array
+
+# Samples that are simulated at a time.
+_BLOCK = 65_536
 
 
 @dataclass(frozen=True)
@@ -64,3 +68,14 @@ class LinearSystem:
             states[:, k] = x
             x = x @ self.a.T + drive[:, k]
         return states, states @ self.c.T + u @ self.d.T + self.offset
+
+    def outputs(self, x0: Array, drive: Callable[[int, int], Array], samples: int) -> Array:
+        """The outputs (B, T, ny) alone; drive(first, stop): inputs (B, stop - first, nu). Blocks of
+        samples follow each other, so that no states are held of long simulations."""
+        y, x = np.empty((len(x0), samples, len(self.c))), x0
+        for first in range(0, samples, _BLOCK):
+            stop = min(first + _BLOCK, samples)
+            u = drive(first, stop)
+            states, y[:, first:stop] = self.simulate(x, u)
+            x = states[:, -1] @ self.a.T + u[:, -1] @ self.b.T
+        return y

@@ -16,6 +16,7 @@ from asia.models._data.records import (
     PaddedBatch,
     ScaledData,
     batch,
+    batch_weight,
     holdout_masks,
     holdout_records,
     reweighted,
@@ -166,7 +167,7 @@ def _split(records: ScaledData, context: Context, fraction: float, copies: int) 
         )
     masks = holdout_masks(records, fraction, shortest=context.horizon or 0)
     fitted, held_out = (
-        replace(full, weight=batch(reweighted(records, masks, keep), context).weight)
+        replace(full, weight=batch_weight(reweighted(records, masks, keep), context))
         for keep in (False, True)
     )
     return HoldoutSplit(fitted, held_out, full)

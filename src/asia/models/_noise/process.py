@@ -25,6 +25,8 @@ _SHARE_OF_LAGS = 0.1
 _FORGOTTEN = 1e-3
 # Samples in which the correlation of any residual has gone.
 _LONG = 4096
+# Samples of a record that is filtered block by block, and of a block.
+_MANY, _BLOCK = 65_536, 8192
 # Values times lags of one restricted likelihood: with more of them the fit takes hardly anything.
 _MOST_WORK, _MOST_RESTRICTED_LAGS = 5_000_000, 8
 _STABLE = 0.999
@@ -51,15 +53,15 @@ class ResidualProcess:
         was fitted to them, and (T, ny, Q) of what each record has for itself."""
         outputs = range(residuals[0].shape[1])
         pieces = [[e[:, i] for e in residuals] for i in outputs]
-        columns = [_columns(jacobians, nuisance, i) for i in outputs]
         filters = tuple(burg(some) for some in pieces)
-        work = sum(e.size for e in residuals) * columns[0][0].shape[1]
+        own = 0 if nuisance is None else nuisance[0].shape[-1] * len(nuisance)
+        work = sum(e.size for e in residuals) * (jacobians[0].shape[-1] + own)
         lags = max(len(a) for a in filters) - 1
         restricted = work * lags <= _MOST_WORK and lags <= _MOST_RESTRICTED_LAGS
+        columns = [[np.zeros((len(e), 0)) for e in residuals] for _ in outputs]
         if restricted:
+            columns = [_columns(jacobians, nuisance, i) for i in outputs]
             filters = tuple(map(_restricted, filters, pieces, columns))
-        else:
-            columns = [[part[:, :0] for part in some] for some in columns]
         white = [_innovations(*each, lags) for each in zip(filters, pieces, columns, strict=True)]
         rank = columns[0][0].shape[1] / len(filters)
         samples = np.stack(white, axis=1)
@@ -77,8 +79,28 @@ class ResidualProcess:
 
     def middle(self, jacobian: Array) -> Array:
         """(P, P): the covariance of J'e of one record."""
+        if len(jacobian) > _MANY:
+            return self._middle_by_blocks(jacobian)
         found = self.innovations_of(jacobian)
         return np.einsum("tip,ij,tjq->pq", found, self.covariance, found)
+
+    def _middle_by_blocks(self, jacobian: Array) -> Array:
+        """The same, from the end of the record back: the filters go on from block to block."""
+        before = max(_memory(a, len(jacobian)) for a in self.filters)
+        parameters = jacobian.shape[-1]
+        memories = [np.zeros((len(a) - 1, parameters)) for a in self.filters]
+        found = np.zeros((parameters, parameters))
+        for first in range(0, len(jacobian) + before, _BLOCK):
+            turned = jacobian[::-1][first : first + _BLOCK]
+            missing = min(first + _BLOCK, len(jacobian) + before) - first - len(turned)
+            turned = np.concatenate([turned, np.zeros((missing, *jacobian.shape[1:]))])
+            columns = list[Array]()
+            for i, a in enumerate(self.filters):
+                column, memories[i] = lfilter([1.0], a, turned[:, i], axis=0, zi=memories[i])
+                columns.append(column)
+            white = np.stack(columns, axis=1)
+            found += np.einsum("tip,ij,tjq->pq", white, self.covariance, white, optimize=True)
+        return found
 
     def independent(self, samples: int) -> float:
         """As many independent samples give a variance with the same relative error (Bartlett)."""

@@ -4,7 +4,7 @@ starts, and the noise estimated between them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -13,8 +13,9 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.models._data.cuts import side_by_side
-from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import ScaledData, past_length, window_rows, windows
+from asia.models._data.encoder import Encoder
+from asia.models._data.records import ScaledData, past_length
+from asia.models._data.window_encoder import window_encoder
 from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
 from asia.models._noise.weighting import ErrorWeighting
@@ -150,12 +151,14 @@ def state_encoder(
     hidden: int,
 ) -> Encoder:
     """Map from the past window to the state, from the fitted model's own states on the records."""
-    skip = past_length(context)
-    long = [i for i, r in enumerate(records) if len(r) > skip]
-    rows = window_rows([records[i] for i in long], context)
+
+    def states_of(i: int) -> Iterator[Array]:
+        yield states[i]
+
     states = [
-        structure.simulate(fit.params, fit.x0[i, None], records[i].u[None])[0][0, skip:][at]
-        for i, at in zip(long, rows, strict=True)
+        structure.simulate(fit.params, fit.x0[i, None], r.u[None])[0][0]
+        if len(r) > past_length(context)
+        else np.zeros((0, structure.size))
+        for i, r in enumerate(records)
     ]
-    features = [windows(records[i], context)[at] for i, at in zip(long, rows, strict=True)]
-    return fit_encoder(features, states, hidden, context.seed)
+    return window_encoder(records, states_of, context, hidden, context.seed)

@@ -24,8 +24,8 @@ from asia.models._solvers.minimise import NormalEquations
 from asia.models._solvers.packing import Packing
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Numbers in the derivatives of one chunk of samples.
-_CHUNK_VALUES = 4_000_000
+# Numbers in the derivatives of one chunk of samples, and of each chunk where one is not enough.
+_CHUNK_VALUES, _FEWER_VALUES = 4_000_000, 400_000
 _ITERATIONS_BETWEEN_LOGS = 5
 
 Watch: TypeAlias = Callable[[int, float], None]
@@ -77,7 +77,9 @@ def chunked(
 ) -> SampleChunks:
     count, length = samples.weight.shape
     values = count * (structure.size + structure.ny) * len(origin)
-    size = int(np.clip(_CHUNK_VALUES // values, 1, length))
+    size = min(_CHUNK_VALUES // values, length)
+    if size < length:
+        size = max(1, min(_FEWER_VALUES, _CHUNK_VALUES) // values)
     chunks = -(-length // size)
     total = max(float((samples.weight**2).sum()) * structure.ny, 1.0)
 

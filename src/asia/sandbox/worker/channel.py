@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import pickle
 import re
 import secrets
 import select
@@ -14,7 +15,14 @@ from dataclasses import dataclass
 
 from asia._text import printable
 from asia.sandbox.worker.process import Pipes
-from asia.sandbox.worker.wire import REPLY_HEAD, REQUEST_HEAD, TOKEN_BYTES, ReplyKind
+from asia.sandbox.worker.wire import (
+    LARGE_BYTES,
+    LENGTH,
+    REPLY_HEAD,
+    REQUEST_HEAD,
+    TOKEN_BYTES,
+    ReplyKind,
+)
 
 _KEPT_BEGINNING = 16 * 1024
 # With the line between them all stays within 64 KiB.
@@ -78,9 +86,20 @@ class Channel:
         self._token = secrets.token_bytes(TOKEN_BYTES)
         return self._token
 
-    def send(self, body: bytes, deadline: float) -> None:
+    def send(self, request: object, deadline: float) -> None:
         """Send one request. Raises LateError, GoneError."""
-        for data in (memoryview(REQUEST_HEAD.pack(len(body))), memoryview(body)):
+        arrays: list[memoryview] = []
+
+        def in_pickle(buffer: pickle.PickleBuffer) -> bool:
+            raw = buffer.raw()
+            if raw.nbytes >= LARGE_BYTES:
+                arrays.append(raw)
+            return raw.nbytes < LARGE_BYTES
+
+        body = pickle.dumps(request, protocol=5, buffer_callback=in_pickle)
+        lengths = [LENGTH.pack(array.nbytes) for array in arrays]
+        head = b"".join([REQUEST_HEAD.pack(len(body), len(arrays)), *lengths])
+        for data in (memoryview(head), memoryview(body), *arrays):
             done = 0
             while done < len(data):
                 self._wait(self._requests, select.POLLOUT, deadline)
@@ -103,17 +122,22 @@ class Channel:
 
     def receive(self, length: int, deadline: float) -> bytes:
         """Exactly `length` bytes. Raises LateError, GoneError."""
-        data = bytearray()
-        while len(data) < length:
+        data = bytearray(length)
+        self.receive_into(memoryview(data), deadline)
+        return bytes(data)
+
+    def receive_into(self, data: memoryview, deadline: float) -> None:
+        """Exactly as many bytes as there is room for. Raises LateError, GoneError."""
+        done = 0
+        while done < len(data):
             self._wait(self._replies, select.POLLIN, deadline)
             try:
-                part = os.read(self._replies, min(length - len(data), _PIPE_BYTES))
+                count = os.readv(self._replies, [data[done : done + _PIPE_BYTES]])
             except BlockingIOError:
                 continue
-            if not part:
+            if not count:
                 raise GoneError
-            data += part
-        return bytes(data)
+            done += count
 
     def take_output(self) -> str:
         """What was printed so far, its middle left out where it is long, without control

@@ -149,7 +149,7 @@ class _Session:
 
     def serve(self) -> NoReturn:
         self._reply(wire.ReplyKind.STARTED)
-        handlers: dict[str, Callable[..., bytes]] = {
+        handlers: dict[str, Callable[..., bytes | memoryview]] = {
             "fit": self._fit,
             "load": self._load,
             "simulate": self._simulate,
@@ -161,11 +161,12 @@ class _Session:
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
         }
         while True:
-            self._token, name, arguments = pickle.loads(self._request())
+            self._token, name, arguments = wire.read_request(self._requests)
             status = wire.ReplyKind.OK
             self._compiling.request = name
             try:
                 body = handlers[name](*arguments)
+                arguments = ()
             except BaseException as error:  # noqa: BLE001 - the border to candidate code
                 status, body = self._describe(error, private=name in ("load", "simulate"))
                 del error
@@ -173,20 +174,7 @@ class _Session:
                 os._exit(0)  # a fork that strayed out of candidate code
             self._reply(status, body)
 
-    def _request(self) -> bytes:
-        (length,) = wire.REQUEST_HEAD.unpack(self._read(wire.REQUEST_HEAD.size))
-        return self._read(length)
-
-    def _read(self, length: int) -> bytes:
-        data = bytearray()
-        while len(data) < length:
-            part = os.read(self._requests, min(length - len(data), 1 << 20))
-            if not part:
-                os._exit(0)
-            data += part
-        return bytes(data)
-
-    def _reply(self, status: int, body: bytes = b"") -> None:
+    def _reply(self, status: int, body: bytes | memoryview = b"") -> None:
         head = wire.REPLY_HEAD.pack(status, self._token, len(body))
         for data in (memoryview(head), memoryview(body)):
             done = 0
@@ -200,7 +188,9 @@ class _Session:
         known: dict[str, Any],
         scored: bool,
     ) -> bytes:
-        trajectories = [_trajectory(*record) for record in records]
+        trajectories: list[Trajectory] = []
+        while records:  # each is let go once it is taken over
+            trajectories.append(_trajectory(*records.pop(0)))
         module = _execute(source)
         fit = getattr(module, "fit", None)
         if not callable(fit):
@@ -223,7 +213,7 @@ class _Session:
             if not self._fitting:
                 raise RuntimeError("validation_score is there for the time of fit only")
             self._reply(wire.ReplyKind.SCORE, body)
-            self._token, name, (answer,) = pickle.loads(self._request())
+            self._token, name, (answer,) = wire.read_request(self._requests)
         if name == "refuse":
             raise RuntimeError(answer)
         return answer
@@ -236,7 +226,7 @@ class _Session:
         self._model = _as_model(pickle.loads(model))
         return b""
 
-    def _simulate(self, past_u: Array, past_y: Array, u: Array, ny: int) -> bytes:
+    def _simulate(self, past_u: Array, past_y: Array, u: Array, ny: int) -> memoryview:
         import numpy as np
 
         assert self._model is not None
@@ -245,12 +235,12 @@ class _Session:
             y = np.array(result, order="C", subok=False)
             if y.dtype.kind not in "biufO":
                 raise TypeError("not real numbers")
-            y = y.astype("<f8")
+            y = y.astype("<f8", copy=False)
         except (TypeError, ValueError) as error:
             raise _RefusedError from error
         if y.shape != (u.shape[0], u.shape[1], ny):
             raise _WrongShapeError(y.shape)
-        return y.tobytes()
+        return y.reshape(-1).view(np.uint8).data
 
     def _lower(self, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
         """Traced here, where the model's own code may run."""
@@ -351,8 +341,16 @@ def _called(frames: traceback.StackSummary, place: int) -> bool:
 def _trajectory(
     u: Array, y: Array, sampling_time: float, name: str, missing: Mask | None
 ) -> Trajectory:
+    import numpy as np
+
     from asia.data import Trajectory
 
+    # A record may not be written to, so that it takes the array that came, without a copy.
+    for values in (u, y):
+        place: object = values
+        while isinstance(place, np.ndarray):
+            place.setflags(write=False)
+            place = place.base
     return Trajectory(u, y, sampling_time, name, missing)
 
 

@@ -1,16 +1,23 @@
 """The framing that both ends of a worker's pipes agree on.
 
-A request is a u64 length and a pickle, which only travels into the sandbox. A reply is a status
-byte, the token of the request it answers, a u64 length and raw bytes: nothing in it is parsed.
-During a fit a SCORE reply brings a model, and the next request brings its score.
+A request is the u64 length of a pickle, which only travels into the sandbox, the u64 number of its
+large arrays, their u64 lengths, the pickle, and these arrays, which neither end copies. A reply is
+a status byte, the token of the request it answers, a u64 length and raw bytes: nothing in it is
+parsed. During a fit a SCORE reply brings a model, and the next request brings its score.
 """
 
 from __future__ import annotations
 
+import os
+import pickle
 import struct
 from enum import IntEnum
+from typing import Any
 
-REQUEST_HEAD = struct.Struct("<Q")
+REQUEST_HEAD = struct.Struct("<QQ")
+LENGTH = struct.Struct("<Q")
+LARGE_BYTES = 65_536
+"""From so many on an array travels beside the pickle."""
 REPLY_HEAD = struct.Struct("<B8sQ")
 TOKEN_BYTES = 8
 
@@ -36,3 +43,35 @@ class ReplyKind(IntEnum):
     MEMORY = 6
     SHAPE = 7
     SCORE = 8
+
+
+def read_request(requests: int) -> tuple[bytes, str, Any]:
+    """Token, name and arguments of the next one, in the worker, which ends with its pipe."""
+    import numpy as np
+
+    from asia._heap import LARGE_RECORDS, give_back_large_arrays
+
+    length, count = REQUEST_HEAD.unpack(_read(requests, REQUEST_HEAD.size))
+    lengths = [LENGTH.unpack(_read(requests, LENGTH.size))[0] for _ in range(count)]
+    body = _read(requests, length)
+    if sum(lengths) > LARGE_RECORDS:
+        give_back_large_arrays()
+    arrays = [np.empty(size, np.uint8) for size in lengths]
+    for array in arrays:
+        _read_into(requests, array.data)
+    return pickle.loads(body, buffers=arrays)
+
+
+def _read(requests: int, length: int) -> bytearray:
+    data = bytearray(length)
+    _read_into(requests, memoryview(data))
+    return data
+
+
+def _read_into(requests: int, data: memoryview) -> None:
+    done = 0
+    while done < len(data):
+        count = os.readv(requests, [data[done : done + (1 << 20)]])
+        if not count:
+            os._exit(0)
+        done += count

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import pickle
 import threading
 import time
 from collections.abc import Sequence
@@ -143,7 +142,8 @@ class Worker:
             head = self._head(deadline, late, expected=shape)
             if head.length != math.prod(shape) * 8:
                 raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
-            y = _floats(self._body(head, deadline, late)).reshape(shape)
+            y = np.empty(shape, "<f8")
+            self._body_into(y.reshape(-1).view(np.uint8).data, deadline, late)
         if not np.isfinite(y).all():
             raise CandidateError(Reason.NOT_FINITE)
         return y
@@ -230,8 +230,7 @@ class Worker:
             return
         by = time.monotonic() + _COUNT_SECONDS
         try:
-            body = pickle.dumps((self._channel.new_token(), "compiled", ()), protocol=5)
-            self._channel.send(body, by)
+            self._channel.send((self._channel.new_token(), "compiled", ()), by)
             if self._channel.receive_head(by) == Head(ReplyKind.OK, COMPILED_BYTES):
                 self._clock.count_compiling(self._channel.receive(COMPILED_BYTES, by))
         except (LateError, GoneError, UnsolicitedError):
@@ -313,8 +312,7 @@ class Worker:
     ) -> None:
         try:
             token = self._channel.new_token()
-            body = pickle.dumps((token, name, arguments), protocol=5)
-            self._channel.send(body, deadline)
+            self._channel.send((token, name, arguments), deadline)
         except (LateError, GoneError, UnsolicitedError) as error:
             raise self._translated(error, late) from None
 
@@ -349,6 +347,12 @@ class Worker:
     def _body(self, head: Head, deadline: float, late: Reason) -> bytes:
         try:
             return self._channel.receive(head.length, deadline)
+        except (LateError, GoneError) as error:
+            raise self._translated(error, late) from None
+
+    def _body_into(self, room: memoryview, deadline: float, late: Reason) -> None:
+        try:
+            self._channel.receive_into(room, deadline)
         except (LateError, GoneError) as error:
             raise self._translated(error, late) from None
 

@@ -23,8 +23,10 @@ from asia.models import (
     subnet,
     transformer,
 )
+from asia.models._networks import compiled as compiled_module
+from asia.models._networks.compiled import compiled
 from asia.models._networks.simulation import features_of, is_compiled
-from asia.models._networks.structure import Restartable
+from asia.models._networks.structure import Restartable, rollout, trace
 from asia.models.methods import Adam
 
 FAMILIES: list[tuple[ModuleType, dict[str, Any]]] = [
@@ -118,6 +120,20 @@ def test_records_of_very_many_samples_are_left_to_jax() -> None:
     assert not is_compiled(100_000, 100)
     assert is_compiled(1, 1_000_000)
     assert is_compiled(10_000, 10_000)
+
+
+def test_a_compiled_simulation_goes_on_from_block_to_block(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = recurrent.build(recurrent.Config(hidden=3), windows_context())
+    rng = np.random.default_rng(3)
+    window, u = (rng.standard_normal(shape).astype(np.float32) for shape in ((2, 3), (2, 70, 2)))
+    for simulate in (rollout, trace):
+        whole = compiled(simulate, model.cell, model.params, window, u)
+        with monkeypatch.context() as patched:
+            patched.setattr(compiled_module, "_BLOCK", 32)
+            blocks = compiled(simulate, model.cell, model.params, window, u)
+        np.testing.assert_allclose(blocks, whole, atol=1e-6)
 
 
 def _flat(tree: Any) -> bytes:

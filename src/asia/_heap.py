@@ -1,0 +1,21 @@
+"""Memory of large arrays goes back to the system when they are freed. Only the standard library is
+imported here."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import sys
+
+LARGE_RECORDS = 4_000_000
+"""Bytes of records from which this is worth its time."""
+_MMAP_THRESHOLD = -3
+_LARGE = 128 * 1024
+
+
+def give_back_large_arrays() -> None:
+    """Without it glibc keeps what was freed, in each thread for itself, once it has seen arrays of
+    a few megabytes. Other systems are left as they are."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE)
