@@ -18,6 +18,8 @@ from asia.data._trajectory import Trajectory
 
 # Least pace as a share of the volume in a sample, so that time never stands still.
 _LEAST_PACE = 1e-4
+# Slowest pace that is told apart, as a share of the least one in the records.
+_SLOWEST = 0.5
 # Delays in samples at the mean pace between which volumes are compared, and how many.
 _LONGEST, _COMPARED = 30.0, 31
 # Lags of the one-step model, the most samples and the most columns for each sample.
@@ -32,11 +34,24 @@ class Transport:
     """Number of that input, whose values are positive."""
     volume: float
     """Of the pipe: unit of the input times samples."""
+    slowest: float = 0.0
+    """Least pace that is told apart: a slower one counts as this one, so that nothing stays in the
+    pipe for longer than `longest`."""
+
+    @property
+    def least_pace(self) -> float:
+        """Of the values that the pace is limited to."""
+        return max(self.slowest, _LEAST_PACE * self.volume)
+
+    @property
+    def longest(self) -> int:
+        """Samples after which all has left the pipe, at every pace."""
+        return int(np.ceil(self.volume / self.least_pace))
 
     def carried(self, u: Array) -> Array:
         """Inputs u (T, nu), physical units, held between samples and backwards before the first ->
         (T, nu + 1): the inputs as they leave the pipe, means over each sample, and the pace."""
-        pace = np.maximum(u[:, self.pace], _LEAST_PACE * self.volume)
+        pace = np.maximum(u[:, self.pace], self.least_pace)
         before = int(np.ceil(self.volume / pace[0])) + 1
         held = np.concatenate([np.repeat(u[:1], before, axis=0), u])
         passed = _sums(np.concatenate([np.repeat(pace[:1], before), pace])[:, None])[:, 0]
@@ -63,7 +78,8 @@ class FoundTransport(NamedTuple):
 def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
     """Volume of the pipe by the error of a one-step model with products of its signals. Raises
     ValueError where the input takes values that are not positive."""
-    if min(float(r.u[:, pace].min()) for r in records) <= 0.0:
+    least = min(float(r.u[:, pace].min()) for r in records)
+    if least <= 0.0:
         raise ValueError(f"input {pace} cannot be a pace: it has values that are not positive")
     mean = float(np.concatenate([r.u[:, pace] for r in records]).mean())
     delays = np.geomspace(1.0, _LONGEST, _COMPARED)
@@ -80,7 +96,8 @@ def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
     known = np.isfinite(each[best]) and min(constant) > 0.0
     ratio = each[best] / min(constant) if known else float("inf")
     delay = float(delays[best])
-    return FoundTransport(Transport(pace, mean * delay), delay, float(ratio))
+    found = Transport(pace, mean * delay, _SLOWEST * least)
+    return FoundTransport(found, delay, float(ratio))
 
 
 def _sums(values: Array) -> Array:

@@ -128,10 +128,6 @@ class NeuralStateSpace:
 
         if self.fitted is None:
             raise UserError("neural state-space model: not trained yet; call train first")
-        if self.fitted.transport is not None:
-            raise UserError(
-                "a transport at the pace of an input cannot be exported; set it to None"
-            )
         return state_space_steps(self.fitted)
 
 

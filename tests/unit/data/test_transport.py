@@ -42,6 +42,16 @@ def test_a_pace_of_zero_holds_what_is_on_the_way() -> None:
     assert np.ptp(found[11:]) < 0.1
 
 
+def test_a_pace_slower_than_any_that_was_seen_counts_as_the_slowest() -> None:
+    u = np.column_stack([np.r_[np.ones(10), np.full(20, 0.01)], np.arange(30.0)])
+    slow = np.column_stack([np.maximum(u[:, 0], 0.5), u[:, 1]])
+    transport = Transport(0, 4.0, slowest=0.5)
+    assert transport.longest == 8
+    assert transport.carried(u)[:, 1] == pytest.approx(transport.carried(slow)[:, 1])
+    found = find_transport([belt(500, 0)], 0).transport
+    assert found.slowest == pytest.approx(0.5 * belt(500, 0).u[:, 0].min())
+
+
 def test_the_volume_is_found_and_a_constant_delay_is_not_taken_for_one() -> None:
     found = find_transport([belt(500, 0)], 0)
     assert found.transport.volume == pytest.approx(6.0, rel=0.1)

@@ -9,6 +9,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
+from asia.data._transport import Transport
 from asia.export import ExportModel, Ready, TrainingWindow
 from asia.lowering import LoweredModel, unpack
 from asia.lowering.trace import lowered_bytes
@@ -91,6 +92,17 @@ def state_space_model(members: int, basis: Any) -> Any:
     return neural_ss.NeuralStateSpace(neural_ss.Config(), fitted)
 
 
+def carried_model() -> Any:
+    """Behind a pipe in which inputs stay for up to eight samples."""
+    wide = replace(SCALING, u_mean=np.r_[SCALING.u_mean, 1.0], u_std=np.r_[SCALING.u_std, 0.5])
+    structure = StateSpaceStructure(3, NU + 1, NY, "state", "tanh", 4, 2, None)
+    p = structure.start(replace(system(), b=drawn(3, NU + 1), d=drawn(NY, NU + 1)), rng)
+    p["f"] = {k: v + 0.1 * rng.standard_normal(v.shape) for k, v in p["f"].items()}
+    start = affine(drawn(PAST * (NU + 1 + NY), 3), drawn(3))
+    fitted = FittedStateSpace(structure, ((p, start),), 1, wide, transport=Transport(0, 4.0, 0.55))
+    return neural_ss.NeuralStateSpace(neural_ss.Config(), fitted)
+
+
 def network(family: Any, **settings: Any) -> Any:
     model = family.build(family.Config(**settings), CONTEXT)
     seen = Trajectory(drawn(30, NU), drawn(30, NY), 0.5, "seen")
@@ -137,6 +149,7 @@ MODELS: dict[str, Callable[[], Any]] = {
     "neural_ss": lambda: state_space_model(1, "tanh"),
     "neural_ss, median of 2": lambda: state_space_model(2, "tanh"),
     "neural_ss, polynomial, median of 3": lambda: state_space_model(3, "polynomial"),
+    "neural_ss with transport": carried_model,
     "narx": polynomial_model,
     "gp_narx": process_model,
     "esn": lambda: reservoir_model(None),

@@ -13,6 +13,7 @@ from asia.models._arrays import AnyArray
 from asia.models._data.records import window
 from asia.models._state_space.past_fit import DAMPING, DIFFERENCE, LESS, MORE, STEPS, PastFit
 from asia.models._state_space.structure import StateSpaceStructure
+from asia.models._steps.carried import carried_steps
 from asia.models._steps.shared import first_of_line, median, solved, through_line, turned
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ def state_space_steps(f: FittedStateSpace) -> Steps:
             outputs.append(structure.output(params, w))
         return (after, line), scaling.physical(median(outputs)[0])
 
-    return turned(Steps(initial, step), f.turns)
+    steps = turned(Steps(initial, step), f.turns)
+    return steps if f.transport is None else carried_steps(steps, f.transport)
 
 
 def _start(structure: StateSpaceStructure, encoder: Any, features: AnyArray) -> AnyArray:
