@@ -12,8 +12,12 @@ from asia.data.intake.sheet import Cells
 from asia.errors import UserError
 
 _MISSING = frozenset(
-    ("", "nan", "na", "n/a", "#n/a", "#nv", "null", "none", "nil", "-", "--", "---", "?", ".")
-)
+    ("", "nan", "na", "n/a", "n.a.", "#n/a", "#nv", "null", "none", "nil", "-", "--", "---", "?")
+) | frozenset(
+    # What plant historians write in place of a value.
+    (".", "bad", "bad input", "bad data", "no data", "nodata", "i/o timeout", "comm fail",
+     "out of service", "scan off", "pt created", "shutdown", "configure", "error", "invalid")
+)  # fmt: skip
 _MINUS = str.maketrans({"−": "-", "\u00a0": None, "\u202f": None, "'": None})
 
 

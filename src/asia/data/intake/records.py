@@ -60,14 +60,14 @@ def take_in(
     tell. least: pieces of fewer samples are left out. Outputs of a test are never interpolated.
     Raises UserError."""
     timed: list[_Timed] = []
+    notes: list[str] = []
     found_units: dict[str, str] = {}
     for path in paths:
         for sheet in read_sheets(path, wanted):
             found_units = units(sheet, (*wanted.inputs, *wanted.outputs)) | found_units
             for part in parts(sheet, wanted):
-                timed += _stretches(part)
+                timed += _stretches(_oldest_first(part, notes))
     step = _slowest(timed, paths) if sampling_time is None else sampling_time
-    notes: list[str] = []
     made: list[Trajectory] = []
     for one in timed:
         made += _pieces(one, step, use, least, notes)
@@ -79,6 +79,15 @@ def take_in(
     names = unique_names([t.name for t in made])
     records = tuple(replace(t, name=n) for t, n in zip(made, names, strict=True))
     return Intake(records, found_units, tuple(notes))
+
+
+def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
+    """As it is, or turned round where time goes back from row to row."""
+    if part.stamps is None or len(part.stamps) < 3 or not (np.diff(part.stamps) <= 0).all():
+        return part
+    notes.append(f"{part.where}: the newest row came first, the order was turned round")
+    back = slice(None, None, -1)
+    return replace(part, u=part.u[back], y=part.y[back], stamps=part.stamps[back])
 
 
 def _stretches(part: SheetPart) -> list[_Timed]:

@@ -36,6 +36,8 @@ _SLASHED = tuple(
 _DAY = 86400.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EXCEL = (20_000, 80_000)
+# The years 2000 to 2050.
+_SPREADSHEET = (36_526, 54_789)
 _MATLAB = (700_000, 800_000)
 
 
@@ -100,7 +102,21 @@ def _factor(numbers: Array, name: str, unit: str, wanted: Wanted) -> float:
     dated = any(word in bare.casefold() for word in ("date", "stamp", "datum", "excel"))
     if dated and any(a < low and high < b for a, b in (_EXCEL, _MATLAB)):
         return _DAY
-    return 1.0
+    return _DAY if _SPREADSHEET[0] < low and high < _SPREADSHEET[1] and _in_days(known) else 1.0
+
+
+def _in_days(numbers: Array) -> bool:
+    """Whether the stamps of this century lie a round number of seconds apart if they are days, and
+    neither a round number nor a round rate if they are seconds."""
+    steps = np.diff(numbers)
+    step = float(np.median(steps)) if steps.size else 0.0
+    if step <= 0.0:
+        return False
+    return _is_round(step * _DAY, 3) and not _is_round(step, 2) and not _is_round(1.0 / step, 2)
+
+
+def _is_round(value: float, digits: int) -> bool:
+    return abs(float(f"{value:.{digits}g}") - value) < 5e-4 * value
 
 
 def _is_dated(cell: object) -> bool:
@@ -187,7 +203,12 @@ def _stamp(cell: object, pattern: list[str], where: str) -> float:
 
 
 def _clock(text: str) -> float | None:
-    """`12:30:01.5` and `30:01.5` as µs."""
+    """`12:30:01.5`, `30:01.5` and `01:30:01 PM` as µs."""
+    half = text[-2:].casefold()
+    if half in ("am", "pm"):
+        clock = _clock(text[:-2].strip())
+        noon = _DAY / 2 * 1e6
+        return None if clock is None else clock % noon + (noon if half == "pm" else 0.0)
     parts: Sequence[str] = text.split(":")
     if not 2 <= len(parts) <= 3:
         return None

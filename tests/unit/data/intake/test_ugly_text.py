@@ -67,6 +67,15 @@ SAME: dict[str, str | bytes] = {
         "Zeit;u;y", sep=";", comma=True, stamp=stamped("%Y-%m-%d %H:%M:%S.%f")
     ),
     "excel days": table("date,u,y", stamp=excel),
+    "excel days under time": table("time,u,y", stamp=excel),
+    "clock with halves": table("date,time,u,y", stamp=stamped("%m/%d/%Y,%I:%M:%S.%f %p")),
+    "newest first": "\n".join(["t,u,y", *reversed(rows())]),
+    "three rows of names": "Rig 4,,\nDate:,2026-03-01,\n,,\nt,u,y\n,Valve,Level\n[s],[V],[m]\n"
+    + "\n".join(rows()),
+    "units behind values": "\n".join(
+        ["t,u,y", *(f"{t} s,{u} m/s,{y} °C" for t, u, y in zip(T, U, Y, strict=True))]
+    ),
+    "wide footer": table("t;u;y", sep=";") + "End of log;;\nRows: 9;;\n",
     "clock over midnight": table(stamp=midnight),
     "date and time": table("date,time,u,y", stamp=stamped("%d.%m.%Y,%H:%M:%S.%f")),
     "milliseconds": table("t [ms],u,y", stamp=lambda t: f"{1000 * t:.0f}"),
@@ -93,6 +102,29 @@ def write(tmp_path: Path, text: str | bytes, name: str = "log.csv") -> Path:
 @pytest.mark.parametrize("name", list(SAME))
 def test_ugly_files_give_the_clean_record(tmp_path: Path, name: str) -> None:
     assert digest(write(tmp_path, SAME[name])) == CLEAN
+
+
+def test_units_behind_values_are_taken_over(tmp_path: Path) -> None:
+    path = write(tmp_path, SAME["units behind values"])
+    assert take_in([path], WANTED, "train").units == {"u": "m/s", "y": "°C"}
+
+
+def test_what_a_historian_writes_in_place_of_a_value_is_missing(tmp_path: Path) -> None:
+    lines = table().split("\n")
+    for k, word in enumerate(("Bad", "I/O Timeout", "No Data", "n.a.")):
+        lines[5 + k] = ",".join((*lines[5 + k].split(",")[:2], word))
+    (found,) = take_in([write(tmp_path, "\n".join(lines))], WANTED, "train").records
+    assert np.flatnonzero(~found.measured).tolist() == [4, 5, 6, 7]
+
+
+def test_seconds_of_a_fast_clock_are_not_taken_for_days(tmp_path: Path) -> None:
+    for step in (1e-3, 1 / 60, 0.5, 0.0025):
+        rows = [
+            f"{45000 + k * step:.6f},{u},{y}" for k, (u, y) in enumerate(zip(U, Y, strict=True))
+        ]
+        path = write(tmp_path, "\n".join(["time,u,y", *rows]))
+        (found,) = take_in([path], WANTED, "train").records
+        assert found.sampling_time == pytest.approx(step, rel=1e-3)
 
 
 def test_no_header(tmp_path: Path) -> None:

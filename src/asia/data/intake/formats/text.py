@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
 from typing import ClassVar
 
@@ -16,20 +17,24 @@ from asia.data.intake.sheet import Column, FileFormat, Sheet, Wanted, as_objects
 from asia.errors import UserError
 
 _SAMPLE = 400
+# Rows of names and units that are looked at, at most.
+_HEADS = 4
 _COMMENTS = ("#", "%", "//", "!")
+_WITH_UNIT = re.compile(r"^[-+−]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(?P<unit>[^\d\s.,:/+-]\S{0,9})$")
 _STAMP = re.compile(r"^[\dT:.,+\-/ Zampm]*\d[:/\-.]\d[\dT:.,+\-/ Zampm]*$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class _Layout:
     """How the rows of a text are cut. heads: rows of names and units; above: cells of the line over
-    the data, where it is no such row."""
+    the data, where it is no such row; units: whether values may have their unit behind them."""
 
     delimiter: str | None
     cells: int
     first: int
     heads: tuple[tuple[str, ...], ...]
     above: int = 0
+    units: bool = False
 
 
 class Text(FileFormat):
@@ -45,11 +50,22 @@ class Text(FileFormat):
         names, units = _names(path, layout, wanted)
         rows = _rows(path, lines, layout)
         columns = {
-            name: Column(as_objects(cells), units[k])
-            for k, (name, cells) in enumerate(zip(names, zip(*rows, strict=True), strict=True))
+            name: _column(cells, unit)
+            for name, cells, unit in zip(names, zip(*rows, strict=True), units, strict=True)
             if name
         }
         return (Sheet(path.stem, columns, None, str(path), layout.first + 1),)
+
+
+def _column(cells: Sequence[str], unit: str) -> Column:
+    """Without the unit, where the same one stands behind all values."""
+    filled = [c for c in cells if c and not isnan(number(c) or 0.0)]
+    with_unit = None if not filled or _STAMP.match(filled[0]) else _WITH_UNIT.match(filled[0])
+    behind = "" if with_unit is None else with_unit["unit"]
+    if not behind or number(filled[0]) is not None or any(not c.endswith(behind) for c in filled):
+        return Column(as_objects(cells), unit)
+    bare = [c[: -len(behind)].rstrip() if c.endswith(behind) else c for c in cells]
+    return Column(as_objects(bare), unit or behind)
 
 
 def decode(path: Path) -> str:
@@ -81,10 +97,11 @@ def _cut(line: str, delimiter: str | None) -> list[str]:
     return [cell.strip() for cell in row]
 
 
-def _is_value(cell: str, delimiter: str | None) -> bool:
+def _is_value(cell: str, delimiter: str | None, units: bool = False) -> bool:
     if delimiter == "," and "," in cell and " " in cell:
         return False
-    return number(cell) is not None or bool(_STAMP.match(cell))
+    plain = number(cell) is not None or bool(_STAMP.match(cell))
+    return plain or (units and bool(_WITH_UNIT.match(cell)))
 
 
 def _is_comment(line: str) -> bool:
@@ -95,9 +112,22 @@ def _layout(path: Path, lines: Sequence[str], wanted: Wanted) -> _Layout:
     filled = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     if not filled:
         raise UserError(f"{path} is empty: expected a header row with column names, then numbers")
+    ranked = _ranked(lines, filled, wanted) or _ranked(lines, filled, wanted, units=True)
+    if not ranked:
+        raise UserError(
+            f"{path} has a header row and no data below it: expected rows of numbers there"
+        )
+    # The first of equals: max keeps it.
+    return max(ranked, key=lambda found: found[0])[1]
+
+
+def _ranked(
+    lines: Sequence[str], filled: Sequence[int], wanted: Wanted, units: bool = False
+) -> list[tuple[tuple[float, float, int], _Layout]]:
+    """The layouts by separator, each with how well it suits."""
     ranked: list[tuple[tuple[float, float, int], _Layout]] = []
     for delimiter in (",", ";", "\t", "|", None):
-        found = _with_delimiter(lines, filled, delimiter)
+        found = _with_delimiter(lines, filled, delimiter, units)
         if found is None:
             continue
         share, layout = found
@@ -108,40 +138,45 @@ def _layout(path: Path, lines: Sequence[str], wanted: Wanted) -> _Layout:
             layout.cells,
         )
         ranked.append((rank, layout))
-    if not ranked:
-        raise UserError(
-            f"{path} has a header row and no data below it: expected rows of numbers there"
-        )
-    # The first of equals: max keeps it.
-    return max(ranked, key=lambda found: found[0])[1]
+    return ranked
 
 
 def _with_delimiter(
-    lines: Sequence[str], filled: Sequence[int], delimiter: str | None
+    lines: Sequence[str], filled: Sequence[int], delimiter: str | None, units: bool
 ) -> tuple[float, _Layout] | None:
     """The layout with this delimiter, and the share of its cells that are values."""
     sample = [(k, _cut(lines[k], delimiter)) for k in filled[:_SAMPLE]]
-    data = [(k, row) for k, row in sample if _is_data(row, delimiter)]
+    data = [(k, row) for k, row in sample if _is_data(row, delimiter, units)]
     if not data:
         return None
     widths = Counter(len(row) for _, row in data)
     cells = max(widths, key=lambda w: (widths[w], w))
-    first = next(k for k, row in data if len(row) == cells)
+    first = _first(sample, {k for k, row in data if len(row) == cells})
     total = sum(len(row) for k, row in sample if k >= first)
-    values = sum(_is_value(c, delimiter) for k, row in sample if k >= first for c in row)
-    heads = _heads(lines, first, cells, delimiter)
+    values = sum(_is_value(c, delimiter, units) for k, row in sample if k >= first for c in row)
+    heads = _heads(lines, first, cells, delimiter, units)
     above = [line for line in lines[:first] if line.strip()][-1:]
     wide = len(_cut(above[0], delimiter)) if above and not heads else 0
-    return values / max(total, 1), _Layout(delimiter, cells, first, heads, wide)
+    return values / max(total, 1), _Layout(delimiter, cells, first, heads, wide, units)
 
 
-def _is_data(row: Sequence[str], delimiter: str | None) -> bool:
-    values = [bool(cell) and _is_value(cell, delimiter) for cell in row]
+def _first(sample: Sequence[tuple[int, Sequence[str]]], data: set[int]) -> int:
+    """The line where data begins: behind it comes more, unlike behind a date over the header."""
+    order = [k for k, _ in sample]
+    for i, k in enumerate(order):
+        behind = order[i + 1 : i + 4]
+        if k in data and sum(n in data for n in behind) * 2 >= len(behind):
+            return k
+    return min(data)
+
+
+def _is_data(row: Sequence[str], delimiter: str | None, units: bool) -> bool:
+    values = [bool(cell) and _is_value(cell, delimiter, units) for cell in row]
     return sum(values) > 0 and sum(values) * 2 >= sum(bool(cell) for cell in row)
 
 
 def _heads(
-    lines: Sequence[str], first: int, cells: int, delimiter: str | None
+    lines: Sequence[str], first: int, cells: int, delimiter: str | None, units: bool
 ) -> tuple[tuple[str, ...], ...]:
     """Rows of names and units above the data, the lowest last."""
     found: list[tuple[str, ...]] = []
@@ -152,12 +187,12 @@ def _heads(
         row = _cut(bare, delimiter)
         while len(row) > cells and not row[-1]:
             row.pop()
-        if len(row) not in (cells, cells - 1) or _is_data(row, delimiter):
+        if len(row) not in (cells, cells - 1) or _is_data(row, delimiter, units):
             if found:
                 break
             continue
         found.insert(0, (*row, *[""] * (cells - len(row))))
-        if len(found) == 2:
+        if len(found) == _HEADS:
             break
     return tuple(found)
 
@@ -183,9 +218,10 @@ def _names(path: Path, layout: _Layout, wanted: Wanted) -> tuple[list[str], list
         )
     wished = set(wanted.names)
     hits = [sum(split_unit(c)[0] in wished or c in wished for c in row) for row in heads]
-    top = 0 if len(heads) == 1 or hits[0] >= hits[1] else 1
+    # Without a name to go by, the names are in the row over the units.
+    top = hits.index(max(hits)) if any(hits) else max(0, len(heads) - 2)
     labels = list(heads[top])
-    under = heads[1] if len(heads) == 2 and top == 0 else ("",) * layout.cells
+    under = heads[-1] if top < len(heads) - 1 else ("",) * layout.cells
     units = [u.strip("[]() ") or split_unit(n)[1] for n, u in zip(labels, under, strict=True)]
     for name, count in Counter(label for label in labels if label).items():
         if count > 1 and name in wished:
@@ -194,7 +230,11 @@ def _names(path: Path, layout: _Layout, wanted: Wanted) -> tuple[list[str], list
 
 
 def _rows(path: Path, lines: Sequence[str], layout: _Layout) -> list[list[str]]:
+    def value(cell: str) -> bool:
+        return bool(cell) and _is_value(cell, layout.delimiter, layout.units)
+
     rows: list[list[str]] = []
+    last = 0
     for k in range(layout.first, len(lines)):
         line = lines[k]
         if not line.strip() or _is_comment(line):
@@ -205,10 +245,12 @@ def _rows(path: Path, lines: Sequence[str], layout: _Layout) -> list[list[str]]:
         if len(row) == layout.cells:
             if any(row):
                 rows.append(row)
-        elif any(_is_value(cell, layout.delimiter) for cell in row if cell):
+                last = len(rows) if any(map(value, row)) else last
+        elif any(map(value, row)):
             raise UserError(
                 f"{path}, line {k + 1}: {len(row)} cells where the rows above have "
                 f"{layout.cells}; write decimal points, not commas, in a comma-separated file and "
                 "give every row every cell"
             )
-    return rows
+    # Lines of text after the data may have as many separators.
+    return rows[:last]
