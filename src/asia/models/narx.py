@@ -4,7 +4,8 @@ y[k] is a sum of products of y[k-1] .. y[k-na] and u[k-delay] .. u[k-delay-nb+1]
 Terms enter in the order of their error reduction ratio; how many is decided by the simulation
 error on stretches left out of the fit, because terms that predict one step ahead may not simulate.
 Levenberg-Marquardt then takes the coefficients to the least simulation error. In free run outputs
-are held within a multiple of the training range.
+are held within a multiple of the training range. Where outputs were not measured, a first model
+gives them and the fit is repeated.
 Sources: Chen, Billings and Luo, Int. J. Control 50(5), 1989; Piroddi and Spinelli, Int. J. Control
 76(17), 2003 (choice of terms by simulation error).
 """
@@ -21,6 +22,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.models._config import check_at_least
+from asia.models._data.gaps import has_gaps, reconstructed
 from asia.models._data.lags import Lags, OutputRange, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
@@ -49,6 +51,8 @@ from asia.models._solvers.least_squares import LeastSquares, LevenbergMarquardt
 # The Gram matrix of so many products is still cheap; beyond it the degree is lowered.
 _MOST_PRODUCTS = 1000
 _START_RIDGE = 1e-7
+# Iterations that tell numbers of terms apart.
+_QUICK = 10
 
 
 @dataclass(frozen=True)
@@ -103,17 +107,58 @@ def train(
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
-    choice = _choose(records, context, c, method)
-    usable(records, choice.lags)
-    run = _runs(records, context, choice.lags, c, [choice.terms], [choice.ridge])[0]
-    data = segments(records, context, refinement_samples(run))
-    if data is not None and isinstance(method, LevenbergMarquardt):
-        run, history = refine(run, data, method, c.coefficient_ridge)
-        for i, loss in enumerate(history):
-            context.log(i, loss)
-    elif data is not None:
-        context.log(0, float(np.sqrt(simulation_error(run, data))))
+    run, losses = _fitted(records, context, c, method)
+    if has_gaps(trajectories):
+        records = reconstructed(records, trajectories, run, context)
+        run, losses = _fitted(records, context, c, method, gaps=True)
+    for i, loss in enumerate(losses):
+        context.log(i, loss)
     return replace(model, run=run, scaling=scaling)
+
+
+def _fitted(
+    records: ScaledData,
+    context: Context,
+    config: Config,
+    method: LeastSquares | LevenbergMarquardt,
+    gaps: bool = False,
+) -> tuple[PolynomialRun, list[float]]:
+    """The model, and its error by iteration."""
+    choice = _choose(records, context, config, method)
+    usable(records, choice.lags)
+    if gaps and isinstance(method, LevenbergMarquardt):
+        choice = _with_more_terms(records, context, config, choice)
+    run = _runs(records, context, choice.lags, config, [choice.terms], [choice.ridge])[0]
+    data = segments(records, context, refinement_samples(run))
+    if data is None:
+        return run, []
+    if isinstance(method, LevenbergMarquardt):
+        return refine(run, data, method, config.coefficient_ridge)
+    return run, [float(np.sqrt(simulation_error(run, data)))]
+
+
+def _with_more_terms(
+    records: ScaledData, context: Context, config: Config, choice: _Choice
+) -> _Choice:
+    """As many terms as refined models want, and no fewer: where lags are those of a model, errors
+    one step ahead tell little of what is still missing."""
+    lags, quick = choice.lags, LevenbergMarquardt(iterations=_QUICK)
+    counts = [n for n in _counts(config) if n >= choice.terms]
+    part = selection(records, context, config.max_order)
+
+    def refined(kept: ScaledData) -> list[PolynomialRun]:
+        runs = _runs(kept, context, lags, config, counts, [choice.ridge])
+        data = [segments(kept, context, refinement_samples(run)) for run in runs]
+        return [
+            run if d is None else refine(run, d, quick, config.coefficient_ridge)[0]
+            for run, d in zip(runs, data, strict=True)
+        ]
+
+    errors = left_out_error(part, context, refined, _shortest(context, lags))
+    if len(errors) != len(counts):
+        return choice
+    best = int(np.argmax(errors <= errors.min() + 2 * np.log(1.02)))
+    return choice._replace(terms=counts[best])
 
 
 class _Choice(NamedTuple):
@@ -154,14 +199,21 @@ def _choose_terms(
     """Number of terms and ridge: the fewest terms within 2 % of the least error."""
     usable(records, lags)
     counts = _counts(config)
-    shortest = 2 * past_length(context) + 4 * lags.memory
     errors = left_out_error(
-        records, context, lambda kept: _runs(kept, context, lags, config, counts, ridges), shortest
+        records,
+        context,
+        lambda kept: _runs(kept, context, lags, config, counts, ridges),
+        _shortest(context, lags),
     )
     table = errors.reshape(len(counts), len(ridges))
     row = int(np.argmax(table.min(axis=1) <= table.min() + 2 * np.log(1.02)))
     column = int(np.argmin(table[row]))
     return _Choice(lags, counts[row], ridges[column], float(table.min()))
+
+
+def _shortest(context: Context, lags: Lags) -> int:
+    """Samples of a stretch that is left out, at least."""
+    return 2 * past_length(context) + 4 * lags.memory
 
 
 def _counts(config: Config) -> list[int]:

@@ -75,8 +75,8 @@ def regressors(
 
 def _measured_rows(record: ScaledTrajectory, rows: Indices, lags: Lags) -> Indices:
     known = record.counts[rows] > 0
-    if known.all():
-        return rows
+    if known.all() or record.filled:
+        return rows[known]
     back = rows[:, None] - np.arange(1, lags.outputs + 1)
     whole = known & (record.counts[back] > 0).all(axis=1)
     return rows[whole if whole.sum() > _ENOUGH * len(rows) else known]

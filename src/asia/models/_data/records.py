@@ -34,6 +34,8 @@ class ScaledTrajectory:
     """(T, nu), the inputs as past windows show them, where u is delayed."""
     counts: Array
     """(T,), 0 where an output was not measured; the `weight` of a whole fit."""
+    filled: bool = False
+    """Whether outputs that were not measured are those of a model."""
 
     def __len__(self) -> int:
         return len(self.u)
@@ -47,6 +49,7 @@ class ScaledTrajectory:
             self.weight[rows],
             self.measured_u[rows],
             self.counts[rows],
+            self.filled,
         )
 
     def with_delay(self, delay: int) -> ScaledTrajectory:

@@ -66,6 +66,21 @@ def test_free_run_stays_within_the_margin() -> None:
     assert np.ptp(y) > 0
 
 
+def without(record: Trajectory, share: float, seed: int) -> Trajectory:
+    y = record.y.copy()
+    y[10:][np.random.default_rng(seed).random(y[10:].shape) < share] = np.nan
+    return replace(record, y=y)
+
+
+@pytest.mark.slow
+def test_records_with_gaps_give_nearly_the_model_of_whole_ones() -> None:
+    data = case(bilinear)
+    lost = replace(data, training=tuple(without(r, 0.5, k) for k, r in enumerate(data.training)))
+    config, method = narx.Config(2, 3, max_terms=9), LevenbergMarquardt(10)
+    whole, gaps = (d.ratio(fitted(narx, config, d, method)) for d in (data, lost))
+    assert gaps < 1.5 * whole
+
+
 def test_past_window_shorter_than_the_lags() -> None:
     data = short_past(case(filtered, noise=0.01))
     model = fitted(narx, narx.Config(3, 3), data, LevenbergMarquardt(10))
