@@ -9,6 +9,7 @@ import numpy as np
 
 from asia._nearest import suggestion
 from asia.data._trajectory import Array, Signal, Trajectory
+from asia.data.intake.sheet import find_column, split_unit
 from asia.errors import UserError
 
 
@@ -24,10 +25,12 @@ def one_a_record(values: Any) -> list[Any]:
 def name_signals(
     named: Sequence[str | Signal] | None, first: Any, letter: str
 ) -> tuple[Signal, ...]:
-    """Signals by name, as given, or after the columns of a data frame, or `u`, or `u1` and so on.
-    first: the array or data frame of the first record."""
+    """Signals by name, as given, or after the columns of a data frame, `u [V]` with its unit, or
+    `u`, or `u1` and so on. first: the array or data frame of the first record."""
     if named is None:
-        named = [str(column) for column in getattr(first, "columns", ())]
+        columns = [str(column) for column in getattr(first, "columns", ())]
+        split = [Signal(*split_unit(column)) for column in columns]
+        named = split if len({s.name for s in split}) == len(columns) else columns
     if not named:
         shape = np.shape(first)
         count = shape[1] if len(shape) > 1 else 1
@@ -83,8 +86,9 @@ def _columns(values: Any, signals: Sequence[Signal], what: str) -> Array:
 
 
 def _index(names: Sequence[str], name: str, what: str) -> int:
-    if name not in names:
+    found = find_column(names, name)
+    if found is None:
         raise UserError(
             f"{what}: no column '{name}' (it has {', '.join(names)}){suggestion(name, names)}"
         )
-    return names.index(name)
+    return names.index(found)

@@ -18,7 +18,7 @@ from asia.data._arrays import make_trajectories, one_a_record
 from asia.errors import UserError
 from asia.export import Exported
 from asia.export import export as export_model
-from asia.identifier._records import digest_of, sampling_time_of
+from asia.identifier._records import check_times, digest_of, sampling_time_of
 from asia.ledger import (
     Evaluated,
     Event,
@@ -112,6 +112,7 @@ class SystemIdentifier:
         same call again resumes. Raises UserError for anything the caller can mend.
         """
         every = [*one_a_record(u), *one_a_record(y)]
+        check_times(one_a_record(u), one_a_record(y))
         step = sampling_time_of(every, sampling_time)
         problem = Problem.from_arrays(
             u,

@@ -36,10 +36,31 @@ def sampling_time_of(values: Sequence[Any], given: float | None) -> float:
     return chosen
 
 
+def check_times(u: Sequence[Any], y: Sequence[Any]) -> None:
+    """Raises UserError where inputs and outputs of a record have time indices that begin at
+    different times."""
+    for k, (one, other) in enumerate(zip(u, y, strict=False), 1):
+        starts = [t[0] for v in (one, other) if len(t := _times(v))]
+        step = _step(one)
+        if len(starts) < 2 or step is None or starts[0].dtype.kind != starts[1].dtype.kind:
+            continue
+        apart = abs(float((starts[1] - starts[0]) / np.timedelta64(1, "ns"))) * _NANOSECOND
+        if apart > _JITTER * step:
+            raise UserError(
+                f"record {k}: the time index of y begins {apart:g} s away from that of u: cut both "
+                "to the same times"
+            )
+
+
+def _times(values: Any) -> Any:
+    times = np.asarray(getattr(values, "index", ()))
+    return times if times.dtype.kind in "mM" else times[:0]
+
+
 def _step(values: Any) -> float | None:
     """Seconds from row to row; None without a time index."""
-    times = np.asarray(getattr(values, "index", ()))
-    if times.dtype.kind not in "mM" or len(times) < 2:
+    times = _times(values)
+    if len(times) < 2:
         return None
     steps = np.diff(times.astype(f"{times.dtype.kind}8[ns]").astype(np.int64)) * _NANOSECOND
     middle = float(np.median(steps))

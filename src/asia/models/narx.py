@@ -51,8 +51,9 @@ from asia.models._solvers.least_squares import LeastSquares, LevenbergMarquardt
 # The Gram matrix of so many products is still cheap; beyond it the degree is lowered.
 _MOST_PRODUCTS = 1000
 _START_RIDGE = 1e-7
-# Iterations that tell numbers of terms apart.
-_QUICK = 10
+# Iterations that tell numbers of terms apart, and what fewer terms may err more, relatively: few
+# stretches tell no better.
+_QUICK, _FEWER = 10, 0.1
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def _fitted(
 def _with_more_terms(
     records: ScaledData, context: Context, config: Config, choice: _Choice
 ) -> _Choice:
-    """As many terms as refined models want, and no fewer: where lags are those of a model, errors
+    """As many terms as refined models need, and no fewer: where lags are those of a model, errors
     one step ahead tell little of what is still missing."""
     lags, quick = choice.lags, LevenbergMarquardt(iterations=_QUICK)
     counts = [n for n in _counts(config) if n >= choice.terms]
@@ -157,7 +158,7 @@ def _with_more_terms(
     errors = left_out_error(part, context, refined, _shortest(context, lags))
     if len(errors) != len(counts):
         return choice
-    best = int(np.argmax(errors <= errors.min() + 2 * np.log(1.02)))
+    best = int(np.argmax(errors <= errors.min() + 2 * np.log1p(_FEWER)))
     return choice._replace(terms=counts[best])
 
 

@@ -12,7 +12,7 @@ import pytest
 import asia
 from asia.data import Array
 from asia.errors import UserError
-from asia.identifier._records import sampling_time_of
+from asia.identifier._records import check_times, sampling_time_of
 from asia.search import BandedSimulation
 from tests.unit.cli.conftest import command_line
 
@@ -155,3 +155,12 @@ def test_the_sampling_time_is_that_of_the_index() -> None:
         sampling_time_of([frame, frame[::2]], None)
     with pytest.raises(UserError, match="give sampling_time"):
         sampling_time_of([np.zeros(3)], None)
+
+
+def test_inputs_and_outputs_begin_at_the_same_time() -> None:
+    times = pd.date_range("2026-01-01", periods=50, freq="20ms")
+    u = pd.DataFrame({"u": np.zeros(50)}, index=times)
+    check_times([u], [u + 1.0])
+    check_times([np.zeros(3)], [u])
+    with pytest.raises(UserError, match=r"record 2: the time index of y begins 0\.04 s away"):
+        check_times([u, u[:-2]], [u, u[2:]])

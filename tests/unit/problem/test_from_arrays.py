@@ -120,6 +120,17 @@ def test_data_frames_give_their_columns(tmp_path: Path) -> None:
         )
 
 
+def test_columns_with_units_give_names_and_units(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    frames = [Frame([c], rng.normal(size=(80, 1))) for c in ("valve [%]", "level (m)")]
+    problem = Problem.from_arrays(*frames, sampling_time=0.1, directory=tmp_path / "p")
+    assert problem.inputs == (Signal("valve", "%"),)
+    assert problem.outputs == (Signal("level", "m"),)
+    twins = Frame(["T (1)", "T (2)"], rng.normal(size=(80, 2)))
+    problem = Problem.from_arrays(twins, frames[1], sampling_time=0.1, directory=tmp_path / "q")
+    assert [s.name for s in problem.inputs] == ["T (1)", "T (2)"]
+
+
 def test_the_same_again_is_loaded_and_other_data_are_refused(tmp_path: Path) -> None:
     first = make(tmp_path / "mine")
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "mine").iterdir()}
