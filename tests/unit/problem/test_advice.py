@@ -57,6 +57,32 @@ def test_each_fault_is_said_once(tanks: Problem) -> None:
         assert said in doubt
 
 
+def test_what_a_logger_writes_in_place_of_a_value_is_said(tanks: Problem) -> None:
+    u, y = clean(2)
+    coded, held, stuck = u.copy(), y.copy(), y.copy()
+    coded[400] = -9999.0
+    held[300:305] = -999.9
+    stuck[300:303] = 32767.0
+    faults = {"input u has -9999 in 1 sample,": (coded, y), "output y has -999.9 in 5": (u, held)}
+    for said, signals in {**faults, "output y has 32767 in 3": (u, stuck)}.items():
+        doubts = data_doubts(of(tanks, *signals))
+        assert [said in doubt for doubt in doubts] == [True]
+    kicked = u * 1e-3
+    kicked[[200, 600]] = 50.0
+    assert data_doubts(of(tanks, kicked, y)) == []
+
+
+def test_an_input_that_reads_the_output_of_the_same_sample_is_doubted(tanks: Problem) -> None:
+    rng = np.random.default_rng(3)
+    u, y = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    for k in range(SAMPLES - 1):
+        u[k] = rng.normal() - 1.5 * y[k]
+        y[k + 1] = 0.9 * y[k] + 0.1 * u[k] + rng.normal()
+    problem = of(tanks, u, y)
+    lines = delay_lines(problem, input_delays(problem))
+    assert any("delay 0: output y" in line and "controller" in line for line in lines)
+
+
 def test_feedback_is_told_from_an_open_loop(tanks: Problem) -> None:
     rng = np.random.default_rng(0)
     u, y, x, disturbance = np.zeros(SAMPLES), np.zeros(SAMPLES), 0.0, 0.0

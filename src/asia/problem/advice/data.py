@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,9 @@ _WORK = 200_000
 _TREND = 0.5
 _STEP = 0.05
 _SPIKE = 10.0
+_NINES = re.compile(r"-?999+(\.9+)?")
+# Shares between which usual values lie, and how many times their range others are away from them.
+_USUAL, _FAR = (0.025, 0.975), 3.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,12 @@ def delay_lines(problem: Problem, found: Sequence[InputDelay]) -> tuple[str, ...
                 f"delay of output {output.name} in samples, the first correlation beyond its 99 % "
                 f"band: {said}"
             )
+    lines += [
+        f"delay 0: output {a.output} moves with input {a.given} in the same sample. If the system "
+        "cannot be so fast, a controller sets the input from that output"
+        for a in found
+        if a.delay.lag == 0
+    ]
     if not found:
         return ()
     records = _first_samples(problem)
@@ -84,6 +94,9 @@ def missing_lines(problem: Problem) -> list[str]:
 def data_doubts(problem: Problem) -> list[str]:
     """Sentences on feedback, and on drift, steps and outliers of the outputs."""
     doubts = _feedback(problem)
+    for i, given in enumerate(problem.inputs):
+        values = np.concatenate([r.u[:, i] for r in problem.train])
+        doubts += _codes(values, f"input {given.name}", repeated=False)
     for j, output in enumerate(problem.outputs):
         name, unit = f"output {output.name}", f" {output.unit}".rstrip()
         parts = [r.y[:, j] for r in problem.train]
@@ -92,6 +105,7 @@ def data_doubts(problem: Problem) -> list[str]:
         doubts += _drift(problem.train, parts, name, unit)
         doubts += _steps(np.concatenate(parts), name, unit)
         doubts += _outliers(problem.train, parts, name)
+        doubts += _codes(np.concatenate(parts), name, repeated=True)
     return doubts
 
 
@@ -182,4 +196,27 @@ def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) 
     return [
         f"{name}: {many} away from both neighbours, the first at {where}: look for outliers, and "
         "cut the record there"
+    ]
+
+
+def _codes(values: Array, name: str, repeated: bool) -> list[str]:
+    """Values far from all others that a logger writes where it has none: nines, such as -9999, and
+    with `repeated` any that stay the same to the last digit."""
+    low, high = (float(v) for v in np.quantile(values, _USUAL))
+    away = _FAR * (high - low)
+    far = (values < low - away) | (values > high + away)
+    if away == 0 or not far.any():
+        return []
+    code = np.array([_NINES.fullmatch(f"{v:g}") is not None for v in values[far]])
+    if repeated:
+        same = np.diff(values) == 0
+        code |= (np.append(same, False) | np.append(False, same))[far]
+    found, others = values[far][code], values[~far]
+    if not found.size:
+        return []
+    shown = ", ".join(f"{v:g}" for v in np.unique(found)[:3])
+    return [
+        f"{name} has {shown} in {len(found)} sample{'s' if len(found) > 1 else ''}, the others lie "
+        f"from {others.min():.3g} to {others.max():.3g}: if nothing was measured there, leave the "
+        "cells empty"
     ]
