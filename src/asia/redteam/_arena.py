@@ -16,7 +16,7 @@ from asia.redteam._types import CandidateAttack, Finding, Observed, SuspicionFin
 from asia.redteam.attacks.source import HONEST, fill_in
 from asia.redteam.evidence.targets import Targets, targets
 from asia.redteam.evidence.verdict import conclude, said_steps, worst_of
-from asia.sandbox import Isolation, Layer, Worker, layers_in_force, open_worker
+from asia.sandbox import Isolation, Layer, Limits, Worker, layers_in_force, open_worker
 from asia.scoring import Failure, Score
 
 _HONEST_SECONDS = 60.0
@@ -30,8 +30,8 @@ class _EvaluatorWithoutLayers(Evaluator):
     """The layers that they lack."""
 
     @contextmanager
-    def _worker(self, libraries: frozenset[str] = frozenset()) -> Generator[Worker]:
-        with open_worker(self.isolation, self._limits, without=self.without) as worker:
+    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+        with open_worker(self.isolation, limits, without=self.without) as worker:
             yield worker
 
 
