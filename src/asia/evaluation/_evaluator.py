@@ -334,10 +334,7 @@ class Evaluator(WorkerRunner):
                     fold, fitted, self._rule, self._ranges, self._context, oracle.calls
                 )
                 result = replace(
-                    result,
-                    machine=found.machine,
-                    isolation=found.isolation,
-                    device=fitted.device,
+                    result, machine=found.machine, isolation=found.isolation, device=fitted.device
                 )
         except CandidateError as error:
             result = Failure(error.reason, error.detail, fold.index + 1)
