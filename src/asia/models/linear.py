@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +22,7 @@ from asia.models._data.records import (
     ScaledData,
     ScaledTrajectory,
     check,
-    delayed,
+    delayed_inputs,
     past_length,
     scaled,
     shortened,
@@ -192,17 +191,12 @@ def _parameters(f: FittedLinear) -> dict[str, float]:
 
 
 def _simulated(f: FittedLinear, past_u: Array, past_y: Array, u: Array) -> Array:
-    past = f.scaling.inputs(past_u)
-    x0 = f.encoder(window(past, f.scaling.outputs(past_y)))
-    y = f.system.outputs(x0, partial(_late_inputs, f, past, u), u.shape[1])
-    return f.scaling.physical(y)
+    x0 = f.encoder(window(f.scaling.inputs(past_u), f.scaling.outputs(past_y)))
 
+    def late(first: int, stop: int) -> Array:
+        return delayed_inputs(f.scaling, f.delay, past_u, u, first, stop)
 
-def _late_inputs(f: FittedLinear, past: Array, u: Array, first: int, stop: int) -> Array:
-    """Scaled inputs (B, stop - first, nu) that act from sample `first` on; past: scaled."""
-    begin = max(first - f.delay, 0)
-    late = delayed(past, f.scaling.inputs(u[:, begin:stop]), f.delay)
-    return late[:, first - begin :]
+    return f.scaling.physical(f.system.outputs(x0, late, u.shape[1]))
 
 
 def _by_level(found: FittedLevels, past_u: Array, past_y: Array, u: Array) -> Array:

@@ -1,5 +1,6 @@
 """Guard records: seen by nothing in a search, looked at when it ends, and every look counted."""
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,9 +103,9 @@ def test_nobody_gets_to_see_it(
     sent: list[bytes] = []
     send = Channel.send
 
-    def spy(self: Channel, body: bytes, deadline: float) -> None:
-        sent.append(body)
-        send(self, body, deadline)
+    def spy(self: Channel, request: tuple[bytes, str, Any], deadline: float) -> None:
+        sent.append(pickle.dumps(request, protocol=5))
+        send(self, request, deadline)
 
     monkeypatch.setattr(Channel, "send", spy)
     seen: list[AgentView] = []

@@ -284,3 +284,13 @@ def delayed(past: Array, future: Array, delay: int) -> Array:
     known = np.concatenate([past, future], axis=1)
     rows = np.arange(past.shape[1], known.shape[1]) - delay
     return known[:, np.maximum(rows, 0)]
+
+
+def delayed_inputs(
+    scaling: Scaling, delay: int, past: Array, u: Array, first: int, stop: int
+) -> Array:
+    """Scaled inputs (B, stop - first, nu) that act from sample `first` on, from past (B, n_past_u,
+    nu) and u (B, H, nu) in physical units."""
+    begin = max(first - delay, 0)
+    known, part = scaling.inputs(past), scaling.inputs(u[:, begin:stop])
+    return delayed(known, part, delay)[:, first - begin :]
