@@ -172,7 +172,8 @@ def test_a_damaged_store_or_key_is_told(make: Make, place: str) -> None:
         made.store.write_bytes(line.replace(b'"samples":90', b'"samples":91') + b"\n" + payload)
         expected = "was changed after it was sealed"
     elif place == "payload":
-        made.store.write_bytes(line + b"\n" + payload[:-9] + b"A" + payload[-8:])
+        other = b"B" if payload[-9:-8] == b"A" else b"A"
+        made.store.write_bytes(line + b"\n" + payload[:-9] + other + payload[-8:])
         expected = "is damaged"
     elif place == "cut":
         made.store.write_bytes(line[:50])
