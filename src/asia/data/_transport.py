@@ -18,7 +18,7 @@ from asia.data._trajectory import Trajectory
 
 # Least pace as a share of the volume in a sample, so that time never stands still.
 _LEAST_PACE = 1e-4
-# Slowest pace that is told apart, as a share of the least one in the records.
+# Lower limit of the pace in a simulation, as a share of the least one in the records.
 _SLOWEST = 0.5
 # Delays in samples at the mean pace between which volumes are compared, and how many.
 _LONGEST, _COMPARED = 30.0, 31
@@ -35,8 +35,8 @@ class Transport:
     volume: float
     """Of the pipe: unit of the input times samples."""
     slowest: float = 0.0
-    """Least pace that is told apart: a slower one counts as this one, so that nothing stays in the
-    pipe for longer than `longest`."""
+    """Lower limit of the pace in a simulation, so that nothing stays in the pipe for longer than
+    `longest` samples."""
 
     @property
     def least_pace(self) -> float:

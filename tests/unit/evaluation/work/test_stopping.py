@@ -13,7 +13,7 @@ from asia.scoring import Failure
 
 
 class Fold:
-    """In place of a fit: it ends when it is told, by itself or by its stop."""
+    """In place of a fit: the test ends it, or its stop does."""
 
     def __init__(self, bound: FoldBound, index: int, value: float | Failure) -> None:
         self._bound, self._index, self._value = bound, index, value

@@ -17,7 +17,7 @@ SECONDS = 20.0
 
 
 class Runner(WorkerRunner):
-    """Fits of two folds each that end when they are told, or by their stop."""
+    """Fits of two folds each; the test ends them, or their stop does."""
 
     folds = (1, 2)
 

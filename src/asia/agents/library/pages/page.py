@@ -67,9 +67,8 @@ def family_page(row: Family, facts: Facts | None) -> str:
 
 
 _ABOUT = """Families of `asia.models` that suit this problem, the most apt first. A candidate may
-use one, change it, or be a model of its own. The column s has the seconds that one fold's fit is
-expected to take on an ordinary core, with few and with many iterations. `asia models NAME` prints
-all about one family."""
+use one, change it, or be a model of its own. s: expected seconds of one fold's fit on an ordinary
+core, with few and many iterations. `asia models NAME` prints all about one family."""
 _ADAM = ("steps", "learning_rate", "schedule", "weight_decay", "clip")
 # Without a score on the held-out part these do nothing.
 _SCORED = ("stop", "every", "patience")
