@@ -30,7 +30,7 @@ _WINDOWS = 40
 # Delays, in samples, that states can stand for: a linear model of a nonlinear system may find one
 # that there is not.
 _MODELLED = 3
-# States of the linear models beside that of the chosen order, with one output.
+# States of the linear models to begin with, with one output and the order open.
 _ORDERS = (1, 2, 3, 4)
 
 
