@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from asia.agents._view import Facts
 from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
 from asia.agents.library.evidence import coloured
@@ -155,6 +157,18 @@ def integrator_moves() -> tuple[Move, ...]:
             hypothesis="What looked like a free integrator may be a slow mode that comes back.",
             expected="A lower V if it does.",
         ),
+    )
+
+
+def from_pieces(weight: Callable[[Situation], float], **also: object) -> Move:
+    """Fits of state-space models that begin with pieces of the records; also: what else is set."""
+    return Move(
+        name="fit from pieces",
+        weight=weight,
+        change=lambda c: c.recipe.configured(pieces=True, **also),
+        hypothesis="The residual is coloured and the fit may sit in a local minimum: short "
+        "pieces of the records, each from a state of its own, have fewer.",
+        expected="A lower training error, V follows.",
     )
 
 

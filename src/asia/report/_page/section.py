@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from asia.report._page.html import Html
+from asia.report._page.html import Html, tag
 from asia.report._page.subject import Subject
 
 
@@ -21,3 +21,10 @@ class Section:
     """What stands below the heading; None where the run has nothing for it. Numbers come from
     `Subject.number` and its like, words from elsewhere go through `html.said`; the audit refuses a
     page with any other digit."""
+
+
+def used_no_test(after_unsealing: bool) -> Html | None:
+    """What a reader has to know of evidence that came after the test was opened."""
+    if not after_unsealing:
+        return None
+    return tag("p", "This came after the sealed test had been opened, and used none of it.")

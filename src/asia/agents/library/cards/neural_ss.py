@@ -9,6 +9,7 @@ from asia.agents.library.evidence import coloured, curved, overfit
 from asia.agents.library.family import Family
 from asia.agents.library.methods import (
     LM,
+    from_pieces,
     integrator_moves,
     integrator_setting,
     noise_space,
@@ -269,14 +270,7 @@ CARD = Card(
         *integrator_moves(),
         _CARRIED,
         *_ELEMENTS,
-        Move(
-            name="fit from pieces",
-            weight=_pieces_weight,
-            change=lambda c: c.recipe.configured(pieces=True, past_fit=True),
-            hypothesis="The residual is coloured and the fit may sit in a local minimum: short "
-            "pieces of the records, each from a state of its own, have fewer.",
-            expected="A lower training error, V follows.",
-        ),
+        from_pieces(_pieces_weight, past_fit=True),
         Move(
             name="polynomials",
             weight=_polynomial_weight,

@@ -9,6 +9,7 @@ from asia.agents.library.evidence import coloured
 from asia.agents.library.family import Family
 from asia.agents.library.methods import (
     LM,
+    from_pieces,
     integrator_moves,
     integrator_setting,
     noise_space,
@@ -112,14 +113,7 @@ CARD = Card(
             hypothesis="A function has a corner or bends within a narrow range: more units.",
             expected="A lower training error and V, until the noise is reached.",
         ),
-        Move(
-            name="fit from pieces",
-            weight=_pieces_weight,
-            change=lambda c: c.recipe.configured(pieces=True),
-            hypothesis="The residual is coloured and the fit may sit in a local minimum: short "
-            "pieces of the records, each from a state of its own, have fewer.",
-            expected="A lower training error, V follows.",
-        ),
+        from_pieces(_pieces_weight),
         Move(
             name="more starts",
             weight=lambda c: 0.55 * (c.recipe.number("starts", 2) < 5),

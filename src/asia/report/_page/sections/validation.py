@@ -6,7 +6,7 @@ from typing import Final
 
 from asia.ledger import DrawnCheck, Validated, get_curves
 from asia.report._page.html import Html, join, said, tag
-from asia.report._page.section import Section
+from asia.report._page.section import Section, used_no_test
 from asia.report._page.subject import Subject
 from asia.report._page.svg.panel import draw_panel
 from asia.scoring.dossier import Verdict
@@ -38,9 +38,7 @@ def _dossier(subject: Subject, found: Validated) -> Html:
         subject.number(found, "experiment", "number"),
         ".",
     )
-    after = None
-    if found.after_unsealing:
-        after = tag("p", "This came after the sealed test had been opened, and used none of it.")
+    after = used_no_test(found.after_unsealing)
     return join(
         (tag("h3", title), counts, _worst(subject, found), after, _table(subject, found),
          _pictures(subject, found))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from asia.ledger import Confirmed
 from asia.report._page.html import Html, join, table, tag
-from asia.report._page.section import Section
+from asia.report._page.section import Section, used_no_test
 from asia.report._page.subject import Subject
 
 
@@ -18,9 +18,7 @@ def _write(subject: Subject) -> Html | None:
         subject.number(found, "seeds", "count"),
         " seeds that the evaluator chose; those whose fits do not depend on the seed once.",
     )
-    after = None
-    if found.after_unsealing:
-        after = tag("p", "This came after the sealed test had been opened, and used none of it.")
+    after = used_no_test(found.after_unsealing)
     return join((words, _candidates(subject, found), _pairs(subject, found),
                  _expected(subject, found), after))  # fmt: skip
 
