@@ -160,7 +160,7 @@ def integrator_moves() -> tuple[Move, ...]:
     )
 
 
-def from_pieces(weight: Callable[[Situation], float], **also: object) -> Move:
+def from_pieces(weight: Callable[[Situation], float], **also: bool) -> Move:
     """Fits of state-space models that begin with pieces of the records; also: what else is set."""
     return Move(
         name="fit from pieces",
