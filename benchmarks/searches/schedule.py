@@ -1,6 +1,6 @@
 """What the order in which experiments get workers is worth, on a simulated clock.
 
-python benchmarks/machinery/schedule.py [--searches 60] [--experiments 30]
+python benchmarks/searches/schedule.py [--searches 60] [--experiments 30]
 
 Draws searches whose fits have lognormal times and of which about a third is retested and checked,
 lays their jobs out on so many workers by each rule of docs/design/parallel.md, and prints the mean
