@@ -112,10 +112,12 @@ def search(
     experiments: int,
     outcome: Callable[[Proposal, int], Trial] = by_luck,
     seed: int = 0,
+    begun: tuple[Trial, ...] = (),
 ) -> tuple[Trial, ...]:
-    """A search of so many proposals, two fifths of them exploring; shorter when none is left."""
-    trials: tuple[Trial, ...] = ()
-    for number in range(1, experiments + 1):
+    """A search of so many proposals, two fifths of them exploring; shorter when none is left.
+    begun: its first trials."""
+    trials = begun
+    for number in range(len(begun) + 1, experiments + 1):
         phase = "explore" if number <= 0.4 * experiments else "refine"
         now = view(facts, trials, phase, experiments - number + 1, seed)
         proposal = make().propose(now)

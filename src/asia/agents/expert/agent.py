@@ -13,6 +13,7 @@ from functools import partial
 
 from asia.agents._driving import AgentStoppedError
 from asia.agents._view import AgentView, Proposal, Running, Trial
+from asia.agents.expert.allocation import Allocation
 from asia.agents.expert.course import beats_nothing, keeps_course, why_nothing_helps
 from asia.agents.expert.ending import reason_to_end
 from asia.agents.expert.moves import all_moves
@@ -42,6 +43,8 @@ OWN_ORDER = 0.85
 class _Option:
     """Something to try."""
 
+    family: str
+    """The model family."""
     weight: float
     """How promising it is."""
     make: Callable[[], Proposal | None]
@@ -84,18 +87,33 @@ class ExpertAgent:
     def _best_of(self, view: AgentView) -> Proposal | None:
         taught = LessonWeights(view.lessons, view) if view.lessons else None
         moves, ladder = list(_refinements(view, taught)), list(_untried(view, taught))
+        usual, proposal = _usual_seconds(view), None
+        paced = [option.paced(usual) for option in (*moves, *ladder)]
         if view.phase == "explore":
             sure = [option for option in moves if option.sure]
             proposal = _heaviest([*sure, *(option for option in ladder if option.apt)])
-            if proposal is not None:
-                return proposal
-        usual = _usual_seconds(view)
-        return _heaviest([option.paced(usual) for option in (*moves, *ladder)])
+        proposal = proposal or _heaviest(paced)
+        allocation = Allocation.of(view)
+        objection = allocation.objection(proposal.family) if proposal is not None else ""
+        if proposal is None or not objection:
+            return proposal
+        if allocation.chances_are_due(proposal.family):
+            # New families in the order of their aptness, whatever a fit takes.
+            paced = [*(option.paced(usual) for option in moves), *ladder]
+            place = allocation.chance
+        else:
+            place = None
+        allowed = [option for option in paced if not allocation.objection(option.family)]
+        other = _heaviest(allowed, place)
+        if other is None:
+            return proposal
+        return replace(other, hypothesis=f"{other.hypothesis} {objection}")
 
 
-def _heaviest(options: list[_Option]) -> Proposal | None:
-    """The first in order of weight that was not tried before."""
-    ordered = sorted(options, key=lambda option: -option.weight)
+def _heaviest(options: list[_Option], place: Callable[[str], int] | None = None) -> Proposal | None:
+    """The first in order of weight that was not tried before; place: of a family, which comes
+    before the weight."""
+    ordered = sorted(options, key=lambda o: (place(o.family) if place else 0, -o.weight))
     return next((p for option in ordered if (p := option.make()) is not None), None)
 
 
@@ -118,7 +136,7 @@ def _untried(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]
             weight *= own * taught.multiplier(row.name, FIRST_FIT)
         apt = row.aptness(view.facts) > 0
         seconds = row.seconds(view.facts, row.trial(view.facts))
-        yield _Option(weight, partial(_first, view, row), seconds, apt)
+        yield _Option(row.name, weight, partial(_first, view, row), seconds, apt)
 
 
 def _first(view: AgentView, row: Family) -> Proposal | None:
@@ -157,7 +175,8 @@ def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Opt
                     weight *= max(taught.multiplier(at.row.name, move.name), float(sure))
                 recipe = at.recipe if move.same_effort else move.change(at)
                 seconds = at.row.seconds(at.facts, recipe)
-                yield _Option(weight, partial(_moved, at, move), seconds, sure=sure)
+                make = partial(_moved, at, move)
+                yield _Option(at.row.name, weight, make, seconds, sure=sure)
 
 
 def _failures(at: Situation, move: Move) -> int:
