@@ -56,6 +56,7 @@ from asia.ledger._exports import (
     error_value,
     journal,
     results_table,
+    seed_mean_words,
     validation_score_words,
     write_exports,
 )
@@ -216,6 +217,7 @@ __all__ = [
     "refresh",
     "replay",
     "results_table",
+    "seed_mean_words",
     "settings_of_run",
     "stack_words",
     "tested_model",

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from itertools import zip_longest
 from pathlib import Path
+from statistics import fmean
 
 from asia._text import markdown_line, printable_line
 from asia.ledger._disk import write_whole
-from asia.ledger._events import Evaluated, HandedOver, Proposed
+from asia.ledger._events import Evaluated, HandedOver
 from asia.ledger._view import Experiment, SearchView
 from asia.ledger._words import error_line, hand_over_words, phase_words
 from asia.scoring import Score
@@ -34,7 +35,7 @@ def results_table(view: SearchView) -> str:
             str(e.number),
             f"{e.score.value:.6f}" if e.score else "",
             e.result.status,
-            printable_line(_description(e.proposed)),
+            printable_line(_description(e)),
             "" if e.proposed.parent is None else str(e.proposed.parent),
             f"{e.result.seconds:.1f}",
             " ".join(f"{fold.value:.6f}" for fold in e.score.folds) if e.score else "",
@@ -44,10 +45,12 @@ def results_table(view: SearchView) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _description(proposed: Proposed) -> str:
-    """The title; the whole hypothesis where the title is only its beginning."""
-    title, hypothesis = proposed.title, proposed.hypothesis
-    return hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
+def _description(e: Experiment) -> str:
+    """The title; the whole hypothesis where the title is only its beginning; the mean of V over
+    seeds where there is one."""
+    title, hypothesis = e.proposed.title, e.proposed.hypothesis
+    words = hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
+    return f"{words} ({mean})" if (mean := seed_mean_words(e)) else words
 
 
 def journal(view: SearchView) -> str:
@@ -121,6 +124,14 @@ def _entry(view: SearchView, e: Experiment, later: Experiment | None) -> str:
     )
 
 
+def seed_mean_words(e: Experiment) -> str:
+    """`mean of 3 seeds 0.1312`, which decides whether its method is kept; "" for a single fit."""
+    values = e.seed_values
+    if len(values) < 2:
+        return ""
+    return f"mean of {len(values)} seeds {error_value(fmean(values))}"
+
+
 def validation_score_words(result: Evaluated) -> str:
     """How often the fits of an experiment requested their score on the held-out parts."""
     count = result.validation_scores
@@ -148,7 +159,7 @@ def _outcome_words(e: Experiment, view: SearchView) -> str:
             else f", {validation_score_words(e.result)}"
         )
         parts = f" (folds {folds}{asked})" if folds else ""
-        return f"{view.v_name} = {error_value(e.score.value)}{parts}{_retest_words(e.result)}"
+        return f"{view.v_name} = {error_value(e.score.value)}{parts}{_retest_words(e)}"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         said = error_line(e.failure.detail)
@@ -157,12 +168,16 @@ def _outcome_words(e: Experiment, view: SearchView) -> str:
     return "being evaluated"
 
 
-def _retest_words(result: Evaluated) -> str:
-    """`; from other seeds 0.1352, 0.1298; needed: a mean 0.0031 below the incumbent's`."""
-    values = [r.failed if r.value is None else error_value(r.value) for r in result.retests]
+def _retest_words(e: Experiment) -> str:
+    """`; from other seeds 0.1352, 0.1298, mean of 3 seeds 0.1320; needed: a mean 0.0031 below the
+    incumbent's`."""
+    assert e.result is not None
+    values = [r.failed if r.value is None else error_value(r.value) for r in e.result.retests]
     words = f"; from other seeds {', '.join(values)}" if values else ""
-    if any(r.same for r in result.retests):
+    if mean := seed_mean_words(e):
+        words += f", {mean}"
+    if any(r.same for r in e.result.retests):
         words = "; the same from another seed"
-    if result.floor:
-        words += f"; needed: a mean {result.floor:.2g} below the incumbent's"
+    if e.result.floor:
+        words += f"; needed: a mean {e.result.floor:.2g} below the incumbent's"
     return words

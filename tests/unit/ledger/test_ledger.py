@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.ledger import Chain, Store, Unsealed, find_run, journal, open_run, results_table, verify
+from asia.ledger import (
+    Chain,
+    Retest,
+    Store,
+    Unsealed,
+    describe_result,
+    find_run,
+    journal,
+    open_run,
+    results_table,
+    verify,
+)
 from asia.ledger import TestedModel as Record
 from asia.ledger._events import adapter
 
@@ -112,3 +123,20 @@ def test_a_row_has_the_whole_hypothesis_the_parent_the_time_and_the_folds(run: P
     assert cells[3:6] == [words, "1", "1.0"]
     assert third.score is not None
     assert cells[6] == " ".join(f"{fold.value:.6f}" for fold in third.score.folds)
+
+
+def test_a_mean_over_seeds_is_called_one(run: Path) -> None:
+    view = open_run(run).view
+    third = view.experiments[2]
+    assert third.result is not None
+    assert third.score is not None
+    value = third.score.value
+    again = (Retest(value + 0.03), Retest(value + 0.06))
+    seeds = replace(third, result=replace(third.result, retests=again))
+    view = replace(view, experiments=(*view.experiments[:2], seeds))
+    cells = results_table(view).splitlines()[3].split("\t")
+    assert cells[1] == f"{value:.6f}"
+    assert cells[3] == f"{third.proposed.title} (mean of 3 seeds {value + 0.03:.4f})"
+    assert f"mean of 3 seeds {value + 0.03:.4f}" in describe_result(seeds, view)
+    assert f"mean of 3 seeds {value + 0.03:.4f}" in journal(view)
+    assert "mean of" not in describe_result(third, view)

@@ -51,6 +51,7 @@ from asia.ledger import (
     hand_over_words,
     method_words,
     open_run,
+    seed_mean_words,
 )
 from asia.problem.load import Problem
 from asia.protocol import find_metric
@@ -221,8 +222,9 @@ class TextDisplay:
             self._print("best     none: every candidate failed")
             return
         folds = ", ".join(error_value(f.value) for f in best.score.folds)
+        mean = f", {words}" if (words := seed_mean_words(best)) else ""
         self._print(
-            f"best     #{best.number:02d} V={error_value(best.score.value)} (folds {folds})  "
+            f"best     #{best.number:02d} V={error_value(best.score.value)} (folds {folds}){mean}  "
             f"{best.proposed.title}",
             style="bold",
         )

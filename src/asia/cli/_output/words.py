@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from statistics import fmean
 from typing import Any
 
 from asia._stopwatch import duration
@@ -17,6 +18,7 @@ from asia.ledger import (
     Usage,
     error_value,
     model_to_use,
+    seed_mean_words,
     stack_words,
     validation_score_words,
 )
@@ -58,8 +60,12 @@ def last_line(failure: Failure) -> str:
 
 def experiment_line(experiment: Experiment, view: SearchView) -> str:
     """`#07 keep  V=0.1310  min fit 87.2 % ... | best #07 0.1310`: one greppable line, with the
-    lowest fit index over folds and outputs, that ends with the incumbent at that time. With
-    validation early stopping it says how many validation scores were given."""
+    lowest fit index over folds and outputs, that ends with the lowest V at that time. With
+    validation early stopping it says how many validation scores were given.
+
+    V is that of one fit on both sides. A candidate that was fitted from several seeds has a mean as
+    well, which decides what is kept: `... | mean of 3 seeds 0.1422 | best #04 0.0890, lowest mean
+    of seeds #07 0.1422`."""
     r = experiment.result
     assert r is not None
     if experiment.score:
@@ -69,10 +75,15 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
         found = f"V={error_value(experiment.score.value)}  min fit {fit}"
     else:
         found = f"{r.outcome.reason.value if not isinstance(r.outcome, Score) else '':<24}"
-    best = best_at(experiment.number, view)
+    best, mean = best_at(experiment.number, view), seed_mean_words(experiment)
     tail = "best none"
     if best and best.score:
         tail = f"best #{best.number:02d} {error_value(best.score.value)}"
+        kept = [e for e in view.finished if e.kept and e.number <= experiment.number]
+        if kept and (mean or kept[-1].number != best.number):
+            value = error_value(fmean(kept[-1].seed_values))
+            several = "lowest mean of seeds" if len(kept[-1].seed_values) > 1 else "kept"
+            tail += f", {several} #{kept[-1].number:02d} {value}"
     proposed = experiment.proposed
     title = f"{proposed.agent}: {proposed.title}" if proposed.agent else proposed.title
     asked = "" if view.started.early_stopping == "inner" else f" | {validation_score_words(r):<21}"
@@ -80,7 +91,7 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     outcome = f"{r.status:<7} {found}"
     return (
         f"#{experiment.number:02d} {outcome:<38}  {duration(r.seconds):>6}  "
-        f"{title:<44}{asked} | {tail}"
+        f"{title:<44}{asked}{f' | {mean}' if mean else ''} | {tail}"
     )
 
 

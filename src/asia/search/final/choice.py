@@ -54,7 +54,8 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
             f"winner's, {error_value(value)}.",
         )
     if evidence.detail or check is None:
-        return ModelToUse("ensemble", f"There is no refit: {evidence.detail}.")
+        why = evidence.detail or "there is no refit"
+        return ModelToUse("ensemble", f"{why[:1].upper()}{why[1:]}.")
     kept = check.starts[(check.kept or 0) - 1]
     errors = f"{_words(kept.error)}, that of the ensemble {_words(check.ensemble_error)}"
     if is_worthy(check):

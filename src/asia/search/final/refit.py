@@ -3,6 +3,7 @@ well as they do."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import median
@@ -11,9 +12,9 @@ import numpy as np
 
 from asia.candidate import ParameterEstimates
 from asia.data import Array
-from asia.errors import CandidateError
+from asia.errors import CandidateError, Reason
 from asia.evaluation import Evaluator, RefitModel, mean_simulation
-from asia.ledger import RefitCheck, RefitStart, error_value
+from asia.ledger import RefitCheck, RefitStart, error_line, error_value
 from asia.scoring import score_fold
 
 STARTS = 3
@@ -67,7 +68,7 @@ def check_refit(
             break
     check = comparison.result
     if check.kept is None:
-        return CheckedRefit(None, _none_words(check.starts), check)
+        return CheckedRefit(None, none_words(comparison.causes), check)
     kept = tried[check.kept - 1]
     assert isinstance(kept, RefitModel)
     return CheckedRefit(kept.model, "", check, kept.estimates)
@@ -91,11 +92,34 @@ def is_as_good(check: RefitCheck) -> bool:
     return error is not None and (ensemble is None or error <= NOT_WORSE * ensemble + NEGLIGIBLE)
 
 
-def _none_words(starts: Sequence[RefitStart]) -> str:
-    """Why there is no refit, for people."""
-    if len(starts) == 1:
-        return f"its only start is no good, because {starts[0].objection}"
-    return f"none of its {len(starts)} starts is good, the last because {starts[-1].objection}"
+_COUNT = {2: "both", 3: "all three"}
+_DIVERGED = re.compile(r"\bnan|\binf|finite|diverge|overflow|converge|singular", re.IGNORECASE)
+_CAUSES = {
+    Reason.NOT_FINITE: "diverged",
+    Reason.MEMORY: "ran out of memory",
+    Reason.FIT_TIMEOUT: "did not end in time",
+    Reason.SIMULATE_TIMEOUT: "took too long to simulate",
+}
+
+
+def none_words(causes: Sequence[str]) -> str:
+    """Why there is no refit, in one sentence. causes: what each start did."""
+    count = len(causes)
+    where = f" in {_COUNT.get(count, f'all {count}')} starts" if count > 1 else ""
+    kinds = {cause.partition(" (")[0] for cause in causes}
+    if len(kinds) > 1:
+        return f"no start of the refit is good: one {', one '.join(causes)}"
+    kind, bracket, detail = causes[-1].partition(" (")
+    return f"the refit {kind}{where}{bracket}{detail}"
+
+
+def cause_of(error: CandidateError) -> str:
+    """What a fit or a simulation that failed did, without its traceback."""
+    line = error_line(error.detail, 120)
+    known = _CAUSES.get(error.reason)
+    if known is None and error.reason is Reason.CRASH and _DIVERGED.search(line):
+        known = "diverged"
+    return known or f"failed ({line or error.reason.value})"
 
 
 @dataclass
@@ -105,6 +129,8 @@ class _Comparison:
     metric: str
     fold_models: Sequence[bytes]
     starts: list[RefitStart] = field(default_factory=list[RefitStart])
+    causes: list[str] = field(default_factory=list[str])
+    """What each start did that speaks against it, in a few words."""
 
     def __post_init__(self) -> None:
         answers = self.evaluator.simulate_training(self.source, self.fold_models)
@@ -141,29 +167,35 @@ class _Comparison:
 
     def _start(self, model: bytes | CandidateError) -> RefitStart:
         if isinstance(model, CandidateError):
+            self.causes.append(cause_of(model))
             return RefitStart(None, None, f"its fit failed: {model}")
         (answers,) = self.evaluator.simulate_training(self.source, [model])
         if isinstance(answers, CandidateError):
+            self.causes.append(cause_of(answers))
             return RefitStart(None, None, f"its simulation failed: {answers}")
         error = self._error(answers)
-        words = self._error_words(error) or self._relation_words(model, answers)
+        words, cause = self._error_words(error)
+        self.causes.append(cause)
+        if not words:
+            failure = self.evaluator.refit_objection(self.source, model, answers)
+            if failure is not None:
+                words = failure.detail or failure.advice
+                self.causes[-1] = f"gives wrong answers ({error_line(words)})"
         apart = None if self._mean is None else self._apart(answers, self._mean)
         return RefitStart(error, apart, words)
 
-    def _error_words(self, error: float | None) -> str:
+    def _error_words(self, error: float | None) -> tuple[str, str]:
+        """The objection to an error and the cause; "" for none."""
         known = [one for one in self._errors if one is not None]
         if error is None:
-            return "its error on the training records is not finite"
+            return "its error on the training records is not finite", "diverged"
         if not known or error <= FALLS_SHORT * median(known) + NEGLIGIBLE:
-            return ""
+            return "", ""
+        own, other = error_value(error), error_value(median(known))
         return (
-            f"its error on its own training records is {error_value(error)}, that of a fold model "
-            f"{error_value(median(known))}"
+            f"its error on its own training records is {own}, that of a fold model {other}",
+            f"does not fit its own training records (error {own}, that of a fold model {other})",
         )
-
-    def _relation_words(self, model: bytes, answers: Answers) -> str:
-        failure = self.evaluator.refit_objection(self.source, model, answers)
-        return "" if failure is None else failure.detail or failure.advice
 
     def _error(self, answers: Answers) -> float | None:
         y = [block.y for block in self.evaluator.training_blocks]

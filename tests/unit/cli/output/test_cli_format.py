@@ -6,7 +6,7 @@ import pytest
 from asia.cli._output.experiment import describe
 from asia.cli._output.terminal import Terminal
 from asia.cli._output.words import duration, experiment_line
-from asia.ledger import error_value, open_run
+from asia.ledger import Experiment, Retest, Status, error_value, open_run
 from asia.scoring import Score
 from tests.unit.cli.conftest import Searched
 
@@ -27,6 +27,41 @@ def test_a_simulation_that_ran_away_keeps_to_its_column(searched: Searched) -> N
     far = replace(experiment, result=replace(experiment.result, outcome=Score(6.5e35, folds)))
     assert "V=6.50e+35" in experiment_line(far, view)
     assert len(experiment_line(far, view)) - len(usual) <= 2
+
+
+def test_v_stands_beside_v_and_a_mean_beside_a_mean(searched: Searched) -> None:
+    view = open_run(searched.directory).view
+    (one,) = view.finished
+    assert one.score
+    assert one.result
+
+    def made(number: int, status: Status, values: tuple[float, ...], lowest: bool) -> Experiment:
+        assert one.score
+        assert one.result
+        result = replace(
+            one.result, status=status, outcome=Score(values[0], one.score.folds), lowest=lowest,
+            retests=tuple(Retest(value) for value in values[1:]),
+        )  # fmt: skip
+        return Experiment(replace(one.proposed, experiment=number), result)
+
+    found = (
+        made(1, "keep", (0.2, 0.21, 0.22), True),
+        made(2, "inconclusive", (0.089,), True),
+        made(3, "keep", (0.125, 0.126, 0.127), False),
+        made(4, "discard", (0.3,), False),
+    )
+    view = replace(view, experiments=found)
+    lines = [experiment_line(e, view) for e in found]
+    ends = [line.partition(" | ")[2] for line in lines]
+    assert ends == [
+        "mean of 3 seeds 0.2100 | best #01 0.2000, lowest mean of seeds #01 0.2100",
+        "best #02 0.0890, lowest mean of seeds #01 0.2100",
+        "mean of 3 seeds 0.1260 | best #02 0.0890, lowest mean of seeds #03 0.1260",
+        "best #02 0.0890, lowest mean of seeds #03 0.1260",
+    ]
+    assert lines[2].startswith("#03 keep    V=0.1250 ")
+    plain = replace(view, experiments=(made(1, "keep", (0.2,), False),))
+    assert experiment_line(plain.finished[0], plain).endswith(" | best #01 0.2000")
 
 
 def test_brackets_of_an_agent_are_shown_as_they_are(searched: Searched) -> None:

@@ -12,12 +12,13 @@ import pytest
 
 from asia import ledger
 from asia.data import Array
-from asia.errors import UserError
+from asia.errors import CandidateError, Reason, UserError
 from asia.evaluation import derive_seed
 from asia.ledger import Refitted, SearchView, model_to_use, open_run, verify
 from asia.problem.load import load_problem
 from asia.sandbox import Isolation
 from asia.search import prepare, search, simulate, unseal
+from asia.search.final.refit import cause_of, none_words
 from tests.unit.cli.conftest import command_line
 from tests.unit.search.toy import Scripted, arx, write_problem
 
@@ -136,7 +137,7 @@ def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     assert refitted.check is not None
     assert [start.error for start in refitted.check.starts] == [pytest.approx(1.2, rel=0.02)]
     assert refitted.use == "ensemble"
-    assert "error on its own training records is 1.2" in refitted.reason
+    assert refitted.reason.startswith("The refit does not fit its own training records (error 1.2")
     verify(directory)
 
     for words in (("status",), ("show", directory.name)):
@@ -146,7 +147,7 @@ def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     status = command_line("status", "--runs", directory.parent, "--json")
     assert json.loads(status.out)["use"] == "ensemble"
     assert (answer(directory, None) == answer(directory, "ensemble")).all()
-    with pytest.raises(UserError, match="no refitted model: its only start"):
+    with pytest.raises(UserError, match="no refitted model: the refit does not fit"):
         answer(directory, "refit")
     opened = command_line(
         "unseal", directory.name, "--runs", directory.parent, "--yes", "--yes-process", "--json"
@@ -176,21 +177,58 @@ def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
     refitted = ended(go(tmp_path, source)[1])
     assert refitted.check is not None
     assert len(refitted.check.starts) == 3
-    assert "none of its 3 starts" in refitted.reason
+    assert "does not fit its own training records in all three starts" in refitted.reason
+
+
+@pytest.mark.parametrize(
+    ("causes", "sentence"),
+    [
+        (["diverged"] * 3, "the refit diverged in all three starts"),
+        (["diverged"], "the refit diverged"),
+        (["failed (a)", "failed (b)"], "the refit failed in both starts (b)"),
+        (
+            ["diverged", "ran out of memory"],
+            "no start of the refit is good: one diverged, one ran out of memory",
+        ),
+    ],
+)
+def test_a_refit_that_failed_is_one_sentence(causes: list[str], sentence: str) -> None:
+    assert none_words(causes) == sentence
+
+
+def test_the_cause_of_a_failed_fit_has_no_traceback() -> None:
+    trace = 'Traceback\n  File "candidate.py", line 9, in fit\nValueError: array has infs or NaNs'
+    assert cause_of(CandidateError(Reason.CRASH, trace)) == "diverged"
+    assert cause_of(CandidateError(Reason.NOT_FINITE)) == "diverged"
+    other = trace.replace("array has infs or NaNs", "no such order")
+    assert (
+        cause_of(CandidateError(Reason.CRASH, other))
+        == "failed (line 9: ValueError: no such order)"
+    )
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("source", "words"),
+    ("source", "words", "sentence"),
     [
-        (off(f"{ON_ALL} and 1 / 0"), "its fit failed"),
-        (arx(2) + RESTLESS, "simulates differently"),
+        (
+            off(f"{ON_ALL} and 1 / 0"),
+            "its fit failed.*\n.*Traceback",
+            r"The refit failed in all three starts \(line \d+: ZeroDivisionError: .*\)\.",
+        ),
+        (
+            off(f"{ON_ALL} and np.linalg.inv(np.zeros((1, 1)))"),
+            "Traceback",
+            r"The refit diverged in all three starts\.",
+        ),
+        (arx(2) + RESTLESS, "simulates differently", r"The refit gives wrong answers \(.*\)\."),
     ],
 )
 def test_a_refit_that_fails_or_does_not_answer_like_a_model_is_none(
-    tmp_path: Path, source: str, words: str
+    tmp_path: Path, source: str, words: str, sentence: str
 ) -> None:
     _, view = go(tmp_path, source)
+    assert re.fullmatch(sentence, ended(view).reason), ended(view).reason
     refitted = ended(view)
     assert refitted.model is None
     assert refitted.check is not None
