@@ -38,6 +38,7 @@ from asia.agents._table import (
     choose_agent,
     make_agent,
     packages_of,
+    reads_notes,
     recorded_agent,
     recorded_agents,
 )
@@ -104,6 +105,7 @@ __all__ = [
     "make_runner",
     "packages_of",
     "proposes_ahead",
+    "reads_notes",
     "recorded_agent",
     "recorded_agents",
     "relay_budget",

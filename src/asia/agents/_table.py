@@ -40,6 +40,9 @@ class AgentRow:
     packages: tuple[str, ...] = ()
     """Packages whose versions its proposals depend on."""
 
+    reads_notes: bool = True
+    """Whether notes of `asia steer` change its proposals."""
+
     @property
     def free(self) -> bool:
         """Whether it needs nothing and nobody."""
@@ -48,9 +51,19 @@ class AgentRow:
 
 AGENT_ROWS: tuple[AgentRow, ...] = (
     AgentRow("expert", "an engineer's habits, without a language model", ExpertAgent),
-    AgentRow("random", "draws from the model library", RandomAgent),
-    AgentRow("random-paper", "draws from the paper's space", partial(RandomAgent, "paper")),
-    AgentRow("bayes", "estimates where the library is best (Parzen estimator)", BayesAgent),
+    AgentRow("random", "draws from the model library", RandomAgent, reads_notes=False),
+    AgentRow(
+        "random-paper",
+        "draws from the paper's space",
+        partial(RandomAgent, "paper"),
+        reads_notes=False,
+    ),
+    AgentRow(
+        "bayes",
+        "estimates where the library is best (Parzen estimator)",
+        BayesAgent,
+        reads_notes=False,
+    ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
     AgentRow("workspace", "candidates that are submitted from a folder"),
     AgentRow("mcp", "candidates that a client of the server submits"),
@@ -137,6 +150,13 @@ def recorded_agents(started: Started) -> tuple[Agent | None, ...]:
     if not started.legs:
         return (recorded_agent(started.agent, started.agent_settings),)
     return tuple(recorded_agent(leg.agent, leg.settings) for leg in started.legs)
+
+
+def reads_notes(started: Started) -> bool:
+    """Whether any agent of the search reads notes; one that is not built in sees them."""
+    deaf = {row.name for row in AGENT_ROWS if not row.reads_notes}
+    names = [leg.agent for leg in started.legs] or [started.agent]
+    return not deaf.issuperset(names)
 
 
 def packages_of(name: str) -> tuple[str, ...]:

@@ -17,17 +17,17 @@ def steer(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Write a note for the agent into the ledger. The agent reads it at its next step."""
-    from asia.agents import AGENTS
+    from asia.agents import reads_notes
     from asia.ledger import open_run
     from asia.search import Steering
 
     opened = open_run(run_directory(runs, run))
     Steering(opened.directory).steer(text)
-    agent = opened.view.started.agent
+    started = opened.view.started
     when = "at its next step" if opened.state == "running" else "when the search continues"
     say(f"noted for {opened.name}: recorded {when}")
-    if agent in AGENTS:
-        say(f"note     the agent '{agent}' reads no notes; the ledger keeps it for people")
+    if not reads_notes(started):
+        say(f"note     the agent '{started.agent}' reads no notes; the ledger keeps it for people")
 
 
 def pause(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from asia.agents import AGENTS
+from asia.agents import reads_notes
 from asia.errors import UserError
 from asia.ledger import Run
 from asia.search._steering import Steering
@@ -32,8 +32,6 @@ def tell(run: Run, what: str, text: str) -> str:
 
 def _noted(run: Run, *, running: bool) -> str:
     when = "at its next step" if running else "when the search continues"
-    words = f"noted: recorded {when}"
-    agent = run.view.started.agent
-    if agent in AGENTS:
-        return f"{words}; the agent '{agent}' reads no notes, the ledger keeps it for people"
-    return words
+    words, started = f"noted: recorded {when}", run.view.started
+    deaf = f"; the agent '{started.agent}' reads no notes, the ledger keeps it for people"
+    return words if reads_notes(started) else f"{words}{deaf}"

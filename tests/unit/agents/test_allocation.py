@@ -7,9 +7,10 @@ import pytest
 
 from asia.agents import ExpertAgent, Facts, Proposal, Trial
 from asia.agents.expert import agent
+from asia.agents.expert.allocation import Allocation
 from asia.agents.library.table import families, family
 
-from .searches import by_luck, recipe_of, search, simulation, trial, windows
+from .searches import by_luck, recipe_of, search, simulation, trial, view, windows
 
 Outcome = Callable[[Proposal, int], Trial]
 KINDS = {"plain": simulation(physics=False), "physics": simulation(physics=True), "w": windows()}
@@ -103,6 +104,18 @@ def test_a_grey_box_that_leads_goes_on_once_two_others_were_tried() -> None:
     third = [place for place, name in enumerate(names) if name == "greybox"][2]
     assert len(set(names[:third])) >= 3
     assert names.count("greybox") > 7
+
+
+def test_the_linear_reference_counts_as_a_trial_beside_a_grey_box() -> None:
+    known = simulation(physics=True)
+    outcome = better_each_time("greybox")
+    trials = tuple(t for t in search(ExpertAgent, known, 15, outcome) if t.family == "greybox")[:2]
+    other = next(t for t in search(ExpertAgent, known, 15, outcome) if t.family == "nl_lfr")
+    seen = view(known, (*trials, other), "refine")
+    assert Allocation.of(seen).objection("greybox")
+    assert not Allocation.of(replace(seen, linear=0.9)).objection("greybox")
+    close = replace(seen, linear=trials[0].value)
+    assert Allocation.of(close).objection("greybox")
 
 
 def test_where_only_two_families_apply_the_rule_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
+from asia.agents import reads_notes
 from asia.errors import UserError
-from asia.ledger import Chain, open_run
+from asia.ledger import Chain, Leg, open_run
 from asia.problem.load import Problem
 from asia.report._page.audit import audit
 from asia.view._followed import RunFolder
+from asia.view.pages.run import steering_panel
 from tests.unit.report.made_up import append_test
 
 from .conftest import ATTACK, TOKEN, make_run
@@ -224,3 +226,20 @@ def test_a_running_search_is_paused_and_stopped(client: TestClient, runs: Path) 
         assert client.post("/runs/made/stop", headers=POST).status_code == 200
         assert (folder / "stop").exists()
     assert client.post("/runs/made/anything", headers=POST).status_code == 409
+
+
+def test_the_box_for_notes_is_off_where_the_agent_reads_none(
+    client: TestClient, runs: Path
+) -> None:
+    assert "reads no notes" not in client.get("/runs/made").text
+    started = open_run(runs / "made").view.started
+    for agent, reads in (("random", False), ("bayes", False), ("expert", True), ("own", True)):
+        assert reads_notes(replace(started, agent=agent)) is reads
+    relay = (Leg("random", 2), Leg("expert", None))
+    assert reads_notes(replace(started, agent="random*2+expert", legs=relay))
+    for deaf in ("random", ""):
+        text = str(steering_panel("made", running=True, deaf=deaf))
+        assert ("The agent 'random' reads no notes." in text) is bool(deaf)
+        boxes = re.findall(r"<textarea[^>]*>|<button[^>]*submit[^>]*>", text)
+        assert len(boxes) == 2
+        assert all(("disabled" in box) is bool(deaf) for box in boxes)

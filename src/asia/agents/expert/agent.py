@@ -17,6 +17,7 @@ from asia.agents.expert.allocation import Allocation
 from asia.agents.expert.course import beats_nothing, keeps_course, why_nothing_helps
 from asia.agents.expert.ending import reason_to_end
 from asia.agents.expert.moves import all_moves
+from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
 from asia.agents.expert.titles import plain_title, title_of
 from asia.agents.lessons import FIRST_FIT, LessonWeights
 from asia.agents.library.evidence import overfit
@@ -55,6 +56,8 @@ class _Option:
     """Whether it is worth a place in the ladder."""
     sure: bool = False
     """Whether it is near certain, so that it interrupts the ladder."""
+    move: str = ""
+    """The name of the move; "" for the first configuration of a family."""
 
     def paced(self, usual: float) -> _Option:
         """With less weight the more seconds it takes beyond the usual: a root, because experiments
@@ -72,21 +75,45 @@ class ExpertAgent:
     proposes_ahead = True
 
     def propose(self, view: AgentView) -> Proposal | None:
-        """The next rung of the ladder, or the move with the most weight; None when all known.
-        Raises AgentStoppedError where nothing is left to find."""
+        """What a note asks for, the next rung of the ladder, or the move with the most weight; None
+        when all known. Raises AgentStoppedError where nothing is left to find."""
+        wishes, answers = read_notes(view.notes)
+        unwanted = avoided(wishes)
+        remarks, proposal = list(answers), None
+        for wish in wishes:
+            if wish.avoid or wish.is_followed(view) or proposal is not None:
+                continue
+            proposal = _wished(view, wish, unwanted)
+            if proposal is None:
+                remarks.append(f"note {wish.note}: nothing is left to {wish.text} on this problem")
+            else:
+                proposal = replace(proposal, hypothesis=f"{proposal.hypothesis} {wish.mark}")
+        if proposal is None:
+            proposal = self._unasked(view, unwanted, remarks)
+        if proposal is None:
+            return None
+        new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
+        hypothesis = " ".join((proposal.hypothesis, *new))
+        return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks))
+
+    def _unasked(self, view: AgentView, unwanted: set[str], remarks: list[str]) -> Proposal | None:
+        """The proposal where no note asks for one. Adds a remark while nothing beats the mean."""
         end = reason_to_end(view)
         if end is not None:
             raise AgentStoppedError("saturated", end)
-        if not beats_nothing(view):
-            return self._best_of(view)
-        remark, proposal = why_nothing_helps(view), self._best_of(view)
-        if proposal is None:
-            raise AgentStoppedError("exhausted", remark)
-        return replace(proposal, remark=remark)
+        proposal = self._best_of(view, unwanted)
+        if beats_nothing(view):
+            remarks.append(why_nothing_helps(view))
+            if proposal is None:
+                raise AgentStoppedError("exhausted", remarks[-1])
+        return proposal
 
-    def _best_of(self, view: AgentView) -> Proposal | None:
+    def _best_of(self, view: AgentView, unwanted: set[str]) -> Proposal | None:
         taught = LessonWeights(view.lessons, view) if view.lessons else None
-        moves, ladder = list(_refinements(view, taught)), list(_untried(view, taught))
+        moves, ladder = (
+            [option for option in found if not {option.family, option.move} & unwanted]
+            for found in (_refinements(view, taught), _untried(view, taught))
+        )
         usual, proposal = _usual_seconds(view), None
         paced = [option.paced(usual) for option in (*moves, *ladder)]
         if view.phase == "explore":
@@ -139,18 +166,41 @@ def _untried(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]
         yield _Option(row.name, weight, partial(_first, view, row), seconds, apt)
 
 
-def _first(view: AgentView, row: Family) -> Proposal | None:
-    recipe = row.trial(view.facts)
+def _first(
+    view: AgentView, row: Family, recipe: Recipe | None = None, title: str = ""
+) -> Proposal | None:
+    recipe = recipe or row.trial(view.facts)
     if not is_new(view, row, recipe):
         return None
     sentence = f"{_sentence(row.label)}: {row.use}."
     return Proposal(
         source=under_protocol(recipe, row, view.facts).source(sentence),
         family=row.name,
-        title=row.label,
+        title=title or row.label,
         hypothesis=sentence,
         expected="A first value for this family, to compare with the others.",
     )
+
+
+def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
+    """A candidate that a note asks for: a family's first or its best move, or the effect on the
+    best trial that can have it, then in a new family."""
+    if wish.effect == "family":
+        found = [*_refinements(view, None), *_untried(view, None)]
+        return _heaviest([option for option in found if option.family == wish.name])
+    for at in _situations(view):
+        if at.row.name not in unwanted:
+            made = (_moved(at, move) for move in wished_moves(wish, at, all_moves()))
+            proposal = next((p for p in made if p is not None), None)
+            if proposal is not None:
+                return proposal
+    for row in families(view.facts):
+        recipe = wished_start(wish, row, row.trial(view.facts))
+        if row.name not in unwanted and recipe is not None:
+            proposal = _first(view, row, recipe, f"{row.label}: {wish.effect}")
+            if proposal is not None:
+                return proposal
+    return None
 
 
 def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]:
@@ -176,7 +226,7 @@ def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Opt
                 recipe = at.recipe if move.same_effort else move.change(at)
                 seconds = at.row.seconds(at.facts, recipe)
                 make = partial(_moved, at, move)
-                yield _Option(at.row.name, weight, make, seconds, sure=sure)
+                yield _Option(at.row.name, weight, make, seconds, sure=sure, move=move.name)
 
 
 def _failures(at: Situation, move: Move) -> int:

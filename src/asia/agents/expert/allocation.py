@@ -26,7 +26,8 @@ class Allocation:
     spent: Counter[str]
     """The same without the baseline."""
     best: dict[str, float]
-    """The lowest V of each family that has a score."""
+    """The lowest V of each family that has a score. The linear reference counts as one of the
+    family `linear`."""
     budget: int
     """Experiments of the whole search after the baseline."""
 
@@ -40,6 +41,8 @@ class Allocation:
             spent[name] += one.family != "baseline"
             if isinstance(one, Trial) and one.value is not None:
                 best[name] = min(one.value, best.get(name, one.value))
+        if view.linear is not None:
+            best["linear"] = min(view.linear, best.get("linear", view.linear))
         baselines = tried.total() - spent.total()
         return Allocation(tried, spent, best, view.experiments - baselines)
 
@@ -57,7 +60,7 @@ class Allocation:
         """Whether V of the family is 20 % below that of every other one that was tried."""
         others = [value for other, value in self.best.items() if other != name]
         beaten = all(self.best.get(name, 1e300) <= (1.0 - LEAD) * value for value in others)
-        return name in self.best and len(self.tried) > 1 and beaten
+        return name in self.best and len(self.tried.keys() | self.best.keys()) > 1 and beaten
 
     def chances_are_due(self, name: str) -> bool:
         """Whether other families come before a third experiment with this one. A family with
@@ -67,7 +70,8 @@ class Allocation:
             return False
         row = family(name)
         equations = row is not None and row.kind == "equations"
-        return not (equations and self.known >= FAMILIES and self.leads(name))
+        reference = "linear" in self.best and not self.tried["linear"]
+        return not (equations and self.known + reference >= FAMILIES and self.leads(name))
 
     def chance(self, name: str) -> int:
         """Place of a family in the order in which chances are given: new families until three are

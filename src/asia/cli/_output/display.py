@@ -40,6 +40,7 @@ from asia.ledger import (
     Event,
     Extended,
     HandedOver,
+    Proposed,
     Refitted,
     RungScored,
     SearchView,
@@ -172,6 +173,10 @@ class TextDisplay:
         match event:
             case RungScored():
                 self._rung(event)
+            case Proposed():
+                before = view.experiments[-2].proposed.remark if len(view.experiments) > 1 else ""
+                if event.remark and event.remark != before:
+                    self._print(f"remark  {event.remark}")
             case Evaluated():
                 self._experiment(event.experiment, view)
             case HandedOver():

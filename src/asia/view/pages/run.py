@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from asia.agents import reads_notes
 from asia.report.pieces import SECTIONS, Html, Section, Subject, join, progress_figure, said, tag
 from asia.view._followed import Snapshot
 from asia.view.pages.frame import run_address, section, to_pages, whole_page
@@ -27,7 +28,11 @@ def run_page(snapshot: Snapshot, token: str) -> str:
     main = (
         header,
         tag("div", now_panel(snapshot), id="now"),
-        steering_panel(name, running=snapshot.run.state == "running"),
+        steering_panel(
+            name,
+            running=snapshot.run.state == "running",
+            deaf="" if reads_notes(start) else start.agent,
+        ),
         tag("nav", tag("ul", *links), aria_label="Sections"),
         _progress(snapshot),
         _experiments(snapshot),
@@ -78,13 +83,22 @@ def now_panel(snapshot: Snapshot) -> Html:
     return join((tag("dl", *shown, class_="tiles"), trouble))
 
 
-def steering_panel(name: str, *, running: bool) -> Html:
-    """What a person can say to the search."""
+def steering_panel(name: str, *, running: bool, deaf: str = "") -> Html:
+    """Form for notes and buttons to pause and stop. deaf: the agent, where it reads no notes."""
     note = tag(
         "form",
         tag("label", "Note for the agent", for_="note"),
-        tag("textarea", id="note", name="text", rows="2", maxlength="4000", required=True),
-        tag("button", "Send the note", type="submit"),
+        tag(
+            "textarea",
+            id="note",
+            name="text",
+            rows="2",
+            maxlength="4000",
+            required=True,
+            disabled=bool(deaf),
+        ),
+        tag("button", "Send the note", type="submit", disabled=bool(deaf)),
+        tag("p", f"The agent '{deaf}' reads no notes.") if deaf else None,
         data_post="steer",
     )
     buttons = [
