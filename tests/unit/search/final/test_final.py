@@ -213,12 +213,12 @@ def test_the_cause_of_a_failed_fit_has_no_traceback() -> None:
     [
         (
             off(f"{ON_ALL} and 1 / 0"),
-            "its fit failed.*\n.*Traceback",
+            'its fit failed.*File "candidate.py"',
             r"The refit failed in all three starts \(line \d+: ZeroDivisionError: .*\)\.",
         ),
         (
             off(f"{ON_ALL} and np.linalg.inv(np.zeros((1, 1)))"),
-            "Traceback",
+            'its fit failed.*File "candidate.py"',
             r"The refit diverged in all three starts\.",
         ),
         (arx(2) + RESTLESS, "simulates differently", r"The refit gives wrong answers \(.*\)\."),
