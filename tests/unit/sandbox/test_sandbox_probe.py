@@ -1,7 +1,12 @@
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+import asia
+from asia._files import without_dots
 from asia.errors import SandboxError
 from asia.sandbox import LEVELS, Isolation, Layer, Limits, _level, open_worker, probe, why_not
 from asia.sandbox.levels import landlock
@@ -111,3 +116,40 @@ def test_the_profile_of_macos_denies_by_default_and_quotes_paths(monkeypatch):
     assert profile().count("(") == profile().count(")")
     writes = [line for line in lines if "write" in line]
     assert writes == ['(allow file-write-data (literal "/dev/null") (literal "/dev/zero"))']
+
+
+@pytest.mark.skipif(why_not(Isolation.NAMESPACE) is not None, reason="no namespaces")
+@pytest.mark.parametrize("linked", [False, True], ids=["folder", "link"])
+def test_an_environment_reached_by_a_path_with_dots_has_every_level(tmp_path, linked: bool):
+    environment = here = Path(sys.prefix)
+    if linked:
+        environment, here = tmp_path / "link", tmp_path / "here"
+        environment.symlink_to(sys.prefix)
+        here.mkdir()
+    script = (
+        "from asia.sandbox import Isolation, Limits, open_worker\n"
+        "with open_worker(Isolation.NAMESPACE, Limits(60.0, 60.0, 1024)) as worker:\n"
+        "    print('opened')\n"
+    )
+    # Python itself takes the dots out of an absolute path.
+    python = Path("..", environment.name, "bin", Path(sys.executable).name)
+    found = subprocess.run(
+        [python, "-c", script], cwd=here, capture_output=True, text=True, check=False
+    )
+    assert (found.stdout, found.stderr) == ("opened\n", "")
+
+
+def test_dots_lead_up_from_where_a_link_leads(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "a" / "b")
+    assert without_dots(f"{tmp_path}/link/../c/./d") == f"{tmp_path}/a/c/d"
+    assert without_dots(f"{tmp_path}/c/../link/d") == f"{tmp_path}/link/d"
+    assert without_dots(f"{tmp_path}/link/..") == f"{tmp_path}/a"
+    assert without_dots(f"{tmp_path}/..c/d//") == f"{tmp_path}/..c/d"
+
+
+def test_the_package_starts_as_a_program():
+    found = subprocess.run(
+        [sys.executable, "-m", "asia", "--version"], capture_output=True, text=True, check=True
+    )
+    assert found.stdout == f"asia {asia.__version__}\n"
