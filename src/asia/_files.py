@@ -43,13 +43,6 @@ def read_text(path: Path, remedy: str) -> str:
         raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from None
 
 
-def without_dots(path: str) -> str:
-    """The absolute path without `..`, each of which leads up from where the links before it lead.
-    Links behind the last one stay."""
-    head, dots, tail = f"{os.path.join(os.getcwd(), path)}/".rpartition("/../")
-    return os.path.normpath(os.path.join(os.path.realpath(f"{head}/..") if dots else head, tail))
-
-
 def sync_folder(path: Path) -> None:
     """The names in a folder are on the disk on return."""
     fd = os.open(path, os.O_RDONLY)

@@ -9,7 +9,6 @@ from importlib.metadata import Distribution, EntryPoint, distributions
 from importlib.util import find_spec
 from pathlib import Path
 
-from asia._files import without_dots
 from asia.errors import UserError
 
 GROUPS = (
@@ -133,8 +132,8 @@ def _places(name: str) -> tuple[Path, ...]:
     if spec is None:
         return ()
     if spec.submodule_search_locations is not None:
-        return tuple(Path(without_dots(place)) for place in spec.submodule_search_locations)
-    return (Path(without_dots(spec.origin)),) if spec.has_location and spec.origin else ()
+        return tuple(Path(place).absolute() for place in spec.submodule_search_locations)
+    return (Path(spec.origin).absolute(),) if spec.has_location and spec.origin else ()
 
 
 def _points(distribution: Distribution) -> tuple[EntryPoint, ...]:
