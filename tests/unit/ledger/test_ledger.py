@@ -10,6 +10,8 @@ from asia.ledger import Chain, Store, Unsealed, find_run, journal, open_run, res
 from asia.ledger import TestedModel as Record
 from asia.ledger._events import adapter
 
+from .conftest import evaluated, proposed, score, started
+
 
 def test_replay_tells_the_search(run: Path) -> None:
     view = open_run(run).view
@@ -112,3 +114,12 @@ def test_a_row_has_the_whole_hypothesis_the_parent_the_time_and_the_folds(run: P
     assert cells[3:6] == [words, "1", "1.0"]
     assert third.score is not None
     assert cells[6] == " ".join(f"{fold.value:.6f}" for fold in third.score.folds)
+
+
+def test_no_text_of_an_agent_is_a_formula_in_the_table(tmp_path: Path) -> None:
+    store = Store(tmp_path / "artifacts")
+    with Chain(tmp_path / "ledger.jsonl") as chain:
+        chain.append(started())
+        chain.append(replace(proposed(store, 1), title="=1+1", hypothesis="=1+1"))
+        chain.append(evaluated(1, "keep", score(0.5)))
+        assert results_table(chain.view).splitlines()[1].split("\t")[3] == "'=1+1"
