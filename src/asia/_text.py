@@ -29,6 +29,19 @@ def printable_line(text: str) -> str:
     return "".join(_fit(c) for c in text)
 
 
+def table_cell(text: str) -> str:
+    """One cell of a tab-separated table. An apostrophe before a text that a spreadsheet would take
+    for a formula; a number stays one."""
+    line = printable_line(text)
+    if not line.lstrip().startswith(("=", "+", "-", "@")):
+        return line
+    try:
+        float(line)
+    except ValueError:
+        return f"'{line}"
+    return line
+
+
 def one_line(text: str, most: int = 300) -> str:
     """Printable characters on one line, cut to `most`."""
     clean = printable_line(" ".join(text.split()))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import asia
-from asia._text import markdown_line, one_line, printable, printable_line
+from asia._text import markdown_line, one_line, printable, printable_line, table_cell
 
 PACKAGE = Path(asia.__file__).parent
 # Escape sequences of seven and of eight bits, a bell, a backspace, text written from right to left.
@@ -63,3 +63,20 @@ def test_nothing_is_written_past_the_one_place() -> None:
 def _writes(function: str) -> bool:
     names = ("print", "Console", "rich.print", "typer.echo", "typer.secho", "click.echo", "pprint")
     return function in names or function.startswith(("sys.stdout.wr", "sys.stderr.wr"))
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"),
+    [
+        ("=HYPERLINK(1)", "'=HYPERLINK(1)"),
+        ("+1 state", "'+1 state"),
+        ("-x: other sign", "'-x: other sign"),
+        ("@SUM(A1)", "'@SUM(A1)"),
+        ("\t=1+1", "' =1+1"),
+        ("-0.25", "-0.25"),
+        ("+1e3", "+1e3"),
+        ("order 2 = 3", "order 2 = 3"),
+    ],
+)
+def test_a_cell_of_a_table_is_no_formula(text: str, cell: str) -> None:
+    assert table_cell(text) == cell

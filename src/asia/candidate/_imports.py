@@ -75,7 +75,7 @@ def _imports(source: str) -> _Imports:
         tree = syntax_tree(source, "candidate.py")
         first = frozenset(_names(tree.body, inside=False))
         return _Imports(first, frozenset(_names(tree.body, inside=True)) - first)
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
+    except (SyntaxError, ValueError):
         return _Imports(frozenset(), frozenset())
 
 

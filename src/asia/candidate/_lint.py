@@ -95,7 +95,7 @@ def without_words(source: str, tree: ast.Module) -> str:
         bare = "\n".join(lines)
         if _nodes(_parsed(bare)) == _nodes(tree):
             return bare
-    except (tokenize.TokenError, SyntaxError, ValueError, RecursionError, MemoryError):
+    except (tokenize.TokenError, SyntaxError, ValueError):
         pass
     raise CandidateError(
         Reason.SYNTAX, "comments cannot be separated from code: use plain line ends and indents"

@@ -39,14 +39,10 @@ def source_digest(source: str) -> str:
     Raises CandidateError as `check_source` does for a source that does not parse.
     """
     tree = _parse(source)
-    try:
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-                _drop_docstring(node)
-        text = ast.dump(tree)
-    except (RecursionError, MemoryError) as error:
-        raise CandidateError(Reason.SYNTAX, "the source is nested too deeply") from error
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            _drop_docstring(node)
+    return hashlib.sha256(ast.dump(tree).encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def _parse(source: str) -> ast.Module:
@@ -64,11 +60,10 @@ def _parse(source: str) -> ast.Module:
             warnings.simplefilter("ignore")
             return syntax_tree(source, "candidate.py")
     except SyntaxError as error:
-        raise CandidateError(Reason.SYNTAX, f"line {error.lineno}: {error.msg}") from error
+        where = "" if error.lineno is None else f"line {error.lineno}: "
+        raise CandidateError(Reason.SYNTAX, f"{where}{error.msg}") from error
     except ValueError as error:
         raise CandidateError(Reason.SYNTAX, str(error)) from error
-    except (RecursionError, MemoryError) as error:
-        raise CandidateError(Reason.SYNTAX, "the source is nested too deeply") from error
 
 
 def _defined(body: list[ast.stmt]) -> set[str]:

@@ -6,7 +6,7 @@ from itertools import zip_longest
 from pathlib import Path
 from statistics import fmean
 
-from asia._text import markdown_line, printable_line
+from asia._text import markdown_line, table_cell
 from asia.ledger._disk import write_whole
 from asia.ledger._events import Evaluated, HandedOver
 from asia.ledger._view import Experiment, SearchView
@@ -35,12 +35,12 @@ def results_table(view: SearchView) -> str:
             str(e.number),
             f"{e.score.value:.6f}" if e.score else "",
             e.result.status,
-            printable_line(_description(e)),
+            table_cell(_description(e)),
             "" if e.proposed.parent is None else str(e.proposed.parent),
             f"{e.result.seconds:.1f}",
             " ".join(f"{fold.value:.6f}" for fold in e.score.folds) if e.score else "",
         )
-        agent = (printable_line(e.proposed.agent),) if view.leg else ()
+        agent = (table_cell(e.proposed.agent),) if view.leg else ()
         rows.append("\t".join((*cells, *agent)))
     return "\n".join(rows) + "\n"
 

@@ -1,7 +1,11 @@
-"""One record as a line of JSON that names the sha256 of the line before it and of itself.
+"""One record as lines of JSON, mostly a single one, that name the sha256 of the line before and of
+themselves.
 
 A line is checked as bytes, without parsing it: `{"seq":N,"prev":"<sha256>","time":"..",`, the
 event, and last `"self":"<sha256>"}`, which is the digest of the line without that member.
+
+An event that is longer than a line may be is several lines, all of its number: each holds a piece
+of the event's text and ends with `"more":true`, the last one with `"more":false`.
 """
 
 from __future__ import annotations
@@ -16,11 +20,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from asia.errors import InternalError, UserError
+from asia.errors import UserError
 from asia.ledger._events import Event, adapter
 
 GENESIS = "0" * 64
 LINE_LIMIT = 64 * 1024
+# Characters of an event's text in a line. Each takes at most 4 bytes, escapes included.
+_PIECE = 15_000
+_MORE = b',"more":true'
 _START = b'{"seq":%d,"prev":"%b","time":"'
 _SELF = b',"self":"%b"}'
 _SELF_BYTES = len(_SELF % GENESIS.encode())
@@ -48,25 +55,37 @@ class Position:
 
     def behind(self, raw: bytes) -> Position:
         """The place after one more record."""
-        return Position(self.seq + 1, self.offset + len(raw), _digests(raw)[1])
+        last = raw[raw.rfind(b"\n", 0, -1) + 1 :]
+        return Position(self.seq + 1, self.offset + len(raw), _digests(last)[1])
 
 
 BEGIN = Position()
 
 
 def encode(place: Position, event: Event) -> bytes:
-    """The record of an event that comes at `place`, newline included."""
-    body: dict[str, Any] = {
-        "seq": place.seq,
-        "prev": place.head,
-        "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
-        **adapter.dump_python(event, mode="json"),
-    }
-    text = json.dumps(body, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
-    line = text[:-1] + _SELF % hashlib.sha256(text).hexdigest().encode()
-    if len(line) >= LINE_LIMIT:
-        raise InternalError(f"ledger event '{event.event}' is {len(line)} bytes long")
-    return line + b"\n"
+    """The record of an event that comes at `place`, newlines included."""
+    time = datetime.now(UTC).isoformat(timespec="milliseconds")
+    fields = adapter.dump_python(event, mode="json")
+    line, _ = _line(place.seq, place.head, time, fields)
+    if len(line) <= LINE_LIMIT:
+        return line
+    text, head, lines = _json(fields), place.head, list[bytes]()
+    for begin in range(0, len(text), _PIECE):
+        piece = {"text": text[begin : begin + _PIECE], "more": begin + _PIECE < len(text)}
+        line, head = _line(place.seq, head, time, {"event": "piece", **piece})
+        lines.append(line)
+    return b"".join(lines)
+
+
+def _line(seq: int, prev: str, time: str, fields: dict[str, Any]) -> tuple[bytes, str]:
+    """A line, and its digest for the next one."""
+    text = _json({"seq": seq, "prev": prev, "time": time, **fields}).encode()
+    line = text[:-1] + _SELF % hashlib.sha256(text).hexdigest().encode() + b"\n"
+    return line, _digests(line)[1]
+
+
+def _json(value: dict[str, Any]) -> str:
+    return json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
 
 
 def decode(raw: bytes, seq: int, where: str) -> Line:
@@ -75,8 +94,12 @@ def decode(raw: bytes, seq: int, where: str) -> Line:
     begin = len(_START % (seq, GENESIS.encode()))
     time, _, rest = raw[begin : -_SELF_BYTES - 1].partition(b'",')
     try:
-        return Line(seq, time.decode(), adapter.validate_json(b"{" + rest + b"}"))
-    except (ValueError, ValidationError):
+        if raw.count(b"\n") > 1:
+            text = "".join(json.loads(line)["text"] for line in raw.split(b"\n")[:-1])
+        else:
+            text = b"{" + rest + b"}"
+        return Line(seq, time.decode(), adapter.validate_json(text))
+    except (ValueError, KeyError, TypeError, ValidationError):
         raise UserError(
             f"{where}: event {seq} was written by another version of ASIA: read it with that one"
         ) from None
@@ -87,10 +110,11 @@ def scan(
 ) -> Iterator[tuple[Position, bytes]]:
     """Every whole record from `place` on, checked, with the place behind it.
 
-    A torn last record, left by a crash or being written, is passed over. Raises UserError that
-    names the first record that does not hold.
+    A torn last record, left by a crash or being written, is passed over, its whole lines too.
+    Raises UserError that names the first record that does not hold.
     """
     stream.seek(place.offset)
+    lines, before = list[bytes](), place.head
     while raw := stream.readline(LINE_LIMIT + 1):
         own, head = _digests(raw)
         sound = own == raw[-_SELF_BYTES - 1 : -1]
@@ -101,13 +125,18 @@ def scan(
             return
         if not (whole and sound):
             raise UserError(f"{where}: event {place.seq} was changed after it was written")
-        if not raw.startswith(_START % (place.seq, place.head.encode())):
+        if not raw.startswith(_START % (place.seq, before.encode())):
             raise UserError(
                 f"{where}: event {place.seq} does not follow the one before it: events were "
                 "removed, added or put in another order"
             )
-        place = Position(place.seq + 1, place.offset + len(raw), head)
-        yield place, raw
+        lines.append(raw)
+        before = head
+        if raw[: -_SELF_BYTES - 1].endswith(_MORE):
+            continue
+        record = b"".join(lines)
+        place, lines = Position(place.seq + 1, place.offset + len(record), head), []
+        yield place, record
 
 
 def _digests(raw: bytes) -> tuple[bytes, str]:

@@ -1,6 +1,7 @@
 import pytest
 
-from asia.candidate import check_source, source_digest
+from asia.agents.library import read_recipe
+from asia.candidate import check_source, executed_source, imported_libraries, source_digest
 from asia.errors import CandidateError, Reason
 
 PLAIN = "def fit(trajectories, context):\n    return 1\n"
@@ -68,8 +69,32 @@ def test_digest_tells_different_code_apart(other: str):
     assert source_digest(other) != source_digest(PLAIN)
 
 
-@pytest.mark.parametrize("source", ["fit = " + "-" * 20000 + "1", "fit = " + "x." * 20000 + "y"])
-def test_digest_of_deep_source_is_a_candidate_error(source: str):
-    with pytest.raises(CandidateError) as caught:
-        source_digest(source)
-    assert caught.value.reason is Reason.SYNTAX
+@pytest.mark.parametrize(
+    "code",
+    [
+        "x = 0x" + "f" * 3600,
+        "x = 0b" + "1" * 15000,
+        "x = " + "9" * 4301,
+        "x = " + "-" * 20000 + "1",
+        "x = a" + ".b" * 20000,
+        "x = " + " + ".join("a" * 1000),
+        "x = " + "1 if a else " * 3000 + "1",
+        "if a:\n    pass\n" + "elif a:\n    pass\n" * 2500,
+    ],
+    ids=["hex", "binary", "decimal", "signs", "attributes", "sum", "choices", "branches"],
+)
+def test_sources_that_python_cannot_walk_are_refused_in_a_sentence(code: str):
+    source = f"{PLAIN}{code}\n"
+    for part in (check_source, source_digest, executed_source):
+        with pytest.raises(CandidateError, match=r"nested too deeply|4300 digits") as caught:
+            part(source)
+        assert caught.value.reason is Reason.SYNTAX
+    assert read_recipe(source) is None
+    assert not imported_libraries(source, fitting=True)
+
+
+def test_the_deepest_source_that_is_accepted_has_a_digest_and_compiles():
+    source = PLAIN + "x = " + " + ".join(["a"] * 190) + "\n"
+    check_source(source)
+    assert source_digest(source) != source_digest(PLAIN)
+    compile(executed_source(source), "candidate.py", "exec")

@@ -21,6 +21,8 @@ from asia.ledger import (
 from asia.ledger import TestedModel as Record
 from asia.ledger._events import adapter
 
+from .conftest import evaluated, proposed, score, started
+
 
 def test_replay_tells_the_search(run: Path) -> None:
     view = open_run(run).view
@@ -140,3 +142,12 @@ def test_a_mean_over_seeds_is_called_one(run: Path) -> None:
     assert f"mean of 3 seeds {value + 0.03:.4f}" in describe_result(seeds, view)
     assert f"mean of 3 seeds {value + 0.03:.4f}" in journal(view)
     assert "mean of" not in describe_result(third, view)
+
+
+def test_no_text_of_an_agent_is_a_formula_in_the_table(tmp_path: Path) -> None:
+    store = Store(tmp_path / "artifacts")
+    with Chain(tmp_path / "ledger.jsonl") as chain:
+        chain.append(started())
+        chain.append(replace(proposed(store, 1), title="=1+1", hypothesis="=1+1"))
+        chain.append(evaluated(1, "keep", score(0.5)))
+        assert results_table(chain.view).splitlines()[1].split("\t")[3] == "'=1+1"

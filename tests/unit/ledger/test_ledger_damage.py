@@ -12,8 +12,23 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from asia.errors import UserError
-from asia.ledger import Chain, Event, Steered, Stopped, Store, open_run, read_lines, verify
-from asia.ledger._lines import BEGIN, decode, encode
+from asia.ledger import (
+    Chain,
+    Diagnostics,
+    Evaluated,
+    Event,
+    FoldEvidence,
+    Follower,
+    Steered,
+    Stopped,
+    Store,
+    brief,
+    open_run,
+    read_lines,
+    verify,
+)
+from asia.ledger._lines import BEGIN, LINE_LIMIT, decode, encode
+from asia.scoring import FoldScore, Score
 
 from .conftest import evaluated, finished_run, proposed, score, started
 
@@ -206,3 +221,71 @@ def test_a_proposal_without_its_result_is_whole(whole: Path) -> None:
     with Chain(whole / "ledger.jsonl") as chain:
         chain.append(proposed(Store(whole / "artifacts"), 3))
     assert verify(whole).records == 9
+
+
+def long_result(folds: int = 120) -> Evaluated:
+    part = FoldScore(0.25, (0.25,), (0.5,), (50.0,), (0.75,))
+    numbers = Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0)
+    fold = FoldEvidence("a" * 64, "b" * 64, "c" * 64, numbers, 2.5, machine='"Nürnberg"\\')
+    return Evaluated(1, "keep", Score(0.25, (part,) * folds), (fold,) * folds, None, 1.0)
+
+
+def test_an_event_longer_than_a_line_is_read_by_all(tmp_path: Path) -> None:
+    path, store = tmp_path / "ledger.jsonl", Store(tmp_path / "artifacts")
+    events = [started(), proposed(store, 1), long_result(), proposed(store, 2)]
+    with Chain(path) as chain:
+        for event in events[:2]:
+            chain.append(event)
+        follower = Follower(path)
+        follower.read()
+        for event in events[2:]:
+            chain.append(event)
+        assert [line.event for line in chain.lines] == events
+    lines = path.read_bytes().splitlines(keepends=True)
+    assert len(lines) > len(events) + 1
+    assert max(map(len, lines)) <= LINE_LIMIT
+    assert [(line.seq, line.event) for line in read_lines(path)] == [*enumerate(events)]
+    assert follower.read()
+    assert [line.event for line in follower.lines] == events
+    assert follower.head_at(4) == follower.head
+    assert open_run(tmp_path).view.experiment(1).result == events[2]
+    for _ in range(2):
+        assert brief(tmp_path, 1).view.experiment(1).result == events[2]
+
+
+def test_a_kill_at_any_point_of_a_long_event_leaves_the_events_before(tmp_path: Path) -> None:
+    path, store = tmp_path / "ledger.jsonl", Store(tmp_path / "artifacts")
+    events = [started(), proposed(store, 1)]
+    with Chain(path) as chain:
+        for event in events:
+            chain.append(event)
+        before = path.stat().st_size
+        chain.append(long_result())
+    sound = path.read_bytes()
+    ends = [n + 1 for n in range(before, len(sound)) if sound[n : n + 1] == b"\n"]
+    assert len(ends) > 2
+    for end in [e + shift for e in ends for shift in (-40_000, -1, 0, 1) if e + shift < len(sound)]:
+        path.write_bytes(sound[: max(end, before)])
+        assert [line.event for line in read_lines(path)] == events
+        with Chain(path) as chain:
+            assert path.stat().st_size == before
+            chain.append(long_result())
+        assert [line.event for line in read_lines(path)] == [*events, long_result()]
+
+
+def test_a_changed_removed_or_moved_piece_of_a_long_event_is_named(tmp_path: Path) -> None:
+    path, store = tmp_path / "ledger.jsonl", Store(tmp_path / "artifacts")
+    with Chain(path) as chain:
+        for event in (started(), proposed(store, 1), long_result(), Stopped("user")):
+            chain.append(event)
+    lines = path.read_bytes().splitlines(keepends=True)
+    changed = lines[3].replace(b"cccc", b"cccd", 1)
+    for damaged in (
+        [*lines[:3], changed, *lines[4:]],
+        [*lines[:3], *lines[4:]],
+        [*lines[:2], lines[3], lines[2], *lines[4:]],
+        [*lines[:-2], lines[-1]],
+    ):
+        path.write_bytes(b"".join(damaged))
+        with pytest.raises(UserError, match="event 2 "):
+            list(read_lines(path))

@@ -1,11 +1,16 @@
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+import asia
 from asia.errors import SandboxError
 from asia.sandbox import LEVELS, Isolation, Layer, Limits, _level, open_worker, probe, why_not
 from asia.sandbox.levels import landlock
 from asia.sandbox.levels.sandbox_exec import profile
+from asia.sandbox.walls.surroundings import interpreter
 
 NEXT_BEST = next(
     level for level in Isolation if level is not Isolation.NAMESPACE and why_not(level) is None
@@ -111,3 +116,45 @@ def test_the_profile_of_macos_denies_by_default_and_quotes_paths(monkeypatch):
     assert profile().count("(") == profile().count(")")
     writes = [line for line in lines if "write" in line]
     assert writes == ['(allow file-write-data (literal "/dev/null") (literal "/dev/zero"))']
+
+
+@pytest.mark.skipif(why_not(Isolation.NAMESPACE) is not None, reason="no namespaces")
+@pytest.mark.parametrize("linked", [False, True], ids=["folder", "link"])
+def test_an_environment_reached_by_a_path_with_dots_has_every_level(tmp_path, linked: bool):
+    environment, here = Path(sys.prefix), Path(sys.prefix).parent
+    if linked:
+        environment, here = tmp_path / "link", tmp_path
+        environment.symlink_to(sys.prefix)
+    script = (
+        "from asia.sandbox import Isolation, Limits, open_worker\n"
+        "with open_worker(Isolation.NAMESPACE, Limits(60.0, 60.0, 1024)) as worker:\n"
+        "    print('opened')\n"
+    )
+    # Python itself takes the dots out of an absolute path.
+    python = Path("..", environment.parent.name, environment.name, "bin", Path(sys.executable).name)
+    found = subprocess.run(
+        [python, "-c", script], cwd=here, capture_output=True, text=True, check=False
+    )
+    assert (found.stdout, found.stderr) == ("opened\n", "")
+
+
+@pytest.mark.parametrize(
+    ("path", "straight"),
+    [
+        ("link/../c/./python", "a/c/python"),
+        ("c/../link/python", "link/python"),
+        ("..c/d//python", "..c/d/python"),
+    ],
+)
+def test_dots_lead_up_from_where_a_link_leads(tmp_path, monkeypatch, path: str, straight: str):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "a" / "b")
+    monkeypatch.setattr(sys, "executable", f"{tmp_path}/{path}")
+    assert interpreter() == f"{tmp_path}/{straight}"
+
+
+def test_the_package_starts_as_a_program():
+    found = subprocess.run(
+        [sys.executable, "-m", "asia", "--version"], capture_output=True, text=True, check=True
+    )
+    assert found.stdout == f"asia {asia.__version__}\n"

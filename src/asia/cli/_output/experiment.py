@@ -144,14 +144,14 @@ def _fold_table(console: Terminal, run: Run, experiment: Experiment) -> None:
     heads = metric_label(metric), "fit %"
     channels = () if wide else tuple(f"{head} {name}" for head in heads for name in names)
     table = Table(title="validation and training-side evidence", title_justify="left", box=None)
-    table.add_column("fold", justify="right")
+    table.add_column("fold", justify="right", overflow="fold")
     for head in ("V", *channels):
-        table.add_column(head, justify="right")
+        table.add_column(head, justify="right", overflow="fold")
     asked = run.view.started.early_stopping == "validation"
     if asked:
-        table.add_column("val. scores", justify="right")
+        table.add_column("val. scores", justify="right", overflow="fold")
     for head in ("train", "bias", "white", "u-corr", "top", "start", "fit s"):
-        table.add_column(head, justify="right")
+        table.add_column(head, justify="right", overflow="fold")
     for k, (fold, kept) in enumerate(zip(score.folds, result.folds, strict=True), 1):
         d, errors = kept.diagnostics, fold.per_channel(metric)
         table.add_row(
@@ -190,10 +190,10 @@ def _channel_table(run: Run, score: Score) -> Table:
     """A row an output, metric and fit index on each fold beside each other."""
     metric = run.metric
     table = Table(title="by output", title_justify="left", box=None)
-    table.add_column("output")
+    table.add_column("output", overflow="fold")
     for head in (metric_label(metric), "fit %"):
         for k in range(1, len(score.folds) + 1):
-            table.add_column(f"{head} {k}", justify="right")
+            table.add_column(f"{head} {k}", justify="right", overflow="fold")
     for i, name in enumerate(run.view.started.outputs):
         errors = (_error(fold.per_channel(metric)[i]) for fold in score.folds)
         fits = (_fit(fold.fit_index[i]) for fold in score.folds)

@@ -56,15 +56,16 @@ def environment(home: str, *, gpu: bool = False) -> dict[str, str]:
 
 
 def interpreter() -> str:
-    """Path of the running Python. Raises SandboxError where it cannot be known."""
+    """Path of the running Python, without `..`: a path with one exists in a sandbox only where all
+    that lies before it does. Raises SandboxError where it cannot be known."""
     if not sys.executable:
         raise SandboxError("the path of the Python interpreter is unknown; a worker cannot start")
-    return sys.executable
+    return _without_dots(sys.executable)
 
 
 def package_folder() -> Path:
     """The folder `asia` that holds this package."""
-    return Path(asia.__file__).absolute().parent
+    return Path(_without_dots(asia.__file__)).parent
 
 
 def child_command(
@@ -114,7 +115,7 @@ def code_folders() -> list[tuple[str, str]]:
     lies beside them."""
     wanted: list[str] = []
     for prefix in (sys.base_prefix, sys.prefix):
-        wanted += [os.path.realpath(prefix), os.path.abspath(prefix)]
+        wanted += [os.path.realpath(prefix), _without_dots(prefix)]
     wanted += [*_user_site(), str(package_folder())]
     wanted += [str(place) for package in plugin_packages() for place in package.places]
     folders: list[tuple[str, str]] = []
@@ -140,13 +141,20 @@ def interpreter_links() -> list[tuple[str, str]]:
         if not _within(place, known):
             links.append((target, place))
             known.append(place)
-        place = os.path.normpath(os.path.join(os.path.dirname(place), target))
+        place = _without_dots(os.path.join(os.path.dirname(place), target))
     return links
+
+
+def _without_dots(path: str) -> str:
+    """The absolute path without `..`, each of which leads up from where the links before it lead.
+    Links behind the last one stay."""
+    head, dots, tail = f"{os.path.join(os.getcwd(), path)}/".rpartition("/../")
+    return os.path.normpath(os.path.join(os.path.realpath(f"{head}/..") if dots else head, tail))
 
 
 def _user_site() -> list[str]:
     folder = site.getusersitepackages()
-    return [folder] if folder in sys.path and os.path.isdir(folder) else []
+    return [_without_dots(folder)] if folder in sys.path and os.path.isdir(folder) else []
 
 
 def _within(place: str, folders: list[str]) -> bool:

@@ -1,0 +1,5 @@
+"""`python -m asia`: the command line."""
+
+from asia.cli import main
+
+main()
