@@ -158,7 +158,7 @@ def test_windows_is_sent_to_wsl(command: str):
     program = (
         "import sys; "
         "sys.modules.update(dict.fromkeys(('fcntl', 'resource', 'termios', 'pwd', 'grp'))); "
-        "import asia.cli; sys.platform = 'win32'; asia.cli.main()"
+        "import asia.cli, zoneinfo; sys.platform = 'win32'; asia.cli.main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", program, *command.split()], capture_output=True, text=True
