@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -64,6 +65,30 @@ def test_every_extra_is_documented() -> None:
     assert {name for words in DOCUMENTED for name in extras_of(words)} == set(EXTRAS)
 
 
+def run_in(folder: Path, *command: str) -> str:
+    """Run a command as a user would; pip need not compile what is deleted after the test."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment |= {"PIP_NO_COMPILE": "1"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.long
+def test_the_first_commands_of_the_readme_work_in_a_clone(tmp_path: Path) -> None:
+    first = next(re.finditer(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))[1]
+    commands = [line.split("#")[0].strip() for line in first.splitlines()]
+    assert commands == ["make demo", "source .venv/bin/activate"]
+    run_in(tmp_path, "git", "clone", "--quiet", ROOT.as_uri(), "clone")
+    script = "\n".join(["set -e", *commands, "asia show"])
+    printed = run_in(tmp_path / "clone", "bash", "-c", script)
+    advice = printed[printed.index("Type next:") :]
+    assert "source .venv/bin/activate" in advice.splitlines()[0]
+    assert "asia show" in advice.splitlines()[1]
+    assert "hypothesis" in advice
+    shutil.rmtree(tmp_path / "clone")
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("words", DOCUMENTED)
 def test_it_installs_into_a_fresh_environment(words: str, tmp_path: Path) -> None:
@@ -74,12 +99,9 @@ def test_it_installs_into_a_fresh_environment(words: str, tmp_path: Path) -> Non
     folder = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", folder], check=True)
     python = str(folder / "bin" / "python")
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
     def run(*command: str) -> str:
-        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
+        return run_in(ROOT, *command)
 
     run(python, "-m", "pip", "install", "--quiet", *shlex.split(words))
     run(python, "-m", "pip", "check")
@@ -89,3 +111,4 @@ def test_it_installs_into_a_fresh_environment(words: str, tmp_path: Path) -> Non
     wanted = [re.split(r"[\[<>=]", need)[0] for name in extras_of(words) for need in EXTRAS[name]]
     assert {"asia-sysid", *(name.lower() for name in wanted)} <= listed
     assert "asia 0" in run(str(folder / "bin" / "asia"), "--version")
+    shutil.rmtree(folder)
