@@ -17,7 +17,7 @@ OUTPUT = re.compile(
     flags=re.DOTALL,
 )
 """An output of a command. A line is shown if it matches the regular expression `lines`."""
-WIDTH = 100
+WIDTH = 116
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -47,9 +47,9 @@ def run_tutorial(page: str, folder: Path) -> dict[str, str]:
             done = subprocess.run(
                 shlex.split(command), cwd=folder, env=environment, capture_output=True, text=True
             )
+            printed[command] = done.stdout + done.stderr
             if done.returncode:
-                raise SystemExit(f"{command}: {done.stdout}{done.stderr}")
-            printed[command] = done.stdout
+                raise SystemExit(f"{command}: {printed[command]}")
     return printed
 
 
