@@ -1,6 +1,7 @@
 # make demo: the simulated two-tank problem, set-up included. make test: the checks of every change.
 # make test-all: the slower ones, and the documentation. make test-long: those that take longest,
-# before a release. make docs: the documentation as a site, in build/site.
+# before a release. make docs: the documentation as a site, in build/site. make tutorial, make picture:
+# the outputs in docs/tutorial.md and the picture in README.md, made anew.
 PYTHON ?= python3
 BIN := .venv/bin
 RUNS ?= runs
@@ -9,7 +10,7 @@ RUNS ?= runs
 WORKERS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN))))
 PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations 15
 
-.PHONY: demo test test-all test-long lint docs format clean
+.PHONY: demo test test-all test-long lint docs tutorial picture format clean
 
 .venv/ready: pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -24,6 +25,8 @@ PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --d
 
 demo: .venv/ready
 	$(BIN)/asia run two_tanks_sim --experiments 8 --runs $(RUNS)
+	@printf '\n%s\n%s\n' 'Type next:  source .venv/bin/activate    (puts the command asia on the PATH)' \
+	  '            asia show                    (then: docs/tutorial.md, for your own data)'
 
 # Many tests wait, so that lint runs beside them; what it says comes after them.
 test: .venv/ready-dev
@@ -48,6 +51,16 @@ lint: .venv/ready-dev
 
 docs: .venv/ready-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+# The outputs that the tutorial shows, from a run of its commands: about ten minutes.
+tutorial: .venv/ready
+	$(BIN)/python docs/site/tutorial.py
+
+# The picture of README.md, from the measured data.
+picture: .venv/ready
+	$(BIN)/asia run cascaded_tanks --experiments 15 --runs build/picture
+	$(BIN)/asia unseal build/picture/cascaded_tanks-expert-s0 --yes
+	cp build/picture/cascaded_tanks-expert-s0/report/test.png docs/img/measured.png
 
 format: .venv/ready-dev
 	$(BIN)/ruff check --fix .

@@ -201,7 +201,7 @@ def main() -> int:
     options = parser.parse_args()
     torch = None
     if importlib.util.find_spec("torch") is None:
-        print("PyTorch is missing: pip install 'asia-sysid[torch]' to compare")
+        print("PyTorch is missing: pip install torch to compare")
     else:
         import torch
 

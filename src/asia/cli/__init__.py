@@ -113,6 +113,8 @@ def _version(
 
         say(f"asia {__version__}")
         raise typer.Exit
+    if sys.platform == "win32":
+        raise UserError(_doctor.WINDOWS)
 
 
 def main() -> None:

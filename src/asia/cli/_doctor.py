@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,14 @@ if TYPE_CHECKING:
     from asia.sandbox import LevelState, Machine
 
 _INDENT = 13
+WINDOWS = (
+    "ASIA does not run on Windows directly. Run `wsl --install` in PowerShell to get Linux in "
+    "WSL2. Then install ASIA in that Linux."
+)
+MACOS = (
+    "ASIA was not tested on macOS. Candidates run at level sandbox-exec or process, without a "
+    "memory limit. Use a Linux virtual machine or container for level namespace or landlock."
+)
 
 
 def doctor(
@@ -121,7 +130,7 @@ def _print_gpu(gpu: _Gpu | None) -> None:
         say(f"{'':<11}--device gpu: JAX reaches it as {gpu.jax}")
         return
     say(f"{'':<11}--device gpu does not work: {gpu.why_not}")
-    say(f"{'':<11}to get it: NVIDIA's driver, and pip install 'asia-sysid[gpu]'")
+    say(f"{'':<11}to get it: NVIDIA's driver, and pip install '.[gpu]' in a clone of ASIA")
 
 
 def _plugged() -> tuple[tuple[Part, ...], str | None]:
@@ -143,6 +152,8 @@ def _part_object(part: Part) -> dict[str, str | None]:
 
 
 def _print_machine(here: Machine) -> None:
+    if sys.platform == "darwin":
+        say(f"macOS      {MACOS}")
     memory = f", {here.memory_mb} MB of memory" if here.memory_mb else ""
     where = ", in a container" if here.container else ""
     say(f"machine    {here.system}, {here.architecture}, {here.cores} cores{memory}{where}")

@@ -42,7 +42,8 @@ class DaskExecutor:
         """where: `tcp://HOST:PORT`, or the path of a scheduler file."""
         if importlib.util.find_spec("distributed") is None:
             raise UserError(
-                "--executor dask needs the package distributed: pip install 'asia-sysid[dask]'"
+                "--executor dask needs the package distributed: "
+                "pip install '.[dask]' in a clone of ASIA"
             )
         self._client: Any = _connected(where)
         self._where = where

@@ -35,7 +35,7 @@ class SlurmExecutor(DaskExecutor):
             if importlib.util.find_spec(name) is None:
                 raise UserError(
                     f"--executor dask-slurm needs the package {name.replace('_', '-')}: "
-                    "pip install 'asia-sysid[slurm]'"
+                    "pip install '.[slurm]' in a clone of ASIA"
                 )
         given = {} if file is None else _read(file)
         jobs = given.pop("jobs", _JOBS)

@@ -54,7 +54,7 @@ def chosen_gpu(asked: str, level: Isolation) -> tuple[str, tuple[str, ...]]:
             return "", (f"gpu: not used, {error}",)
         raise UserError(
             f"--device gpu: {error}. Install NVIDIA's driver and JAX for CUDA (pip install "
-            "'asia-sysid[gpu]'), check it with: asia doctor; or use --device cpu"
+            "'.[gpu]' in a clone of ASIA), check it with: asia doctor; or use --device cpu"
         ) from None
 
 

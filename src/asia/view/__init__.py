@@ -19,7 +19,7 @@ def require_server() -> None:
     if find_spec("starlette") is None or find_spec("uvicorn") is None:
         raise UserError(
             "asia view needs Starlette and uvicorn, which are an extra: "
-            "pip install 'asia-sysid[view]'"
+            "pip install '.[view]' in a clone of ASIA"
         )
 
 

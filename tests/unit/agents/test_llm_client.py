@@ -229,5 +229,5 @@ def test_a_missing_key_and_a_missing_package(monkeypatch: pytest.MonkeyPatch) ->
         LlmAgent(LlmSettings("made-up"))
     LlmAgent(LlmSettings("made-up", "http://localhost:1/v1"))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install 'asia-sysid\[llm\]'"):
+    with pytest.raises(UserError, match=r"pip install '\.\[llm\]'"):
         LlmAgent(LlmSettings("made-up", "http://localhost:1/v1"))

@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -139,3 +141,30 @@ def test_facts_of_this_machine(monkeypatch, tmp_path):
     monkeypatch.setattr(surroundings, "_CONTAINERS", (tmp_path,))
     assert machine().container
     assert machine().python.startswith("3.")
+
+
+def test_macos_gets_its_levels_and_the_advice_to_use_linux(monkeypatch):
+    monkeypatch.setattr("sys.platform", "darwin")
+    text = doctor()
+    assert "macOS      ASIA was not tested on macOS." in text
+    assert "Use a Linux virtual machine or container" in text
+    assert "\nsandbox-exec does not work" in text  # this machine has no such program
+    assert "\nprocess      works: rlimits   <- what a search uses here" in text
+
+
+@pytest.mark.parametrize("command", ["doctor", "run two_tanks_sim", "status"])
+def test_windows_is_sent_to_wsl(command: str):
+    """Windows has none of the modules fcntl, resource, termios and pwd."""
+    program = (
+        "import sys; "
+        "sys.modules.update(dict.fromkeys(('fcntl', 'resource', 'termios', 'pwd', 'grp'))); "
+        "import asia.cli, zoneinfo; sys.platform = 'win32'; asia.cli.main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *command.split()], capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        "asia: ASIA does not run on Windows directly. Run `wsl --install`"
+    )
+    assert done.stderr.count("\n") == 1

@@ -15,7 +15,7 @@ def test_a_missing_extra_is_named(
     monkeypatch.setattr("asia.mcp.find_spec", lambda name: None)
     done = asia("mcp", problem)
     assert done.code == 2
-    assert "pip install 'asia-sysid[mcp]'" in done.err
+    assert "pip install '.[mcp]'" in done.err
     assert not Path("runs").exists()
 
 

@@ -254,6 +254,6 @@ def test_a_gpu_that_is_not_there_is_refused_before_anything_is_written(
     problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
     done = asia("run", problem, "--runs", runs, "--device", "gpu")
     assert done.code == 2
-    assert "pip install 'asia-sysid[gpu]'" in " ".join(done.err.split())
+    assert "pip install '.[gpu]'" in " ".join(done.err.split())
     assert not runs.exists()
     assert asia("run", problem, "--runs", runs, "--device", "tpu").code == 2

@@ -1,45 +1,117 @@
-"""The tutorial's commands, code and equations run as they are printed, on a smaller budget."""
+"""The tutorial runs as it is printed, on a smaller budget, and prints what the page shows."""
 
+import importlib.util
 import re
 from pathlib import Path
 
 import pytest
 
-from tests.unit.docs.test_docs import ROOT, run
+from tests.unit.docs.test_docs import ROOT
 
-pytestmark = pytest.mark.long
+_spec = importlib.util.spec_from_file_location("tutorial", ROOT / "docs" / "site" / "tutorial.py")
+assert _spec is not None
+assert _spec.loader is not None
+tutorial = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(tutorial)
+
 PAGE = (ROOT / "docs" / "tutorial.md").read_text()
+NUMBER = re.compile(r"[-+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?")
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", PAGE, flags=re.DOTALL)
+def smaller(text: str) -> str:
+    """The tutorial with shorter records and fewer experiments."""
+    for old, new in (
+        ('"run1", 400), ("run2", 400), ("run3", 300', '"run1", 120), ("run2", 120), ("run3", 80'),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    return re.sub(r"--experiments \d+", "--experiments 2", text)
+
+
+def shape(line: str) -> str:
+    """A line without its numbers, times, digests, titles and texts of candidates."""
+    line = re.sub(r"sha256:\w+", "sha256", line)
+    line = re.sub(r"\b(\d+h)?(\d+m)?\d+s\b", "TIME", line)
+    line = re.sub(r"\s+", " ", NUMBER.sub("N", line.removesuffix(" ..."))).strip()
+    line = re.sub(r"^#N \w+ (V=N min fit N % TIME).*", r"#N STATUS \1", line)
+    line = re.sub(r"^#N (?!STATUS).*", "#N TITLE", line)
+    line = re.sub(r"^(best #N V=N \(folds N(, N)*\)).*", r"\1", line)
+    line = re.sub(r"\b(refit|ensemble): .*", "MODEL", line)
+    return re.sub(r"^(hypothesis|expected|decision|picture) .*", r"\1", line)
+
+
+def shapes(text: str) -> set[str]:
+    return {shape(line) for line in text.splitlines()} - {"...", ""}
+
+
+def outputs(page: str) -> dict[str, str]:
+    return {found["command"]: found["shown"] for found in tutorial.OUTPUT.finditer(page)}
+
+
+def test_every_output_belongs_to_a_command_and_is_generated() -> None:
+    commands = "\n".join(tutorial.blocks(PAGE, "sh")).splitlines()
+    assert set(outputs(PAGE)) <= set(commands)
+    fences = re.findall(r"^```(.*)$", PAGE, flags=re.MULTILINE)[::2]
+    assert len(outputs(PAGE)) == fences.count("") >= 7
+    assert all(shown.strip() for shown in outputs(PAGE).values())
+
+
+def test_figures_in_the_text_are_those_of_the_outputs() -> None:
+    """Each number with decimals that the text mentions is in an output, rounded."""
+    prose = re.sub(r"^```.*?^```", "", PAGE, flags=re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"<!--.*?-->", "", prose, flags=re.DOTALL)
+    mentioned = re.findall(r"\d+\.\d+", prose)
+    printed = [float(n) for shown in outputs(PAGE).values() for n in re.findall(r"\d+\.\d+", shown)]
+    strange = [
+        text
+        for text in mentioned
+        if not any(f"{value:.{len(text.partition('.')[2])}f}" == text for value in printed)
+    ]
+    assert mentioned
+    assert strange == []
+
+
+def test_outputs_are_shortened_and_put_in_their_places() -> None:
+    page = "<!-- output of `asia show`, lines with ^(#|V) -->\n```\nold\n```\nend\n"
+    printed = {"asia show": "#01 a\nx\ny\nV 1\nlast\n"}
+    assert tutorial.rewritten(page, printed) == page.replace("old", "#01 a\n...\nV 1")
+    assert tutorial.shortened("a" * 120, "a") == "a" * 112 + " ...\n"
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed"),
+    [
+        ("rung    linear model  V=0.1", "reference linear model V=0.1"),
+        ("#01 keep V=0.1 min fit 88.0 % 19s a | best #01 0.1", "#01 keep V=0.1 fit 88.0 % 19s a"),
+        (" fold  V  top", " fold  V  fit s"),
+    ],
+)
+def test_another_line_has_another_shape(shown: str, printed: str) -> None:
+    assert shapes(shown) != shapes(printed)
+
+
+def test_other_numbers_and_titles_have_the_same_shape() -> None:
+    first = "#01 keep    V=0.1082  min fit  88.0 %          19s  baseline   | best #01 0.1082"
+    other = "#03 discard V=1.4126  min fit -16.1 %        1m36s  neural: func... | best #02 0.1041"
+    assert shapes(first) == shapes(other)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which everything up to the last step of the tutorial was done."""
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+    """A folder in which the tutorial was done, and what its commands printed."""
     folder = tmp_path_factory.mktemp("tutorial")
-    measure, use = blocks("python")
-    smaller = measure.replace("400", "120").replace("300", "80")
-    assert smaller != measure
-    (folder / "measure.py").write_text(smaller)
-    (folder / "use.py").write_text(use)
-    for block in blocks("sh"):
-        for command in block.splitlines():
-            if "--name tank-physics" in command:
-                add_equations(folder / "tank" / "problem.toml")
-            (folder / "said.txt").write_text(run(shorter(command), folder))
-    return folder
+    return folder, tutorial.run_tutorial(smaller(PAGE), folder)
 
 
-def shorter(command: str) -> str:
-    return re.sub(r"--experiments \d+", "--experiments 2", command)
-
-
-def add_equations(problem: Path) -> None:
-    text = problem.read_text()
-    assert "\n# [physics]" in text
-    problem.write_text(text.split("\n# [physics]")[0] + "\n" + blocks("toml")[0])
+@pytest.mark.long
+def test_the_outputs_shown_have_the_shape_of_those_printed(
+    done: tuple[Path, dict[str, str]],
+) -> None:
+    page = tutorial.rewritten(smaller(PAGE), done[1])
+    shown = outputs(smaller(PAGE))
+    assert {name: shapes(shown[name]) - shapes(text) for name, text in outputs(page).items()} == {
+        name: set() for name in shown
+    }
 
 
 def scores(folder: Path, name: str) -> list[float]:
@@ -47,16 +119,22 @@ def scores(folder: Path, name: str) -> list[float]:
     return [float(row.split("\t")[1]) for row in rows]
 
 
-def test_both_searches_find_a_model_and_equations_help(folder: Path) -> None:
-    linear, _ = scores(folder, "tank-expert-s0")
-    assert scores(folder, "tank-physics")[-1] < linear / 2
+@pytest.mark.long
+def test_both_searches_find_a_model_and_equations_help(done: tuple[Path, dict[str, str]]) -> None:
+    linear, _ = scores(done[0], "tank-expert-s0")
+    assert scores(done[0], "tank-physics")[-1] < linear / 2
 
 
-def test_the_pictures_and_the_source_are_there(folder: Path) -> None:
+@pytest.mark.long
+def test_the_report_the_source_and_the_c_program_are_there(
+    done: tuple[Path, dict[str, str]],
+) -> None:
+    folder, printed = done
     assert (folder / "runs" / "tank-expert-s0" / "report" / "residuals.png").is_file()
-    assert "def fit(" in (folder / "said.txt").read_text()
+    assert "def fit(" in printed["asia show tank-physics --source"]
+    assert (folder / "runs" / "tank-physics" / "export" / "c" / "model.c").is_file()
 
 
-def test_the_model_is_used_from_python(folder: Path) -> None:
-    error = float(run("python use.py", folder).split()[1])
-    assert error < 0.05
+@pytest.mark.long
+def test_the_model_is_used_from_python(done: tuple[Path, dict[str, str]]) -> None:
+    assert float(done[1]["python use.py"].split()[1]) < 0.05

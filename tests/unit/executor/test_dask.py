@@ -71,7 +71,7 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(UserError, match="expected dask://HOST:PORT"):
         make_executor("dask")
     monkeypatch.setattr("asia.executor.dask.importlib.util.find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install 'asia-sysid\[dask\]'"):
+    with pytest.raises(UserError, match=r"pip install '\.\[dask\]'"):
         make_executor("dask://localhost:1")
 
 

@@ -151,3 +151,18 @@ def test_the_program_for_a_csv_file_reproduces_the_example(tmp_path: Path) -> No
     found = np.array([[float(v) for v in row.split(",")] for row in rows])
     np.testing.assert_allclose(found, given.windows[0].y_hat[:10], rtol=1e-9, atol=1e-9)
     assert NU == NY == 2
+    head, *rows = (tmp_path / "example.csv").read_text().splitlines()
+    for text, message in (
+        (
+            "\n".join([f"time,{head}", *(f"0,{row}" for row in rows)]),
+            f"expected the columns {head}",
+        ),
+        ("\n".join([head, *rows]).replace(",", ";"), f"expected the columns {head}"),
+        (f"{head}\n{rows[0]}\n", "rows of numbers, found 1"),
+    ):
+        (tmp_path / "own.csv").write_text(text)
+        refused = subprocess.run(
+            ["./model", "own.csv"], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert refused.returncode == 2
+        assert message in refused.stderr

@@ -36,7 +36,9 @@ class LlmAgent:
 
     def __init__(self, settings: LlmSettings, *, network: bool = True) -> None:
         if importlib.util.find_spec("openai") is None:
-            raise UserError("the agent llm needs the package openai: pip install 'asia-sysid[llm]'")
+            raise UserError(
+                "the agent llm needs the package openai: pip install '.[llm]' in a clone of ASIA"
+            )
         self.settings = settings
         self._network = network
         self._key = settings.api_key() if network else "none"

@@ -17,7 +17,9 @@ def first_model(base_url: str, api_key_env: str) -> str:
     lists none.
     """
     if importlib.util.find_spec("openai") is None:
-        raise UserError("asking a server needs the package openai: pip install 'asia-sysid[llm]'")
+        raise UserError(
+            "asking a server needs the package openai: pip install '.[llm]' in a clone of ASIA"
+        )
     import openai
 
     settings = LlmSettings("any", base_url, api_key_env=api_key_env)

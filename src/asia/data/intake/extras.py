@@ -16,5 +16,5 @@ def need(module: str, path: Path, extra: str) -> Any:
     except ImportError:
         raise UserError(
             f"{path} needs the package {module.partition('.')[0]}: "
-            f"pip install 'asia-sysid[{extra}]'"
+            f"pip install '.[{extra}]' in a clone of ASIA"
         ) from None

@@ -117,7 +117,7 @@ int main(int argc, char **argv)
     static asia_real past_y[ASIA_PAST_OUTPUTS * ASIA_OUTPUTS + 1];
     asia_real row[COLUMNS], y[ASIA_OUTPUTS], worst = 0;
     asia_state x;
-    char names[65536];
+    char names[65536], *at;
     long k, i;
     FILE *file = argc == 2 ? fopen(argv[1], "r") : NULL;
     if (file == NULL) {
@@ -125,8 +125,12 @@ int main(int argc, char **argv)
                 ASIA_OUTPUTS);
         return 2;
     }
-    if (fgets(names, sizeof names, file) == NULL)
+    for (i = 1, at = fgets(names, sizeof names, file); at != NULL && *at != '\0'; ++at)
+        i += *at == ',';
+    if (i != COLUMNS) {
+        fprintf(stderr, "%s: expected the columns {columns}, separated by commas\n", argv[1]);
         return 2;
+    }
     printf("{names}\n");
     for (k = 0; next_row(file, row); ++k) {
         long from_u = k - (PAST - ASIA_PAST_INPUTS), from_y = k - (PAST - ASIA_PAST_OUTPUTS);
@@ -150,9 +154,13 @@ int main(int argc, char **argv)
         printf("\n");
     }
     fclose(file);
+    if (k <= PAST) {
+        fprintf(stderr, "%s: expected more than %d rows of numbers, found %ld\n", argv[1], PAST, k);
+        return 2;
+    }
     fprintf(stderr, "%ld samples, largest difference from the file %.3g\n", k - PAST,
             (double)worst);
-    return k > PAST ? 0 : 2;
+    return 0;
 }
 """
 
@@ -182,8 +190,9 @@ def header(model: ExportModel) -> str:
 
 def main_file(model: ExportModel) -> str:
     """`main.c`."""
+    columns = ",".join(_plain(s.name) for s in (*model.inputs, *model.outputs))
     names = ",".join(_plain(s.name) for s in model.outputs)
-    return _MAIN.replace("{names}", names.replace("%", "%%"))
+    return _MAIN.replace("{names}", names).replace("{columns}", columns)
 
 
 def example_csv(model: ExportModel, window: TrainingWindow) -> str:

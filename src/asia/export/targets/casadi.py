@@ -47,7 +47,11 @@ where they switch."""
 
     def missing(self) -> str | None:
         """CasADi."""
-        return None if importlib.util.find_spec("casadi") else 'pip install "asia-sysid[export]"'
+        return (
+            None
+            if importlib.util.find_spec("casadi")
+            else "pip install '.[export]' in a clone of ASIA"
+        )
 
     def print(self, model: ExportModel) -> Printed:
         """The files."""

@@ -86,7 +86,11 @@ response = control.input_output_response(system, t, u.T, x0)
 
     def missing(self) -> str | None:
         """python-control."""
-        return None if importlib.util.find_spec("control") else "pip install control"
+        return (
+            None
+            if importlib.util.find_spec("control")
+            else "pip install '.[export]' in a clone of ASIA"
+        )
 
     def print(self, model: ExportModel) -> Printed:
         """The files."""

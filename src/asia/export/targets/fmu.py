@@ -45,7 +45,7 @@ platform they were made on."""
     def missing(self) -> str | None:
         """fmpy, which checks the units, and a C compiler."""
         if importlib.util.find_spec("fmpy") is None:
-            return 'pip install "asia-sysid[export]"'
+            return "pip install '.[export]' in a clone of ASIA"
         return None if c_compiler() else "install a C compiler, such as gcc"
 
     def print(self, model: ExportModel) -> Printed:

@@ -49,7 +49,7 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
     def missing(self) -> str | None:
         """onnx and onnxruntime."""
         found = all(importlib.util.find_spec(n) for n in ("onnx", "onnxruntime"))
-        return None if found else 'pip install "asia-sysid[export]"'
+        return None if found else "pip install '.[export]' in a clone of ASIA"
 
     def print(self, model: ExportModel) -> Printed:
         """The files. Raises UserError for an operation that ONNX does not have."""

@@ -223,5 +223,5 @@ def test_an_extra_that_is_not_there_is_named(
     path = tmp_path / "log.h5"
     hdf5(path)
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(UserError, match=r"pip install 'asia-sysid\[intake\]'"):
+    with pytest.raises(UserError, match=r"pip install '\.\[intake\]'"):
         digest(path)
