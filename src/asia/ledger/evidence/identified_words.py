@@ -38,7 +38,7 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
 
 def disagreement_lines(found: IdentifiedModel) -> Iterator[str]:
     """Why an interval is wider than noise makes it."""
-    apart = [one.fitted.name for one in found.parameters if one.disagrees]
+    apart = found.disagreeing
     if apart:
         verb = "differs" if len(apart) == 1 else "differ"
         yield (

@@ -23,8 +23,8 @@ STRONG = 0.95
 """Parameters whose errors are correlated more than this are known together only."""
 # Of the width of a range: this near to its end a parameter sits at it.
 _AT_END = 0.005
-DISAGREEMENT_LEVEL = 0.01
-"""Chance that sound fold models are said to disagree on a parameter."""
+DISAGREEMENT = 3.0
+"""Standard error by the folds over that by noise, from which on the fold models disagree."""
 FOLD_QUANTILE = 1.96
 """Half the width of the interval by the folds, in their standard errors. Student's t would treat
 the folds as a random sample; they exhaust the record, and the interval is for the mean over it."""
@@ -128,15 +128,9 @@ class IdentifiedParameter:
 
     @property
     def disagrees(self) -> bool:
-        """Whether the fold models differ by more than noise explains: an F test at 1 %."""
+        """Whether the fold models differ by more than noise explains."""
         error, spread = self.fitted.standard_error, self.fold_error
-        if spread is None or error is None or len(self.folds) < 2:
-            return False
-        from scipy.special import chdtrc  # only where statistics are asked for
-
-        degrees = len(self.folds) - 1
-        ratio = spread**2 / error**2 if error > 0 else math.inf * (spread > 0)
-        return bool(chdtrc(degrees, min(ratio, 1e9) * degrees) < DISAGREEMENT_LEVEL)
+        return error is not None and spread is not None and spread > DISAGREEMENT * error
 
     @property
     def _by_folds(self) -> float:
@@ -185,6 +179,11 @@ class IdentifiedModel:
     """Of their errors."""
     equations: tuple[str, ...]
     """With numbers in them."""
+
+    @property
+    def disagreeing(self) -> tuple[str, ...]:
+        """Names of the parameters on which the fold models disagree."""
+        return tuple(one.fitted.name for one in self.parameters if one.disagrees)
 
     @property
     def entangled(self) -> tuple[tuple[str, str, float], ...]:
