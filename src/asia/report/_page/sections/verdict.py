@@ -220,7 +220,7 @@ def _trust(subject: Subject, kind: str, against: list[str]) -> Html:
         " No check of the validation raises a doubt."
         if view.validated
         else join((" Its residuals and behaviour were not checked: run ",
-                   tag("code", f"asia validate {subject.run.name}"), "."))
+                   tag("code", f"asia validate {view.started.run}"), "."))
     )  # fmt: skip
     return join((f"No candidate saw the data that it was judged on.{again}", checked))
 
