@@ -196,7 +196,7 @@ def records(kind: Kind, truth: dict[str, float], rho: float, rng: np.random.Gene
             states.append(step.y[:, -1])
         y = np.array(states)[:, [list(kind.physics.states).index(kind.physics.observation["y"])]]
         white = rng.normal(size=SAMPLES + 300)
-        coloured = np.sqrt(1 - rho**2) * lfilter([1.0], [1.0, -rho], white)[300:, None]
+        coloured = np.sqrt(1 - rho**2) * np.asarray(lfilter([1.0], [1.0, -rho], white))[300:, None]
         found.append(Trajectory(u[:, None], y + NOISE * y.std() * coloured, kind.sampling_time, ""))
     mean = {n: v * float(factors.mean()) if n == moving else v for n, v in truth.items()}
     return found, mean
