@@ -50,6 +50,8 @@ class Defect:
     friction: float = 0.0
     ceiling: float | None = None
     drift: float = 0.0
+    change: float = 0.0
+    """Of the gain and the damping, over the record."""
 
 
 def excitation(system: Motion, random: np.random.Generator) -> Array:
@@ -80,7 +82,9 @@ def run(system: Motion, theta: Array, u: Array, defect: Defect) -> Array:
         wanted = forces[k]
         f = f + STEP / defect.lag * (wanted - f) if defect.lag else wanted
         rubbing = defect.friction * np.tanh(v / 0.02) if defect.friction else 0.0
-        a = f - stiffness * system.spring(x, bent) - damping * system.drag(v) - rubbing
+        factor = 1.0 + defect.change * k / len(u)
+        drag = damping * factor * system.drag(v)
+        a = factor * f - stiffness * system.spring(x, bent) - drag - rubbing
         v = np.clip(v + STEP * a, -1e3, 1e3)
         x = np.clip(x + STEP * v, -1e3, 1e3)
     return out

@@ -30,6 +30,9 @@ class ParameterEstimate:
     data_share: float = 1.0
     """The part of what is known of it that comes from the records, from 0 to 1; the rest is a prior
     or a ridge."""
+    misfit_error: float = 0.0
+    """How far a missing effect may have moved it: half the width of an interval around the value;
+    0 where the residuals show no missing effect."""
 
 
 @dataclass(frozen=True)

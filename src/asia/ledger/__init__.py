@@ -85,7 +85,11 @@ from asia.ledger.evidence.experiment import (
     settings_of_run,
 )
 from asia.ledger.evidence.findings import findings_of, get_findings, put_findings
-from asia.ledger.evidence.identified_words import identified_lines, identified_object
+from asia.ledger.evidence.identified_words import (
+    disagreement_lines,
+    identified_lines,
+    identified_object,
+)
 from asia.ledger.evidence.noise import (
     floor_to_beat,
     floor_words,
@@ -93,12 +97,17 @@ from asia.ledger.evidence.noise import (
     noise_of_repeats,
 )
 from asia.ledger.evidence.parameters import (
+    FOLD_QUANTILE,
     EstimatedModel,
     EstimatedParameter,
     IdentifiedModel,
     IdentifiedParameter,
+    beside_folds,
+    estimated,
     get_estimates,
     identified,
+    interval_ends,
+    jackknife_error,
     put_estimates,
 )
 from asia.ledger.evidence.passed_over import folds_ended, folds_passed_over
@@ -106,6 +115,7 @@ from asia.ledger.evidence.words import evidence_lines
 from asia.scoring import Diagnostics
 
 __all__ = [
+    "FOLD_QUANTILE",
     "MOST_CURVES",
     "RESUMABLE",
     "Ablated",
@@ -177,14 +187,17 @@ __all__ = [
     "Validated",
     "Verified",
     "beats",
+    "beside_folds",
     "brief",
     "check_lock",
     "control",
     "control_words",
     "describe_result",
+    "disagreement_lines",
     "dossier_words",
     "error_line",
     "error_value",
+    "estimated",
     "evidence_lines",
     "evidence_of",
     "find_run",
@@ -201,6 +214,8 @@ __all__ = [
     "identified_lines",
     "identified_object",
     "in_use",
+    "interval_ends",
+    "jackknife_error",
     "journal",
     "ledger_of",
     "method_words",

@@ -5,16 +5,20 @@
 With H = J'J + R and residuals e, the covariance of the estimate is H^-1 (J' cov(e) J) H^-1. The
 residuals of a simulation are correlated in time, so that cov(e) is not a multiple of the unit
 matrix: it is that of an autoregressive process fitted to them, for each output, with correlated
-innovations. Sources: White, Econometrica 50(1), 1982; Ljung, System Identification, 2nd ed., 1999,
-chapter 9; Burg's method: Kay, Modern Spectral Estimation, 1988, section 7.5.
+innovations. Where the residuals follow the sensitivities in a way that noise does not explain, an
+effect is missing: `misfit` is the size of what it left. Sources: White, Econometrica 50(1), 1982;
+Ljung, System Identification, 2nd ed., 1999, chapter 9; Burg's method: Kay, Modern Spectral
+Estimation, 1988, section 7.5.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
@@ -29,6 +33,13 @@ _CLUSTERS, _CLUSTERS_A_PARAMETER = 30, 5
 # Of an information matrix with ones on its diagonal: what is below is rounding.
 _NO_INFORMATION = 1e-14
 _STEP = 1e-6
+# A missing effect is shown by the smallest of four probabilities, corrected for their number.
+_MISFIT_LEVEL = 0.1
+# The parameters may have absorbed this many times what the missing effect left in the residuals.
+# On 36 systems that lack an effect 2 held 89 % of the true values, and 2.5 held 94 %.
+_ABSORBED = 2.5
+_MISFIT_LAGS = (1, 2, 4, 8)
+_MISFIT_ROWS, _MISFIT_DIRECTIONS = 20_000, 6
 
 
 @dataclass(frozen=True)
@@ -45,6 +56,9 @@ class Covariance:
     """(P, k): directions of which neither records nor ridge say anything."""
     freedom: float
     """Degrees of freedom of the residuals, correlation taken into account."""
+    misfit: float = 0.0
+    """Root of the sum of squares that a missing effect left in the residuals; 0 where they show
+    none."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +108,10 @@ def sandwich(
     spread = middle / rest + variance * held + known.weight * known.matrix
     matrix = inverse @ spread @ inverse
     freedom = max(noise.independent(samples) * kept, 1.0)
-    return Covariance(matrix, inverse @ weights @ inverse, inverse, unknown, freedom)
+    return Covariance(
+        matrix, inverse @ weights @ inverse, inverse, unknown, freedom,
+        _misfit(residuals, jacobians, nuisance, noise),
+    )  # fmt: skip
 
 
 def gradient(
@@ -129,9 +146,13 @@ def estimates(
     )
     share = np.clip(1.0 - priors / np.where(alls > 0, alls, 1.0), 0.0, 1.0)
     factor = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, covariance.freedom))
+    misfits = _ABSORBED * covariance.misfit * np.sqrt(np.maximum(alls, 0.0))
     found = tuple(
-        _with_interval(one, float(error), factor, 0.0 if gone else float(part))
-        for one, error, part, gone in zip(plain, errors, share, lost, strict=True)
+        replace(
+            _with_interval(one, float(error), factor, 0.0 if gone else float(part)),
+            misfit_error=float(misfit),
+        )
+        for one, error, part, gone, misfit in zip(plain, errors, share, lost, misfits, strict=True)
     )
     with np.errstate(all="ignore"):
         correlation = matrix / (errors[:, None] * errors)
@@ -217,6 +238,100 @@ def _middle(
         )
         return sums.T @ sums
     return sum((noise.middle(j) for j in jacobians), np.zeros((count, count)))
+
+
+def _misfit(
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    nuisance: Sequence[Array] | None,
+    noise: ResidualProcess,
+) -> float:
+    """Root of the sum of squares that lags, products, cubes and bends of the sensitivities explain
+    of the residuals; 0 where an F test after whitening finds that noise explains it."""
+    samples, used = sum(e.size for e in residuals), 0
+    rows: list[int] = []
+    lost = max(len(a) for a in noise.filters) - 1
+    for k, e in enumerate(residuals):
+        if used < _MISFIT_ROWS and len(e) > 2 * lost + max(_MISFIT_LAGS):
+            rows.append(k)
+            used += e.size
+    if not rows or not jacobians[0].shape[-1]:
+        return 0.0
+    most = _MISFIT_ROWS // residuals[0].shape[1] + 1
+    e, slopes = [residuals[k][:most] for k in rows], [jacobians[k][:most] for k in rows]
+    used = sum(one.size for one in e)
+    own = None if nuisance is None else [nuisance[k][:most] for k in rows]
+    groups = _shapes(slopes)
+    white, tests = _explained(e, slopes, own, groups, noise.filters)
+    chances: list[float] = []
+    for basis in tests:
+        freedom = white.size - basis.shape[1] - slopes[0].shape[-1]
+        part = float(((basis.T @ white) ** 2).sum())
+        if freedom > 0 and 0 < basis.shape[1] < freedom / 4:
+            rest = max(float(white @ white) - part, 1e-300)
+            chances.append(float(fisher.sf(part / basis.shape[1] / (rest / freedom),
+                                           basis.shape[1], freedom)))  # fmt: skip
+    if not chances or len(chances) * min(chances) > _MISFIT_LEVEL:
+        return 0.0
+    plain, parts = _explained(e, slopes, own, groups, [np.ones(1)] * len(noise.filters))
+    left, sizes, _ = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)
+    explained = left[:, sizes > 0.1].T @ plain
+    return float(np.sqrt(explained @ explained * samples / used))
+
+
+def _shapes(jacobians: Sequence[Array]) -> list[list[Array]]:
+    """Lags, products, cubes and bends (T, ny, columns) of the sensitivities of each record."""
+    flat = np.concatenate([j.reshape(-1, j.shape[-1]) for j in jacobians])
+    size = np.std(flat, axis=0)
+    turned = np.diag(1.0 / np.where(size > 0, size, 1.0))
+    if len(size) > _MISFIT_DIRECTIONS:
+        scaled = flat @ turned
+        _, ways = np.linalg.eigh(scaled.T @ scaled)
+        turned = turned @ ways[:, -_MISFIT_DIRECTIONS:]
+        size = np.std(flat @ turned, axis=0)
+        turned = turned / np.where(size > 0, size, 1.0)
+    found: list[list[Array]] = []
+    for j in jacobians:
+        z = j @ turned
+        first, second = np.triu_indices(z.shape[-1])
+        lags = [np.concatenate([np.zeros_like(z[:n]), z[:-n]]) for n in _MISFIT_LAGS]
+        cubes = (z[..., :, None] * z[..., None, :] ** 2).reshape(*z.shape[:2], -1)
+        bends = np.concatenate([np.tanh(5.0 * z), z * np.abs(z)], axis=-1)
+        found.append([np.concatenate(lags, axis=-1), z[..., first] * z[..., second], cubes, bends])
+    return [list(group) for group in zip(*found, strict=True)]
+
+
+def _explained(
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    nuisance: Sequence[Array] | None,
+    groups: Sequence[Sequence[Array]],
+    filters: Sequence[Array],
+) -> tuple[Array, list[Array]]:
+    """Filtered residuals (N,) and an orthonormal basis (N, m) of each group, both without what the
+    parameters and the records' own unknowns explain."""
+    lost = max(len(a) for a in filters) - 1
+
+    def white(part: Array) -> Array:
+        columns = [lfilter(a, [1.0], part[:, i], axis=0)[lost:] for i, a in enumerate(filters)]
+        return np.stack(columns, axis=1)
+
+    def joined(parts: Sequence[Array]) -> Array:
+        kept = [white(one) for one in parts]
+        if nuisance is not None:
+            kept = [_projected(one, white(q)) for one, q in zip(kept, nuisance, strict=True)]
+        return np.concatenate([one.reshape(-1, one.shape[-1]) for one in kept])
+
+    held = _basis(joined(jacobians)[:, None, :])
+    e = joined([one[..., None] for one in residuals])[:, 0]
+    bases: list[Array] = []
+    for group in groups:
+        columns = joined(group)
+        size = np.linalg.norm(columns, axis=0)
+        columns = columns / np.where(size > 0, size, 1.0)
+        left, sizes, _ = np.linalg.svd(columns - held @ (held.T @ columns), full_matrices=False)
+        bases.append(left[:, sizes > 0.02])
+    return e - held @ (held.T @ e), bases
 
 
 def _lost(noise: ResidualProcess, nuisance: Array) -> float:

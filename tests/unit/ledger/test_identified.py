@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.ledger import (
+    EstimatedModel,
     EstimatedParameter,
     IdentifiedModel,
     IdentifiedParameter,
     Store,
+    beside_folds,
     get_estimates,
     identified_lines,
     identified_object,
@@ -101,3 +104,26 @@ def test_people_and_scripts_read_the_same() -> None:
     assert first["interval_95"] == [0.46, 0.54]
     assert first["folds"] == [0.49, 0.51]
     assert first["at_bound"] is None
+
+
+def test_the_widest_source_decides_the_interval_to_quote() -> None:
+    """value 0.5, by noise 0.46 to 0.54; its range is positive, so the scale is logarithmic."""
+    near = IdentifiedParameter(fitted(), (0.49, 0.51), 0.01)
+    assert (near.interval, near.decided_by, near.disagrees) == ((0.46, 0.54), "noise", False)
+    apart = IdentifiedParameter(fitted(), (0.3, 0.7), 0.2)
+    assert apart.interval == pytest.approx((0.5 / math.exp(0.784), 0.5 * math.exp(0.784)))
+    assert (apart.decided_by, apart.disagrees) == ("folds", True)
+    lacking = IdentifiedParameter(fitted(misfit_error=0.3, lower=-1.0), (0.49, 0.51), 0.01)
+    assert lacking.interval == pytest.approx((0.2, 0.8))
+    assert (lacking.decided_by, lacking.disagrees) == ("missing effect", False)
+    unknown = IdentifiedParameter(fitted(standard_error=None, low=None, high=None), (1.0, 2.0), 0.5)
+    assert (unknown.interval, unknown.decided_by, unknown.disagrees) == (None, "noise", False)
+    text = "\n".join(identified_lines(IdentifiedModel(1, (apart, lacking), ((1.0,),), ())))
+    assert "k differs between the folds by more than noise explains" in text
+    assert "an effect is missing, and the intervals allow" in text
+
+
+def test_the_jackknife_measures_the_fold_models_around_the_fitted_value() -> None:
+    rows = beside_folds(EstimatedModel((fitted(),), ((1.0,),), ()), [{"k": 0.4}, {"k": 0.8}])
+    assert rows[0].fold_error == pytest.approx(math.sqrt(0.5 * (0.1**2 + 0.3**2)))
+    assert beside_folds(EstimatedModel((fitted(),), ((1.0,),), ()), [{"k": 0.4}, {}])[0].folds == ()

@@ -14,6 +14,7 @@ from asia.data.sources import Source
 from asia.data.sources.benchmarks import NonlinearBenchmark
 from asia.data.sources.simulated import Simulated
 from asia.errors import Reason
+from asia.evaluation import FoldFindings
 from asia.ledger import (
     Chain,
     Evaluated,
@@ -27,6 +28,7 @@ from asia.ledger import (
     Store,
     TestedModel,
     Unsealed,
+    put_findings,
 )
 from asia.problem import Budget
 from asia.problem._problem import Problem, TestSource
@@ -100,10 +102,12 @@ def write_run(
     rungs: Sequence[tuple[str, float]] = (("linear model", 0.345), ("last output held", 1.21)),
     unsealed: int = 0,
     guard: Sequence[tuple[int, float]] = (),
+    parameters: Sequence[tuple[tuple[str, float], ...]] = (),
 ) -> Path:
     """A run directory. outcomes: title and V of each experiment, None for a failure; V is not what
     the artifacts would score. unsealed: number of test trajectories, 0 leaves the test sealed.
-    guard: experiments and what they score there."""
+    guard: experiments and what they score there. parameters: names and values of each fold model,
+    the same in all experiments."""
     folds = make_folds(problem.train, problem.protocol)
     store = Store(directory / "artifacts")
     best = float("inf")
@@ -112,7 +116,7 @@ def write_run(
         for name, value in rungs:
             chain.append(RungScored(name, _score(folds, problem, value)[0]))
         for i, (title, value) in enumerate(outcomes, start=1):
-            best = append_experiment(chain, store, problem, i, title, value, best)
+            best = append_experiment(chain, store, problem, i, title, value, best, parameters)
         chain.append(Stopped("budget"))
         if guard:
             scores = [GuardScore(n, _score(folds, problem, value)[0]) for n, value in guard]
@@ -130,6 +134,7 @@ def append_experiment(
     title: str,
     value: float | None,
     best: float,
+    parameters: Sequence[tuple[tuple[str, float], ...]] = (),
 ) -> float:
     """An experiment with its result; V of the best one with it."""
     source = store.put(f"# {title}\n".encode())
@@ -141,9 +146,15 @@ def append_experiment(
         return best
     outcome, arrays = _score(make_folds(problem.train, problem.protocol), problem, value)
     blank = Diagnostics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    findings = [
+        put_findings(store, FoldFindings((value,), (value,), parameters=one)) for one in parameters
+    ]
+    names = findings or [None] * len(arrays)
     records = tuple(
-        FoldEvidence(store.put(b"model"), store.put_arrays(a), store.put(b""), blank, 1.0)
-        for a in arrays
+        FoldEvidence(
+            store.put(b"model"), store.put_arrays(a), store.put(b""), blank, 1.0, findings=name
+        )
+        for a, name in zip(arrays, names, strict=True)
     )
     status = "keep" if value < best else "discard"
     chain.append(Evaluated(number, status, outcome, records, None, 1.0))

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from asia.report._page.section import Section
 from asia.report._page.subject import Subject
 from asia.report._pictures.evidence.ablation import draw_ablation
 from asia.scoring import Attribution, ExpectedError, Interval
+from asia.scoring.dossier import Verdict
 
 from .made_up import Outcomes, write_run
 
@@ -37,7 +39,7 @@ OUTCOMES: Outcomes = (("first", 0.9), (ATTACK, 0.5), ("failing", None), ("last",
 def make_run(tmp_path: Path) -> Callable[..., Run]:
     """A run of the two-tank problem, whose data need no file."""
 
-    def make(outcomes: Outcomes = OUTCOMES, **options: int) -> Run:
+    def make(outcomes: Outcomes = OUTCOMES, **options: Any) -> Run:
         problem = load_problem("two_tanks_sim")
         directory = tmp_path / "made"
         directory.mkdir()
@@ -285,6 +287,56 @@ def test_what_was_identified_stands_on_the_page_with_its_uncertainty(
         assert words in part
     assert "<script>alert" not in page
     assert audit(page, run.directory, len(open_run(run.directory).lines)) > 10
+
+
+def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
+    make_run: Callable[..., Run],
+) -> None:
+    """Its ends are recomputed from the refit and the fold models, which the audit repeats."""
+    run = make_run(parameters=[(("b", 2.0), ("R", value)) for value in (0.8, 1.3)])
+    rows = (
+        ParameterEstimate("R", 1.0, 0.01, 0.98, 1.02, "Ohm", 0.1, 10.0),
+        ParameterEstimate("b", 2.0, 0.01, 1.98, 2.02, "", -9.0, 9.0, misfit_error=0.5),
+    )
+    name = ledger.put_estimates(run.store, ParameterEstimates(rows, np.eye(2)))
+    with Chain(run.directory / "ledger.jsonl") as chain:
+        chain.append(ledger.Refitted(4, None, "made up", estimates=name))
+    run = open_run(run.directory)
+    page = page_of(run)
+    part = page[page.index('id="identified"') :]
+    quoted = ledger.identified(run)
+    assert quoted is not None
+    low, high = quoted.parameters[0].interval or (0.0, 0.0)
+    assert low < 0.8
+    for words in (f"{low:.4g}", f"{high:.4g}", ">folds<", ">missing effect<", "1.5", "2.5"):
+        assert words in part
+    assert "R differs between the folds by more than noise explains" in part
+    assert "the folds disagree on R" in page
+    assert audit(page, run.directory, len(run.lines)) > 10
+
+
+@pytest.mark.parametrize(
+    ("verdict", "weight", "stamp", "kind"),
+    [
+        (Verdict.PASS, 0.0, "Usable", "good"),
+        (Verdict.DOUBT, 0.4, "Usable with limits", "doubt"),
+        (Verdict.FAIL, 0.6, "Usable with limits", "doubt"),
+        (Verdict.FAIL, 1.5, "Not usable", "none"),
+    ],
+)
+def test_the_verdict_has_the_doubts_of_the_validation(
+    make_run: Callable[..., Run], verdict: Verdict, weight: float, stamp: str, kind: str
+) -> None:
+    run = make_run()
+    assert 'class="stamp shown">A model was found, not validated<' in page_of(run)
+    check = ledger.RecordedCheck("motion", verdict, "a sentence", "friction is missing", weight)
+    curves = ledger.put_curves(run.store, ())
+    event = ledger.Validated(4, "ensemble", "", "", (check,), curves, 1, 0, 0)
+    with Chain(run.directory / "ledger.jsonl") as chain:
+        chain.append(event)
+    page = page_of(open_run(run.directory))
+    assert f'class="stamp {kind}">{stamp}<' in page
+    assert ("friction is missing" in page[: page.index("<dl")]) is (verdict is not Verdict.PASS)
 
 
 def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:

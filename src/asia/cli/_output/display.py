@@ -50,6 +50,8 @@ from asia.ledger import (
     floor_to_beat,
     floor_words,
     hand_over_words,
+    identified,
+    identified_lines,
     method_words,
     open_run,
     seed_mean_words,
@@ -58,6 +60,9 @@ from asia.problem.load import Problem
 from asia.protocol import find_metric
 from asia.scoring import Failure
 from asia.search import Prepared, environment_changes
+
+# More parameters than these are left to `asia show`.
+_MOST_PARAMETERS = 12
 
 STYLES = {
     "keep": "bold green",
@@ -202,6 +207,7 @@ class TextDisplay:
         if view.usage is not None:
             self._print(f"usage    {usage_words(view.usage)}")
         self._print_best(view)
+        self._print_parameters()
         self._print(f"files    {self.prepared.directory}/results.tsv, search_journal.md")
         for picture in pictures:
             if picture.suffix == ".png":
@@ -219,6 +225,13 @@ class TextDisplay:
         self._print(f"next     {show:<{width}}the winner: source, folds, evidence")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
+
+    def _print_parameters(self) -> None:
+        """The parameters of the winner with their intervals, where they are few."""
+        found = identified(open_run(self.prepared.directory))
+        if found is not None and 0 < len(found.parameters) <= _MOST_PARAMETERS:
+            for line in identified_lines(found, equations=False):
+                self._print(printable_line(line))
 
     def _print_best(self, view: SearchView) -> None:
         """The winner, and what is known of how good it really is."""

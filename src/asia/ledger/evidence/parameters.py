@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import fmean
+from typing import Literal
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -22,6 +23,11 @@ STRONG = 0.95
 """Parameters whose errors are correlated more than this are known together only."""
 # Of the width of a range: this near to its end a parameter sits at it.
 _AT_END = 0.005
+DISAGREEMENT = 3.0
+"""Standard error by the folds over that by noise, from which on the fold models disagree."""
+FOLD_QUANTILE = 1.96
+"""Half the width of the interval by the folds, in their standard errors. Student's t would treat
+the folds as a random sample; they exhaust the record, and the interval is for the mean over it."""
 _ONE_SIDED = ("forward", "tail")
 
 
@@ -47,6 +53,9 @@ class EstimatedParameter:
     """The greatest one."""
     data_share: float
     """The part of what is known of it that the records give, from 0 to 1."""
+    misfit_error: float = 0.0
+    """How far a missing effect may have moved it, in this unit; 0 where the residuals show none,
+    and in older ledgers."""
 
     @property
     def identifiable(self) -> bool:
@@ -95,8 +104,67 @@ class IdentifiedParameter:
     folds: tuple[float, ...]
     """Its value in each fold model; () where these do not name it."""
     fold_error: float | None
-    """Its standard error by the spread of the fold models (delete-a-group jackknife: Kott, Journal
-    of Official Statistics 17(4), 2001); None where folds train on the past alone."""
+    """Its standard error by the spread of the fold models around the fitted value (delete-a-group
+    jackknife: Kott, Journal of Official Statistics 17(4), 2001); None where folds train on the past
+    alone."""
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval to quote: the widest of those by noise, by the folds, and by a missing
+        effect; None where it is open."""
+        low, high = self.fitted.low, self.fitted.high
+        if low is None or high is None:
+            return None
+        wide = max(self._by_folds, self.fitted.misfit_error)
+        return interval_ends(self.fitted.value, low, high, self.fitted.lower, wide)
+
+    @property
+    def decided_by(self) -> Literal["noise", "folds", "missing effect"]:
+        """The source of the interval to quote."""
+        low, high = self.fitted.low, self.fitted.high
+        if self.interval is None or self.interval == (low, high):
+            return "noise"
+        return "folds" if self._by_folds >= self.fitted.misfit_error else "missing effect"
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether the fold models differ by more than noise explains."""
+        error, spread = self.fitted.standard_error, self.fold_error
+        return error is not None and spread is not None and spread > DISAGREEMENT * error
+
+    @property
+    def _by_folds(self) -> float:
+        return FOLD_QUANTILE * (self.fold_error or 0.0)
+
+
+def interval_ends(
+    value: float, low: float, high: float, lower: float | None, wide: float
+) -> tuple[float, float]:
+    """The wider of low to high and value -+ wide; on the logarithmic scale where the parameter has
+    a positive range."""
+    if lower is not None and lower > 0 and value > 0:
+        ratio = math.exp(min(wide / value, 700.0))
+        return min(low, value / ratio), max(high, value * ratio)
+    return min(low, value - wide), max(high, value + wide)
+
+
+def beside_folds(
+    fitted: EstimatedModel, tables: Sequence[Mapping[str, float]], *, jackknife: bool = True
+) -> tuple[IdentifiedParameter, ...]:
+    """Parameters beside their values in the fold models, a table of names a fold. jackknife: false
+    where the folds do not each leave out another part of the records."""
+    rows: list[IdentifiedParameter] = []
+    for one in fitted.parameters:
+        known = bool(tables) and all(one.name in table for table in tables)
+        values = tuple(table[one.name] for table in tables) if known else ()
+        spread = jackknife_error(one.value, values) if jackknife and len(values) > 1 else None
+        rows.append(IdentifiedParameter(one, values, spread))
+    return tuple(rows)
+
+
+def jackknife_error(value: float, folds: Sequence[float]) -> float:
+    """The standard error of a value by what it is without each of the folds."""
+    return math.sqrt((len(folds) - 1) / len(folds) * sum((one - value) ** 2 for one in folds))
 
 
 @dataclass(frozen=True)
@@ -111,6 +179,11 @@ class IdentifiedModel:
     """Of their errors."""
     equations: tuple[str, ...]
     """With numbers in them."""
+
+    @property
+    def disagreeing(self) -> tuple[str, ...]:
+        """Names of the parameters on which the fold models disagree."""
+        return tuple(one.fitted.name for one in self.parameters if one.disagrees)
 
     @property
     def entangled(self) -> tuple[tuple[str, str, float], ...]:
@@ -130,12 +203,7 @@ _FITTED: TypeAdapter[EstimatedModel] = TypeAdapter(EstimatedModel)
 
 def put_estimates(store: Store, estimates: ParameterEstimates) -> str:
     """Keep them; the name of the artifact."""
-    fitted = EstimatedModel(
-        tuple(_fitted(one) for one in estimates.parameters),
-        tuple(tuple(map(_finite, row)) for row in estimates.correlation.tolist()),
-        estimates.equations,
-    )
-    return store.put(_FITTED.dump_json(fitted))
+    return store.put(_FITTED.dump_json(estimated(estimates)))
 
 
 def get_estimates(store: Store, name: str) -> EstimatedModel:
@@ -157,14 +225,18 @@ def identified(run: Run) -> IdentifiedModel | None:
     fitted = get_estimates(run.store, refitted.estimates)
     findings = findings_of(run.store, run.view.experiment(refitted.experiment), bounded=False)
     tables = [dict(one.parameters) for one in findings]
-    jackknife = len(tables) > 1 and _folds_kind(run.directory) not in _ONE_SIDED
-    rows: list[IdentifiedParameter] = []
-    for one in fitted.parameters:
-        known = bool(tables) and all(one.name in table for table in tables)
-        values = tuple(table[one.name] for table in tables) if known else ()
-        error = _jackknife(values) if jackknife and values else None
-        rows.append(IdentifiedParameter(one, values, error))
-    return IdentifiedModel(refitted.experiment, tuple(rows), fitted.correlation, fitted.equations)
+    jackknife = _folds_kind(run.directory) not in _ONE_SIDED
+    rows = beside_folds(fitted, tables, jackknife=jackknife)
+    return IdentifiedModel(refitted.experiment, rows, fitted.correlation, fitted.equations)
+
+
+def estimated(estimates: ParameterEstimates) -> EstimatedModel:
+    """Estimates of a candidate with what is infinite left open."""
+    return EstimatedModel(
+        tuple(_fitted(one) for one in estimates.parameters),
+        tuple(tuple(map(_finite, row)) for row in estimates.correlation.tolist()),
+        estimates.equations,
+    )
 
 
 def _fitted(one: ParameterEstimate) -> EstimatedParameter:
@@ -174,16 +246,14 @@ def _fitted(one: ParameterEstimate) -> EstimatedParameter:
     share = one.data_share if math.isfinite(one.data_share) else 0.0
     if error is None:
         low, high = None, None
-    return EstimatedParameter(one.name, one.unit, one.value, error, low, high, lower, upper, share)
+    misfit = one.misfit_error if math.isfinite(one.misfit_error) else 0.0
+    return EstimatedParameter(
+        one.name, one.unit, one.value, error, low, high, lower, upper, share, max(misfit, 0.0)
+    )
 
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def _jackknife(values: tuple[float, ...]) -> float:
-    mean, count = fmean(values), len(values)
-    return math.sqrt((count - 1) / count * sum((value - mean) ** 2 for value in values))
 
 
 def _folds_kind(directory: Path) -> str:

@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from asia._stopwatch import duration
 from asia.errors import InternalError
-from asia.ledger import error_value
+from asia.ledger import FOLD_QUANTILE, error_value, interval_ends, jackknife_error
 from asia.report._page.html import Html, tag
 
 ONE: Final = "one"
@@ -61,6 +61,11 @@ RULES: Final[dict[str, Callable[[Sequence[Any]], Any]]] = {
     "most": max,
     "ratio": lambda values: values[0] / values[1],
     "difference": lambda values: values[0] - values[1],
+    "jackknife": lambda values: jackknife_error(values[0], values[1:]),
+    "folds_low": lambda values: _by_folds(values)[0],
+    "folds_high": lambda values: _by_folds(values)[1],
+    "effect_low": lambda values: interval_ends(*values)[0],
+    "effect_high": lambda values: interval_ends(*values)[1],
     "change": lambda values: (values[0] - values[1]) / values[1],
 }
 """What is made of the values of the sources."""
@@ -68,6 +73,13 @@ RULES: Final[dict[str, Callable[[Sequence[Any]], Any]]] = {
 
 def _floats(values: Sequence[Any]) -> bool:
     return any(isinstance(value, float) for value in values)
+
+
+def _by_folds(values: Sequence[Any]) -> tuple[float, float]:
+    """values: fitted, low, high, lower end of the range, then the value of each fold model."""
+    value, low, high, lower = values[:4]
+    wide = FOLD_QUANTILE * jackknife_error(value, values[4:])
+    return interval_ends(value, low, high, lower, wide)
 
 
 def _not_one(values: Sequence[Any]) -> Any:

@@ -108,16 +108,19 @@ def _winner(view: SearchView, metric: str) -> str:
 def _parameters(view: SearchView, found: IdentifiedModel) -> str:
     """Of the refit, with their uncertainty."""
     rows: list[list[str]] = []
-    for one in (row.fitted for row in found.parameters):
-        interval = "--"
-        if one.low is not None and one.high is not None:
-            interval = f"{one.low:.4g} to {one.high:.4g}"
+    for row in found.parameters:
+        one, ends = row.fitted, row.interval
+        interval = "--" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
+        source = "--" if ends is None else row.decided_by
+        spread = "--" if row.fold_error is None else f"{row.fold_error:.2g}"
         error = "--" if one.standard_error is None else f"{one.standard_error:.2g}"
         remark = "" if one.identifiable else "not identifiable"
-        rows.append([latex(one.name), f"{one.value:.5g}", latex(one.unit), error, interval, remark])
-    head = ["Parameter", "Value", "Unit", "Standard error", r"95\,\% interval", ""]
+        rows.append([latex(one.name), f"{one.value:.5g}", latex(one.unit), error, spread, interval,
+                     source, remark])  # fmt: skip
+    head = ["Parameter", "Value", "Unit", "Standard error", "by folds", r"95\,\% interval",
+            "decided by", ""]  # fmt: skip
     what = "Parameters of the winner, fitted to all training records"
-    return _table("lrlrrl", head, rows, _note(view, what))
+    return _table("lrlrrrll", head, rows, _note(view, what))
 
 
 def _test(view: SearchView, opened: Unsealed) -> str:

@@ -25,7 +25,7 @@ _NO_UNIT = re.compile(r"[^A-Za-z0-9 _.,/\[\]*^%()+-]")
 _NO_TEXT = re.compile(r"[^\x20-\x7e\n]")
 
 _HEAD = struct.Struct("<Q")
-_ESTIMATE = struct.Struct("<48s16s7d")
+_ESTIMATE = struct.Struct("<48s16s8d")
 _NUMBER = struct.Struct("<d")
 _TEXT_BYTES = 8000
 ESTIMATES_BYTES = (
@@ -41,7 +41,8 @@ class EstimateRow(NamedTuple):
     unit: str
     """Its unit; "" where none is given."""
     figures: tuple[float, ...]
-    """Value, standard error, both ends of the interval, both ends of the range, share of data."""
+    """Value, standard error, both ends of the interval, both ends of the range, share of data,
+    error by a missing effect."""
 
 
 class EstimateRows(NamedTuple):
@@ -85,6 +86,7 @@ def pack_estimates(offered: Any) -> bytes:
     for one in rows:
         figures = (
             one.value, one.standard_error, one.low, one.high, one.lower, one.upper, one.data_share,
+            one.misfit_error,
         )  # fmt: skip
         body.append(_ESTIMATE.pack(_raw(one.name, 48), _raw(one.unit, 16), *map(float, figures)))
     for i in range(len(rows)):
@@ -125,10 +127,8 @@ def estimates_of(said: EstimateRows) -> ParameterEstimates:
 
     rows: list[ParameterEstimate] = []
     for row in said.rows:
-        value, error, low, high, lower, upper, share = row.figures
-        rows.append(
-            ParameterEstimate(row.name, value, error, low, high, row.unit, lower, upper, share)
-        )
+        value, error, low, high, *others = row.figures
+        rows.append(ParameterEstimate(row.name, value, error, low, high, row.unit, *others))
     correlation = np.array(said.correlation).reshape(len(rows), len(rows))
     return ParameterEstimates(tuple(rows), correlation, said.equations)
 

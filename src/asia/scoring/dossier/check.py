@@ -29,6 +29,7 @@ class Cause(StrEnum):
     DRIFT = "a drift is missing"
     UNSTABLE = "a pole is unstable"
     SIGN = "a gain has the wrong sign"
+    PARAMETERS = "the parameters of the system drift between the parts of the records"
     OVERFIT = "the model fits the noise of its training records"
 
 

@@ -20,6 +20,7 @@ from asia.ledger import (
     Store,
     Use,
     findings_of,
+    identified,
     model_to_use,
     open_run,
     without_artifacts,
@@ -141,7 +142,9 @@ class _Validation:
         if errors:
             train, held = ([float(np.mean(e)) for e in each] for each in (
                 [f.train_errors for f in errors], [f.errors for f in errors]))  # fmt: skip
-            checks.append(check_overfit(train, held))
+            named = identified(self.run)
+            apart = () if named is None else named.disagreeing
+            checks.append(check_overfit(train, held, found, apart))
         ahead = self._ahead() if self.evaluator.horizon is None else self._of_windows(pairs)
         return (*checks, ahead, check_region(found, basis.region))
 

@@ -101,3 +101,23 @@ def test_jacobians_are_those_of_the_residuals() -> None:
     np.testing.assert_allclose(slopes[0][..., 0], -2.0 * t * np.exp(-0.3 * t), atol=1e-8)
     np.testing.assert_allclose(slopes[1][..., 1], 0.0, atol=1e-8)
     assert [e.shape for e in at] == [(5, 1), (3, 1)]
+
+
+def test_a_missing_effect_that_the_residuals_show_widens_the_interval() -> None:
+    """y = a u + c tanh(5 u) is fitted by a u: the friction-like term shows in the residuals, and
+    without it nothing does."""
+    rng = np.random.default_rng(2)
+    u = rng.standard_normal(600)
+    found: list[float] = []
+    for missing in (0.0, 0.5):
+        y = 2.0 * u + missing * np.tanh(5.0 * u) + 0.1 * rng.standard_normal(600)
+        a = float(u @ y / (u @ u))
+        covariance = uncertainty.sandwich([(y - a * u)[:, None]], [u[:, None, None]])
+        row = uncertainty.estimates(
+            covariance, lambda x: [ParameterEstimate("a", float(x[0]), 0, 0, 0)], np.array([a])
+        ).parameters[0]
+        found.append(row.misfit_error)
+        if missing:
+            assert abs(a - 2.0) > 3.0 * row.standard_error  # noise alone does not hold the truth
+            assert abs(a - 2.0) < row.misfit_error
+    assert found[0] == 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.signal import lfilter
 
 from asia.data import Array
 from asia.scoring import cross_correlation, region_of
@@ -215,3 +216,44 @@ def test_the_gain_of_the_data_is_drawn_where_it_is_clear(random: np.random.Gener
     assert "within chance" in check.sentence
     clear = check_frequency_response(simulations(y_hat, y_hat, u), ())
     assert 0 < len(check.curves[0].x) < len(clear.curves[0].x)
+
+
+def _gain_changes(sizes: tuple[float, float], noise: float = 0.02) -> SimulatedBlocks:
+    """Held-out halves of a first-order lag; the model of each half has the gain of the other."""
+    rng = np.random.default_rng(3)
+    blocks: list[SimulatedBlock] = []
+    for k, own in enumerate(sizes):
+        u = np.repeat(rng.uniform(-1, 1, 60), 10)[:, None]
+        x = np.asarray(lfilter([0.2], [1.0, -0.8], u, axis=0))
+        y = own * x + noise * rng.standard_normal(x.shape)
+        blocks.append(SimulatedBlock(u, y, sizes[1 - k] * x, 0, 600 * k))
+    return SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0)
+
+
+def test_a_larger_held_out_error_is_called_drift_where_the_parts_need_other_parameters() -> None:
+    found = check_overfit([0.1, 0.1], [0.3, 0.3], _gain_changes((1.0, 1.4)))
+    assert found.cause is Cause.PARAMETERS
+    assert "drift" in found.sentence
+    assert check_overfit([0.1, 0.1], [0.11, 0.1], _gain_changes((1.0, 1.0))).cause is None
+    named = check_overfit([0.1, 0.1], [0.3, 0.3], apart=("R",))
+    assert named.cause is Cause.PARAMETERS
+    assert "R differs between the folds by more than noise explains" in named.sentence
+
+
+def test_a_larger_held_out_error_is_called_overfit_where_too_many_parameters_fit_noise() -> None:
+    """An impulse response of 60 samples, fitted to 90 noisy ones in each half."""
+    rng = np.random.default_rng(5)
+    u = rng.standard_normal((240, 1))
+    y = np.asarray(lfilter([0.2], [1.0, -0.8], u, axis=0)) + 0.2 * rng.standard_normal((240, 1))
+    past = np.concatenate([np.roll(u, k, axis=0) for k in range(60)], axis=1)
+    halves = (slice(60, 150), slice(150, 240))
+    blocks: list[SimulatedBlock] = []
+    train, held = [], []
+    for fit, judge in (halves, halves[::-1]):
+        gains = np.linalg.lstsq(past[fit], y[fit], rcond=None)[0]
+        train.append(float(np.std(y[fit] - past[fit] @ gains)))
+        held.append(float(np.std(y[judge] - past[judge] @ gains)))
+        blocks.append(SimulatedBlock(u[judge], y[judge], past[judge] @ gains, 0, judge.start))
+    found = check_overfit(train, held, SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0))
+    assert found.cause is Cause.OVERFIT
+    assert "too many parameters or too few samples" in found.sentence

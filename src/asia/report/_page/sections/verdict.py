@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from asia.evaluation import FAR_BELOW, consistency
-from asia.ledger import Experiment, TestedModel, model_to_use, tested_model
+from asia.ledger import Experiment, TestedModel, identified, model_to_use, tested_model
 from asia.protocol import find_metric
 from asia.report._page.html import Html, join, said, tag
 from asia.report._page.section import Section
 from asia.report._page.subject import Subject, result_of
+from asia.scoring.dossier import Verdict
+from asia.scoring.dossier.records import listed
 
 # V over that of a rung from which on a model is hardly better.
 _BETTER = 0.95
 
 
 def doubts(subject: Subject) -> Iterator[str]:
-    """What speaks against the figures, in words without numbers."""
+    """What speaks against the model and its figures, in words."""
     view = subject.view
     best = view.best
     if best is None or best.score is None:
@@ -39,8 +41,19 @@ def doubts(subject: Subject) -> Iterator[str]:
     again = view.refitted.again if view.refitted else None
     if again is not None and again.ratio != 1.0:
         yield "a second fit of the winner came out differently"
-    if any(one.failed for one in view.validated):
-        yield "a check of the validation dossier fails"
+    for dossier in view.validated:
+        where = f" on the record {dossier.record}" if dossier.record else ""
+        for check in dossier.checks:
+            if check.verdict in (Verdict.DOUBT, Verdict.FAIL):
+                ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
+                cause = f" ({check.cause})" if check.cause else ""
+                yield f"the check '{check.name}' {ends}{where}{cause}"
+    found = identified(subject.run)
+    if found is not None and found.disagreeing:
+        yield (
+            f"the folds disagree on {listed(found.disagreeing)}: the system drifts, or an effect "
+            "is missing"
+        )
     result = result_of(best)
     if consistency(value, [fold.diagnostics.train_error for fold in result.folds]) < FAR_BELOW:
         yield "the error on held-out data is far below that on training data"
@@ -50,11 +63,15 @@ def doubts(subject: Subject) -> Iterator[str]:
 
 def stamp(subject: Subject) -> tuple[str, str]:
     """The verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
-    if subject.view.best is None:
+    view = subject.view
+    if view.best is None:
         return "No model", "none"
+    raised = (Verdict.DOUBT, Verdict.FAIL)
+    if any(c.weight > 1.0 and c.verdict in raised for d in view.validated for c in d.checks):
+        return "Not usable", "none"
     if next(doubts(subject), None) is not None:
-        return "Doubtful", "doubt"
-    return "A model was found", "good"
+        return "Usable with limits", "doubt"
+    return ("Usable", "good") if view.validated else ("A model was found, not validated", "shown")
 
 
 def _write(subject: Subject) -> Html:
@@ -68,7 +85,7 @@ def _write(subject: Subject) -> Html:
             _error(subject, best),
             _test(subject),
             _use(subject),
-            _trust(subject, list(doubts(subject))),
+            _trust(subject, kind, list(doubts(subject))),
         ]
     if not view.complete and view.unsealed is None:
         lines.append(join(("The search is not finished: all of this may change.",)))
@@ -189,14 +206,23 @@ def _use(subject: Subject) -> Html:
     return join(("Model to use: ", tag("b", words), "."))
 
 
-def _trust(subject: Subject, against: list[str]) -> Html:
+def _trust(subject: Subject, kind: str, against: list[str]) -> Html:
     if against:
-        return join(("Reasons for doubt: ", "; ".join(against), "."))
-    refitted = subject.view.refitted
+        start = "Do not use this model" if kind == "none" else "Use it with limits"
+        return join((f"{start}: ", said("; ".join(against), 2000), "."))
+    view = subject.view
     again = (
-        ", and a second fit of the winner came out the same" if refitted and refitted.again else ""
+        " A second fit of the winner gave the same result."
+        if view.refitted and view.refitted.again
+        else ""
     )
-    return join((f"Candidates were kept from the data that they were judged on{again}.",))
+    checked = (
+        " No check of the validation raises a doubt."
+        if view.validated
+        else join((" Its residuals and behaviour were not checked: run ",
+                   tag("code", f"asia validate {view.started.run}"), "."))
+    )  # fmt: skip
+    return join((f"No candidate saw the data that it was judged on.{again}", checked))
 
 
 def _tiles(subject: Subject, best: Experiment) -> Html:

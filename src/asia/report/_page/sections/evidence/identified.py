@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from asia._text import one_line
-from asia.ledger import EstimatedParameter, IdentifiedModel, Run, identified
+from asia.ledger import (
+    EstimatedParameter,
+    IdentifiedModel,
+    IdentifiedParameter,
+    Run,
+    disagreement_lines,
+    get_findings,
+    identified,
+)
 from asia.report._page.html import Html, fixed, join, said, table, tag
 from asia.report._page.numbers import ONE, write_number
 from asia.report._page.section import Section
@@ -33,36 +43,76 @@ def _equations(found: IdentifiedModel) -> Html | None:
 def _parameters(run: Run, found: IdentifiedModel) -> Html | None:
     if not found.parameters:
         return None
-    rows = [_row(run, k, one.fitted) for k, one in enumerate(found.parameters)]
-    head = ["parameter", "value", "unit", "standard error", "interval", "remark"]
+    rows = [_row(run, k, one) for k, one in enumerate(found.parameters)]
+    head = ["parameter", "value", "unit", "standard error", "standard error by folds", "interval",
+            "decided by", "remark"]  # fmt: skip
     words = tag(
         "p",
         "The intervals are those of ",
         fixed("95 %"),
-        ". They describe the noise, and say nothing of an equation that is wrong. The standard "
-        "errors by folds are in ",
-        tag("code", f"asia show {run.name}"),
-        ".",
+        ": the widest of what noise, the spread of the fold models, and a missing effect that the "
+        "residuals show would give.",
     )
-    return join((table(head, rows, "Parameters, fitted to all training records"), words))
+    apart = [tag("p", tag("b", said(line), ".")) for line in disagreement_lines(found)]
+    return join((table(head, rows, "Parameters, fitted to all training records"), *apart, words))
 
 
-def _row(run: Run, place: int, one: EstimatedParameter) -> list[str | None]:
-    at = f"parameters.{place}"
-    interval = None
-    if one.low is not None and one.high is not None:
-        ends = (_number(run, f"{at}.low", one.low, "sig4"),
-                _number(run, f"{at}.high", one.high, "sig4"))  # fmt: skip
-        interval = join(ends, " to ")
-    error = one.standard_error
+def _row(run: Run, place: int, one: IdentifiedParameter) -> list[str | None]:
+    at, fitted, error = f"parameters.{place}", one.fitted, one.fitted.standard_error
     return [
-        said(one.name),
-        _number(run, f"{at}.value", one.value, "sig5"),
-        said(one.unit),
+        said(fitted.name),
+        _number(run, f"{at}.value", fitted.value, "sig5"),
+        said(fitted.unit),
         None if error is None else _number(run, f"{at}.standard_error", error, "sig2"),
-        interval,
-        _remark(one),
+        None
+        if one.fold_error is None
+        else _of_folds(run, one, [f"{at}.value"], [fitted.value], "jackknife", "sig2"),
+        _interval(run, at, one),
+        None if one.interval is None else one.decided_by,
+        _remark(fitted),
     ]
+
+
+def _interval(run: Run, at: str, one: IdentifiedParameter) -> Html | None:
+    fitted = one.fitted
+    if one.interval is None or fitted.low is None or fitted.high is None:
+        return None
+    paths = [f"{at}.{name}" for name in ("value", "low", "high", "lower")]
+    values = [fitted.value, fitted.low, fitted.high, fitted.lower]
+    ends: list[Html] = []
+    for place, end in enumerate(("low", "high"), 1):
+        if one.decided_by == "folds":
+            ends.append(_of_folds(run, one, paths, values, f"folds_{end}", "sig4"))
+        elif one.decided_by == "missing effect":
+            sources = _sources(run, [*paths, f"{at}.misfit_error"])
+            every = [*values, fitted.misfit_error]
+            ends.append(write_number(every, sources, f"effect_{end}", "sig4"))
+        else:
+            ends.append(write_number([values[place]], _sources(run, [paths[place]]), ONE, "sig4"))
+    return join(ends, " to ")
+
+
+def _of_folds(
+    run: Run, one: IdentifiedParameter, paths: Sequence[str], values: Sequence[float | None],
+    rule: str, form: str,
+) -> Html:  # fmt: skip
+    """A number of the refit and of the fold models."""
+    refitted = run.view.refitted
+    assert refitted is not None
+    result = run.view.experiment(refitted.experiment).result
+    assert result is not None
+    sources = [_sources(run, paths)]
+    for fold in result.folds:
+        if fold.findings is not None:
+            names = [name for name, _ in get_findings(run.store, fold.findings).parameters]
+            sources.append(f"{fold.findings}:parameters.{names.index(one.fitted.name)}.1")
+    return write_number([*values, *one.folds], " ".join(sources), rule, form)
+
+
+def _sources(run: Run, paths: Sequence[str]) -> str:
+    """Places in the artifact that the record of the refit names."""
+    assert run.view.refitted is not None
+    return " ".join(f"{run.view.refitted.estimates}:{path}" for path in paths)
 
 
 def _remark(one: EstimatedParameter) -> str:
@@ -87,9 +137,7 @@ def _entangled(run: Run, found: IdentifiedModel) -> Html | None:
 
 
 def _number(run: Run, path: str, value: float, form: str) -> Html:
-    """A number of the artifact that the record of the refit names."""
-    assert run.view.refitted is not None
-    return write_number([value], f"{run.view.refitted.estimates}:{path}", ONE, form)
+    return write_number([value], _sources(run, [path]), ONE, form)
 
 
 SECTION = Section("identified", "What was identified", _write)
