@@ -127,13 +127,12 @@ class _Validation:
         """The dossier on what the folds held out."""
         basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
         pairs = [
-            (block, error)
-            for fold, errors in zip(self.evaluator.folds, basis.errors, strict=True)
-            for block, error in zip(fold.validation, errors.blocks, strict=True)
+            (block, y_hat)
+            for fold, simulated in zip(self.evaluator.folds, basis.simulated, strict=True)
+            for block, y_hat in zip(fold.validation, simulated, strict=True)
         ]
         blocks = tuple(
-            SimulatedBlock(b.case.u, filled(b.y), filled(b.y) - error, b.record, b.start)
-            for b, error in pairs
+            SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs
         )
         found = self._simulations(blocks)
         checks = list(self._of_residuals(found))
@@ -151,12 +150,9 @@ class _Validation:
         if not blocks:
             raise UserError(f"record '{record.name}' is too short: it holds no case to simulate")
         y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
-        pairs = [(b, filled(b.y - y)) for b, y in zip(blocks, y_hat, strict=True)]
+        pairs = list(zip(blocks, y_hat, strict=True))
         found = self._simulations(
-            tuple(
-                SimulatedBlock(b.case.u, y + error, y, b.record, b.start)
-                for (b, error), y in zip(pairs, y_hat, strict=True)
-            )
+            tuple(SimulatedBlock(b.case.u, b.y, y, b.record, b.start) for b, y in pairs)
         )
         ahead = () if self.evaluator.horizon is None else (self._of_windows(pairs),)
         basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
@@ -212,7 +208,8 @@ class _Validation:
         """Every window begins anew."""
         past = self.problem.protocol.past_outputs
         hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
-        return check_ahead(np.stack([error for _, error in pairs]), hold, self.evaluator.scale)
+        errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
+        return check_ahead(errors, hold, self.evaluator.scale)
 
     def _ahead(self) -> Check:
         """Each fold's model from starts within what it did not fit."""
