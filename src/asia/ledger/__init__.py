@@ -62,7 +62,16 @@ from asia.ledger._exports import (
 from asia.ledger._index import Brief, brief, refresh
 from asia.ledger._lines import Line
 from asia.ledger._published import beats, published
-from asia.ledger._run import Run, RunState, find_run, metric_of, open_run
+from asia.ledger._run import (
+    ERROR,
+    Run,
+    RunState,
+    error_of,
+    find_run,
+    keep_error,
+    metric_of,
+    open_run,
+)
 from asia.ledger._store import Store, without_artifacts
 from asia.ledger._use import ModelToUse, model_to_use, stack_words, tested_model
 from asia.ledger._verify import Verified, check_lock, verify
@@ -105,6 +114,7 @@ from asia.ledger.evidence.words import evidence_lines
 from asia.scoring import Diagnostics
 
 __all__ = [
+    "ERROR",
     "MOST_CURVES",
     "RESUMABLE",
     "Ablated",
@@ -183,6 +193,7 @@ __all__ = [
     "describe_result",
     "dossier_words",
     "error_line",
+    "error_of",
     "error_value",
     "evidence_lines",
     "evidence_of",
@@ -201,6 +212,7 @@ __all__ = [
     "identified_object",
     "in_use",
     "journal",
+    "keep_error",
     "ledger_of",
     "method_words",
     "metric_of",
