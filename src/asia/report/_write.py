@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill
@@ -136,12 +135,7 @@ def save(
     paths: list[Path] = []
     for name, draw in drawn:
         with drawing():
-            before = len(failed)
-            figure: Figure | None = None
-            with diagnostic(f"picture {name}", failed):
-                figure = _drawn(draw)
-            if len(failed) > before or figure is None:
-                figure = _drawn(partial(_sheet, failed[-1]))
+            figure = _drawn(name, draw, failed)
             for path, metadata in zip(_files(directory, name), _METADATA, strict=True):
                 stream = BytesIO()
                 figure.savefig(stream, format=path.suffix[1:], dpi=DPI, metadata=metadata)
@@ -150,18 +144,16 @@ def save(
     return tuple(paths)
 
 
-def _drawn(draw: Callable[[], Figure]) -> Figure:
-    figure = draw()
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
-    return figure
-
-
-def _sheet(text: str) -> Figure:
-    """A picture with a sentence only."""
-    figure = Figure(figsize=(6.0, 1.5))
-    figure.text(0.02, 0.5, fill(text, 80).replace("$", r"\$"), va="center")
-    return figure
+def _drawn(name: str, draw: Callable[[], Figure], failed: list[str]) -> Figure:
+    """The picture, or a sheet that says why there is none."""
+    with diagnostic(f"picture {name}", failed):
+        figure = draw()
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        return figure
+    sheet = Figure(figsize=(6.0, 1.5))
+    sheet.text(0.02, 0.5, fill(failed[-1], 80).replace("$", r"\$"), va="center")
+    return sheet
 
 
 def png_of(run: Run, problem: Problem, name: str, dpi: int) -> bytes:
