@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -14,11 +15,11 @@ from asia.problem.load import load_problem
 from asia.report import _write, write_page, write_report
 from asia.report._page.sections import progress
 from asia.search import _loop, prepare, search, validate
-from asia.search.dossier import validate as dossier
 from asia.search.final import ending
 
 from .toy import Scripted, arx, write_problem
 
+DOSSIER = import_module("asia.search.dossier.validate")
 IN_A_FOLD = {
     "residual analysis": "diagnose",
     "signed residuals": "signed_residuals",
@@ -101,7 +102,7 @@ def test_every_step_fails_and_the_search_ends_well(
         assert shown in capsys.readouterr().out
 
     for function in IN_A_DOSSIER.values():
-        monkeypatch.setattr(dossier, function, fail)
+        monkeypatch.setattr(DOSSIER, function, fail)
     found = {c.name: c for c in validate(run.directory).checks}
     assert {name: found[name].sentence for name in IN_A_DOSSIER} == {
         name: line(name) for name in IN_A_DOSSIER
