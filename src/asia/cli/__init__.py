@@ -14,6 +14,7 @@ from typing import NoReturn
 
 import typer
 
+from asia._boundary import error_sentence
 from asia._text import say
 from asia.cli import (
     _ablate,
@@ -130,6 +131,12 @@ def main() -> None:
         sys.exit(_complain(f"the sandbox failed: {error}", 1))
     except OSError as error:
         sys.exit(_complain(f"{error.strerror or error}: {error.filename or 'a file'}", 2))
+    except Exception as error:
+        # A search has written its traceback already.
+        notes = getattr(error, "__notes__", ())
+        if not notes:
+            raise
+        sys.exit(_complain(f"internal error: {error_sentence(error)}; {'; '.join(notes)}", 1))
     except SystemExit as end:
         if end.code == INTERRUPTED:
             _complain(_ended("interrupted"), INTERRUPTED)

@@ -33,8 +33,9 @@ def check(
         say(line)
     if not draw:
         return
+    failed: list[str] = []
     try:
-        pictures = draw_problem(loaded, Path(runs) / "check" / loaded.name)
+        pictures = draw_problem(loaded, Path(runs) / "check" / loaded.name, failed)
     except OSError as error:
         say(
             f"note: could not draw into {runs}: {error.strerror or error}; "
@@ -42,6 +43,8 @@ def check(
             file=sys.stderr,
         )
         return
+    for line in failed:
+        say(f"note    {line}", file=sys.stderr)
     for path in pictures:
         if path.suffix == ".png":
             say(f"picture  {path}")

@@ -66,8 +66,11 @@ def _whole(directory: Path) -> None:
     from asia.ledger import Store, open_run
     from asia.report import write_page, write_report
 
-    for path in (write_page(directory), *write_report(directory)):
+    failed: list[str] = []
+    for path in (write_page(directory), *write_report(directory, failed=failed)):
         say(str(path))
+    for line in failed:
+        say(f"note    {line}", file=sys.stderr)
     for line in use_lines(open_run(directory).view):
         say(line, file=sys.stderr)
     if not Store(directory / "artifacts").kept:

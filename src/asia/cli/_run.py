@@ -25,6 +25,7 @@ from asia.cli._options.shared import DEFAULT_RUNS, Json, ProblemName, Profile, R
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from asia._stopwatch import Stopwatch
     from asia.cli._driver import Driver
@@ -128,6 +129,7 @@ def _search(
     json: bool,
 ) -> SearchView:
     """Search and draw the report, and say so; watch: has what took time before."""
+    from asia._boundary import diagnostic
     from asia._stopwatch import Activity
     from asia.cli._output.display import make_display
     from asia.report import write_report
@@ -143,9 +145,11 @@ def _search(
             sinks.after_start(display.on_start),
             runs_on,
         )
-        with watch.activity(Activity.PICTURES):
-            pictures = write_report(ready.directory)
-        display.finish(view, pictures)
+        failed: list[str] = []
+        pictures: tuple[Path, ...] = ()
+        with watch.activity(Activity.PICTURES), diagnostic("pictures", failed):
+            pictures = write_report(ready.directory, failed=failed)
+        display.finish(view, pictures, failed)
         if profile:
             display.profile(ready.directory, watch.only(Activity.PREPARE, Activity.PICTURES))
     return view

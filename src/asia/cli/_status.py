@@ -37,11 +37,12 @@ def status(
 
 
 def _object(directory: Path, found: Brief) -> dict[str, Any]:
-    from asia.ledger import control, floor_to_beat, metric_of, model_to_use
+    from asia.ledger import control, error_of, floor_to_beat, metric_of, model_to_use
     from asia.scoring import Score
 
     view, best = found.view, found.view.best
     beside = control(directory, view.started, found.finished)
+    error = error_of(directory) if found.state == "interrupted" else None
     named = model_to_use(view)
     return {
         "run": view.started.run,
@@ -68,6 +69,8 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
         "best": {"experiment": best.number, "V": best.score.value} if best and best.score else None,
         "incumbent": view.incumbent.number if view.incumbent else None,
         "remark": _remark(view) or None,
+        "error": error,
+        "failed_checks": list(view.failed_checks),
         "floor": floor_to_beat(view),
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
@@ -114,7 +117,7 @@ def _print(directory: Path, found: Brief) -> None:
         validation_words,
         value_words,
     )
-    from asia.ledger import control, control_words, metric_of
+    from asia.ledger import control, control_words, error_of, metric_of
     from asia.protocol import metric_label
 
     view = found.view
@@ -127,6 +130,9 @@ def _print(directory: Path, found: Brief) -> None:
         f"{_state_words(found)}: {found.finished} of {view.budget} experiments in "
         f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
     )
+    error = error_of(directory) if found.state == "interrupted" else None
+    if error is not None:
+        say(f"error   {error}")
     _print_course(view, running=found.state == "running")
     if view.stopped is not None:
         words = stop_words(view.stopped.reason, view)
@@ -140,6 +146,8 @@ def _print(directory: Path, found: Brief) -> None:
     if view.started.residuals == "held_out":
         say("V is with held-out residuals shown")
     _print_winner(view)
+    for line in view.failed_checks:
+        say(f"note    {line}")
     if view.unsealed is not None:
         say(f"the test was opened: asia unseal {directory.name} shows the result again")
     if beside is not None:

@@ -36,8 +36,11 @@ def validate(
 
     directory = run_directory(runs, run)
     found = check(directory, record, lambda text: say(f"checking {text}", file=sys.stderr))
-    for path in write_dossier(directory, found.checks, found.summary):
+    failed: list[str] = []
+    for path in write_dossier(directory, found.checks, found.summary, failed):
         say(str(path), file=sys.stderr)
+    for line in failed:
+        say(f"note    {line}", file=sys.stderr)
     if json:
         _print_json(found)
         return

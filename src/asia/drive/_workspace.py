@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -196,12 +197,14 @@ def trajectory_names(trajectories: tuple[Trajectory, ...]) -> list[str]:
 
 
 def _csv(trajectory: Trajectory, problem: Problem) -> str:
-    """A trajectory as CSV, time first."""
+    """A trajectory as CSV, time first; empty where an output was not measured."""
     names = [s.name for s in (*problem.inputs, *problem.outputs)]
     stream = io.StringIO()
     table = csv.writer(stream, lineterminator="\n")
     table.writerow(["time", *names])
+    measured = trajectory.measured_y
     for k in range(len(trajectory)):
-        values = [*trajectory.u[k].tolist(), *trajectory.y[k].tolist()]
-        table.writerow([repr(k * trajectory.sampling_time), *map(repr, values)])
+        values = [*trajectory.u[k].tolist(), *measured[k].tolist()]
+        row = ("" if math.isnan(value) else repr(value) for value in values)
+        table.writerow([repr(k * trajectory.sampling_time), *row])
     return stream.getvalue()

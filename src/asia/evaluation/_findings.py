@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia._boundary import diagnostic
 from asia.candidate import Context
 from asia.data import Array
 from asia.evaluation._results import FoldFindings, FoldResult, StepErrors
-from asia.evaluation._training_checks import training_checks
+from asia.evaluation._training_checks import TrainingCheck, training_checks
 from asia.protocol import Fold, ProtocolRule, find_metric, whole
 from asia.sandbox import FitReply
 from asia.scoring import (
+    Diagnostics,
     Ranges,
     SignedResidual,
     diagnose,
@@ -55,8 +57,9 @@ def fold_result(
     context: Context,
     validation_scores: int,
 ) -> FoldResult:
-    """Score a fold's simulations and analyse their residuals. Raises CandidateError for what is not
-    finite or too large to analyse."""
+    """Score a fold's simulations and analyse their residuals. An analysis that raises leaves a line
+    in `FoldFindings.failed`, and zeros in `Diagnostics`; a score that raises is not caught. Raises
+    CandidateError for what is not finite or too large to analyse."""
     inside = whole(fold.train, rule)
     y, train_y = [b.y for b in fold.validation], [b.y for b in inside]
     in_parts = rule.ladder is not None
@@ -64,19 +67,34 @@ def fold_result(
     train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
     inputs = [b.case.u for b in inside]
     whole_y = _without_gaps(train_y, fitted.train_y_hat)
-    evidence = diagnose(inputs, whole_y, fitted.train_y_hat, fold.scale, train.value)
-    signed = signed_residuals(inputs, whole_y, fitted.train_y_hat, fold.scale, ranges)
+    failed: list[str] = []
+    evidence = Diagnostics(train.value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    signed: tuple[SignedResidual, ...] = ()
+    held_out: tuple[SignedResidual, ...] = ()
+    steps: tuple[StepErrors, ...] = ()
+    checks: tuple[TrainingCheck, ...] | None = None
+    with diagnostic("residual analysis", failed):
+        evidence = diagnose(inputs, whole_y, fitted.train_y_hat, fold.scale, train.value)
+    with diagnostic("signed residuals", failed):
+        signed = signed_residuals(inputs, whole_y, fitted.train_y_hat, fold.scale, ranges)
+    with diagnostic("held-out residuals", failed):
+        held_out = _held_out_residuals(fold, fitted, rule, ranges)
+    with diagnostic("errors by step", failed):
+        steps = _step_errors(fold, fitted.y_hat, rule)
+    with diagnostic("training checks", failed):
+        checks = training_checks(inside, fitted.train_y_hat, fold.scale, context)
     findings = FoldFindings(
         errors=_errors(y, fitted.y_hat, fold.scale, rule),
         train_errors=_errors(train_y, fitted.train_y_hat, fold.scale, rule),
-        steps=_step_errors(fold, fitted.y_hat, rule),
+        steps=steps,
         residuals=signed[:_MOST_RESIDUALS],
         parameters=fitted.parameters,
         compile_seconds=fitted.compile_seconds,
         memory_mb=fitted.memory_mb,
         printed=fitted.reply.output,
-        held_out_residuals=_held_out_residuals(fold, fitted, rule, ranges),
-        checks=training_checks(inside, fitted.train_y_hat, fold.scale, context),
+        held_out_residuals=held_out,
+        checks=checks,
+        failed=tuple(failed),
     )
     return FoldResult(
         score, fitted.model, fitted.y_hat, fitted.reply.curve, evidence, fitted.reply.seconds,

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from asia.candidate import ParameterEstimates
 from asia.data import Array
@@ -57,7 +59,10 @@ class FoldFindings:
     held_out_residuals: tuple[SignedResidual, ...] = ()
     """Of the simulation of the held-out part; () unless the protocol shows these."""
     checks: tuple[TrainingCheck, ...] | None = None
-    """Those of `asia validate` that do not pass on the training records; None in older ledgers."""
+    """Those of `asia validate` that do not pass on the training records; None in older ledgers and
+    where these checks failed."""
+    failed: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
+    """Diagnostics that raised an exception, a line each."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array
+from asia.data import Array, filled
 from asia.protocol import Block
 from asia.scoring.dossier import (
     SimulatedBlock,
@@ -48,7 +48,7 @@ def training_checks(
     chosen = _spread(blocks, y_hat)
     if sum(len(y) for _, y in chosen) < _FEWEST_SAMPLES:
         return ()
-    errors = np.concatenate([b.y[: len(y)] - y for b, y in chosen]) / scale
+    errors = np.concatenate([filled(b.y[: len(y)] - y) for b, y in chosen]) / scale
     worst = np.argsort(-np.mean(errors**2, axis=0), kind="stable")[:_MOST_OUTPUTS]
     outputs = sorted(worst.tolist())
     inputs = list(range(min(_MOST_INPUTS, len(context.inputs))))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asia.data import Array
+from asia.data import Array, spread_of
 from asia.export._model import TrainingWindow
 from asia.export._target import Answers
 
@@ -52,7 +52,7 @@ def parity_row(
 
 def difference(y_hat: Sequence[Array], windows: Sequence[TrainingWindow]) -> float:
     """The largest one of all windows and outputs; infinite where one is no number."""
-    spread = np.concatenate([w.y for w in windows]).std(axis=0)
+    spread = spread_of(np.concatenate([w.y for w in windows]))
     largest = np.abs(np.concatenate([w.y_hat for w in windows])).max(axis=0)
     spread = np.where(spread > 0, spread, np.where(largest > 0, largest, 1.0))
     worst = 0.0

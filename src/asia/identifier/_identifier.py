@@ -13,7 +13,7 @@ import numpy as np
 from asia._api import run as search_for_model
 from asia._text import say
 from asia.agents import Agent
-from asia.data import Array, Signal
+from asia.data import Array, Signal, filled
 from asia.data._arrays import make_trajectories, one_a_record
 from asia.errors import UserError
 from asia.export import Exported
@@ -174,7 +174,7 @@ class SystemIdentifier:
         for first in range(0, len(starts), _AT_ONCE):
             part = starts[first : first + _AT_ONCE]
             cases = [
-                (u[k - rule.past_inputs : k], y[k - rule.past_outputs : k], u[k : k + horizon])
+                (u[k - rule.past_inputs : k], _before(y, k, rule.past_outputs), u[k : k + horizon])
                 for k in part
             ]
             ends = simulate_cases(self._opened.directory, cases, self.model)
@@ -324,6 +324,12 @@ def _table(values: Any, channels: int, name: str) -> Array:
     if found.ndim != 2 or found.shape[1] != channels:
         raise UserError(f"{name} has shape {np.shape(values)}, expected (samples, {channels})")
     return found
+
+
+def _before(y: Array, k: int, count: int) -> Array:
+    """The `count` outputs before sample k; where one was not measured, from samples before k."""
+    window = y[k - count : k]
+    return filled(y[:k])[k - count :] if np.isnan(window).any() else window
 
 
 def _past(values: Any, samples: int, channels: int, name: str) -> Array:

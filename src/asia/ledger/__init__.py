@@ -63,7 +63,16 @@ from asia.ledger._exports import (
 from asia.ledger._index import Brief, brief, refresh
 from asia.ledger._lines import Line
 from asia.ledger._published import beats, published
-from asia.ledger._run import Run, RunState, find_run, metric_of, open_run
+from asia.ledger._run import (
+    ERROR,
+    Run,
+    RunState,
+    error_of,
+    find_run,
+    keep_error,
+    metric_of,
+    open_run,
+)
 from asia.ledger._store import Store, without_artifacts
 from asia.ledger._use import ModelToUse, model_to_use, stack_words, tested_model
 from asia.ledger._verify import Verified, check_lock, verify
@@ -115,6 +124,7 @@ from asia.ledger.evidence.words import evidence_lines
 from asia.scoring import Diagnostics
 
 __all__ = [
+    "ERROR",
     "FOLD_QUANTILE",
     "MOST_CURVES",
     "RESUMABLE",
@@ -196,6 +206,7 @@ __all__ = [
     "disagreement_lines",
     "dossier_words",
     "error_line",
+    "error_of",
     "error_value",
     "estimated",
     "evidence_lines",
@@ -217,6 +228,7 @@ __all__ = [
     "interval_ends",
     "jackknife_error",
     "journal",
+    "keep_error",
     "ledger_of",
     "method_words",
     "metric_of",

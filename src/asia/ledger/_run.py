@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import tomllib
+import traceback
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from asia._boundary import error_sentence
+from asia._text import one_line
 from asia.errors import UserError
 from asia.ledger._chain import in_use, ledger_of, read_lines
+from asia.ledger._disk import write_whole
 from asia.ledger._lines import Line
 from asia.ledger._store import Store
 from asia.ledger._view import SearchView, replay
+
+ERROR = "error.txt"
+"""Name of the file beside the ledger with the error that ended the search last."""
 
 RunState = Literal["running", "interrupted", "finished", "unsealed"]
 
@@ -60,6 +67,23 @@ def open_run(directory: Path) -> Run:
     ledger = ledger_of(directory)
     lines = tuple(read_lines(ledger))
     return Run(directory, replay(line.event for line in lines), lines, in_use(ledger))
+
+
+def keep_error(directory: Path, error: Exception) -> Path:
+    """Write the sentence of an error that ended a search, and its traceback, beside the ledger.
+    Returns the file."""
+    path = directory / ERROR
+    lines = "".join(traceback.format_exception(error))
+    write_whole(path, f"{error_sentence(error)}\n\n{lines}".encode("utf-8", "replace"))
+    return path
+
+
+def error_of(directory: Path) -> str | None:
+    """The sentence of the error that ended the search last; None where none did."""
+    try:
+        return one_line((directory / ERROR).read_text("utf-8").partition("\n")[0]) or None
+    except (OSError, ValueError):
+        return None
 
 
 def metric_of(directory: Path) -> str:

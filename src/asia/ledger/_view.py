@@ -187,6 +187,21 @@ class SearchView:
         return bests[-1] if bests else None
 
     @property
+    def failed_checks(self) -> tuple[str, ...]:
+        """`#02: check ... failed: ...`: diagnostics that raised an exception, a line each."""
+        found = [
+            f"#{e.number:02d}: {line}"
+            for e in self.finished
+            if e.result is not None
+            for line in e.result.failed_checks
+        ]
+        if self.refitted is not None:
+            found += [f"refit: {line}" for line in self.refitted.failed_checks]
+        if self.unsealed is not None:
+            found += [f"test: {line}" for line in self.unsealed.failed_checks]
+        return tuple(found)
+
+    @property
     def complete(self) -> bool:
         """Stopped, with the winner refitted and the guard looked at."""
         refitted = self.refitted is not None or self.best is None

@@ -64,9 +64,12 @@ __all__ = [
 ]
 
 
-def write_report(directory: Path, *, missing_only: bool = False) -> tuple[Path, ...]:
+def write_report(
+    directory: Path, *, missing_only: bool = False, failed: list[str] | None = None
+) -> tuple[Path, ...]:
     """Draw the run in `directory` into `<directory>/report`, each picture as PNG and PDF;
-    missing_only: only those that are not there.
+    missing_only: only those that are not there; failed: receives a line for each picture that
+    cannot be drawn, whose file shows that line.
 
     progress: V against experiments. simulation and residuals: the best experiment on its held-out
     folds, once there is one. test and, for a benchmark with published results, leaderboard: once
@@ -75,15 +78,17 @@ def write_report(directory: Path, *, missing_only: bool = False) -> tuple[Path, 
     """
     from asia.report._write import write
 
-    return write(directory, missing_only=missing_only)
+    return write(directory, missing_only=missing_only, failed=failed)
 
 
-def write_dossier(directory: Path, checks: Sequence[Check], title: str) -> tuple[Path, ...]:
+def write_dossier(
+    directory: Path, checks: Sequence[Check], title: str, failed: list[str] | None = None
+) -> tuple[Path, ...]:
     """Draw the checks of a dossier into `<directory>/report` as validation.png and validation.pdf.
-    Returns the paths written."""
+    failed: as in `write_report`. Returns the paths written."""
     from asia.report._write import write_dossier
 
-    return write_dossier(directory, checks, title)
+    return write_dossier(directory, checks, title, failed)
 
 
 def brief_html(directory: Path) -> str:
@@ -142,16 +147,19 @@ def methods_paragraph(directory: Path) -> str:
     return methods_paragraph(directory)
 
 
-def draw_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
+def draw_problem(
+    problem: Problem, directory: Path, failed: list[str] | None = None
+) -> tuple[Path, ...]:
     """Draw the training records, folds and past windows into `directory/data.png` and `.pdf`,
     levels by frequency into `response`, correlations of inputs with outputs into `delays`, and the
     problem's equations, if it has any, into `equations`.
 
-    Returns the paths written. Raises UserError when the records do not make folds.
+    failed: as in `write_report`. Returns the paths written. Raises UserError when the records do
+    not make folds.
     """
     from asia.report._write import write_problem
 
-    return write_problem(problem, directory)
+    return write_problem(problem, directory, failed)
 
 
 def draw_all_boards(boards: Sequence[Board], title: str, directory: Path) -> tuple[Path, ...]:

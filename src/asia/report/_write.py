@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
+from textwrap import fill
 
 from matplotlib.figure import Figure
 
+from asia._boundary import diagnostic
 from asia.data import Signal
 from asia.ledger import Run, TestedModel, control, metric_of, open_run
 from asia.problem.advice.data import input_delays
@@ -38,25 +40,31 @@ Picture = tuple[str, Callable[[], Figure]]
 _METADATA = ({"Software": None}, {"CreationDate": None})
 
 
-def write(directory: Path, *, missing_only: bool = False) -> tuple[Path, ...]:
+def write(
+    directory: Path, *, missing_only: bool = False, failed: list[str] | None = None
+) -> tuple[Path, ...]:
     """See `asia.report.write_report`."""
     run, report = open_run(directory), directory / "report"
     if not run.store.kept:
-        return save(iter([progress_picture(run, metric_of(directory))]), report)
+        return save(iter([progress_picture(run, metric_of(directory))]), report, failed)
     problem = load_lock(directory / "problem.lock.toml")
     drawn = pictures(run, problem)
     if missing_only:
         drawn = (one for one in drawn if not all(path.exists() for path in _files(report, one[0])))
-    return save(drawn, report)
+    return save(drawn, report, failed)
 
 
-def write_dossier(directory: Path, checks: Sequence[Check], title: str) -> tuple[Path, ...]:
+def write_dossier(
+    directory: Path, checks: Sequence[Check], title: str, failed: list[str] | None = None
+) -> tuple[Path, ...]:
     """See `asia.report.write_dossier`."""
     drawn: Picture = ("validation", lambda: draw_dossier(checks, title))
-    return save(iter([drawn]), directory / "report")
+    return save(iter([drawn]), directory / "report", failed)
 
 
-def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
+def write_problem(
+    problem: Problem, directory: Path, failed: list[str] | None = None
+) -> tuple[Path, ...]:
     """See `asia.report.draw_problem`."""
     drawn: list[Picture] = [("data", lambda: draw_data(problem))]
     found = responses(problem)
@@ -68,7 +76,7 @@ def write_problem(problem: Problem, directory: Path) -> tuple[Path, ...]:
     physics = problem.physics
     if physics is not None:
         drawn.append(("equations", lambda: draw_equations(physics)))
-    return save(iter(drawn), directory)
+    return save(iter(drawn), directory, failed)
 
 
 def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
@@ -117,21 +125,35 @@ def standing(
     yield "leaderboard", lambda: draw_standing(board.entries, values[0], output, name, mark)
 
 
-def save(drawn: Iterator[Picture], directory: Path) -> tuple[Path, ...]:
-    """Each picture as PNG and PDF, the same bytes for the same run."""
+def save(
+    drawn: Iterator[Picture], directory: Path, failed: list[str] | None = None
+) -> tuple[Path, ...]:
+    """Each picture as PNG and PDF, the same bytes for the same run. A picture that cannot be drawn
+    becomes a sheet with the reason, which `failed` receives too."""
+    failed = [] if failed is None else failed
     directory.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
     for name, draw in drawn:
         with drawing():
-            figure = draw()
-            figure.draw_without_rendering()
-            figure.set_layout_engine("none")
+            figure = _drawn(name, draw, failed)
             for path, metadata in zip(_files(directory, name), _METADATA, strict=True):
                 stream = BytesIO()
                 figure.savefig(stream, format=path.suffix[1:], dpi=DPI, metadata=metadata)
                 path.write_bytes(stream.getvalue())
                 paths.append(path)
     return tuple(paths)
+
+
+def _drawn(name: str, draw: Callable[[], Figure], failed: list[str]) -> Figure:
+    """The picture, or a sheet that says why there is none."""
+    with diagnostic(f"picture {name}", failed):
+        figure = draw()
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        return figure
+    sheet = Figure(figsize=(6.0, 1.5))
+    sheet.text(0.02, 0.5, fill(failed[-1], 80).replace("$", r"\$"), va="center")
+    return sheet
 
 
 def png_of(run: Run, problem: Problem, name: str, dpi: int) -> bytes:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asia.data import Array
+from asia.data import Array, filled
 
 _HALVINGS = 50
 # Of so many values at most, the edge is one of them in order; of more it is found by halving.
@@ -26,7 +26,7 @@ class HeldOutErrors:
     """What the model of one fold missed on the blocks that the fold holds out."""
 
     blocks: tuple[Array, ...]
-    """Measured less simulated (H, ny), one a block."""
+    """Measured less simulated (H, ny), one a block; NaN where an output was not measured."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ def error_sizes(folds: Sequence[HeldOutErrors], *, by_step: bool = False) -> Err
     for channel in range(folds[0].blocks[0].shape[1]):
         errors = [[block[:, channel] for block in fold.blocks] for fold in folds]
         parts.append(_parts(errors, by_step=by_step))
-        independent.append(independent_errors(errors))
+        complete = [[filled(block[:, None])[:, 0] for block in blocks] for blocks in errors]
+        independent.append(independent_errors(complete))
     return ErrorSizes(tuple(parts), tuple(independent))
 
 
@@ -126,12 +127,18 @@ def raised_level(level: float, errors: float) -> float:
 def _parts(errors: Sequence[Sequence[Array]], *, by_step: bool) -> tuple[tuple[Array, ...], ...]:
     """For each step that has its own errors, the sorted sizes of each fold's."""
     if not by_step:
-        return (tuple(np.sort(np.abs(np.concatenate(list(b)))) for b in errors),)
+        return (tuple(_sizes(np.concatenate(list(b)), np.zeros(1)) for b in errors),)
     length = min(len(block) for blocks in errors for block in blocks)
     near = int(_NEIGHBOURS * length)
-    stacked = [np.abs(np.stack([block[:length] for block in blocks])) for blocks in errors]
+    stacked = [np.stack([block[:length] for block in blocks]) for blocks in errors]
     around = [slice(max(0, step - near), step + near + 1) for step in range(length)]
-    return tuple(tuple(np.sort(s[:, part].ravel()) for s in stacked) for part in around)
+    return tuple(tuple(_sizes(s[:, part], s) for s in stacked) for part in around)
+
+
+def _sizes(errors: Array, otherwise: Array) -> Array:
+    """Sizes of the errors that are known, the smallest first; of `otherwise` where none is."""
+    known = errors[~np.isnan(errors)]
+    return np.sort(np.abs(known if len(known) else otherwise[~np.isnan(otherwise)]))
 
 
 def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -> Array:
@@ -144,7 +151,7 @@ def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -
         rank = max(0, int(np.ceil(wanted)) - 1)
         return np.partition(np.concatenate(every), rank, axis=0)[rank]
     low = np.min(centres, axis=0)
-    most = np.array([s[-1] for s in sizes])
+    most = np.array([s[-1] if len(s) else 0.0 for s in sizes])
     high = np.max(centres + factor * most[:, None], axis=0)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

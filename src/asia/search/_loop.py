@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+from asia._boundary import diagnostic
 from asia._stopwatch import Activity, Stopwatch
 from asia.agents import (
     Agent,
@@ -26,7 +27,7 @@ from asia.agents import (
     Proposal,
     agent_of_leg,
 )
-from asia.evaluation import Evaluator, score_rungs
+from asia.evaluation import Evaluation, Evaluator, score_rungs
 from asia.ledger import (
     Chain,
     Evaluated,
@@ -90,6 +91,8 @@ class Loop:
     on_event: OnEvent
     """Called with every event once it is written."""
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
+    _failed: list[str] = field(default_factory=list[str], repr=False)
+    """Lines of the diagnostic boundary that no event has yet."""
 
     @property
     def watch(self) -> Stopwatch:
@@ -172,10 +175,14 @@ class Loop:
         with self._lock, self.watch.activity(Activity.LEDGER):
             if isinstance(event, Evaluated | Refitted | GuardLooked):
                 event = replace(event, spent=self.watch.take())
+            if isinstance(event, Evaluated | Refitted) and self._failed:
+                event = replace(event, failed_checks=(*event.failed_checks, *self._failed))
+                self._failed.clear()
             self.chain.append(event)
             view = self.view
             if isinstance(event, Evaluated):
-                write_exports(self.directory, view)
+                with diagnostic("results.tsv and search_journal.md", self._failed):
+                    write_exports(self.directory, view)
                 refresh(self.directory)
             self.on_event(event, view)
 
@@ -321,6 +328,7 @@ class Loop:
             lowest=judged.lowest,
             elapsed=None if view.started.parallel == 1 else now - start,
             ended_folds=evaluation.ended_folds,
+            failed_checks=_failed_checks(evaluation),
         )
 
     def _refit(self) -> None:
@@ -380,6 +388,12 @@ def _baseline(source: str) -> Proposal:
         hypothesis="The problem's own baseline, untouched, is where every search starts.",
         expected="A reference value that the rest must beat.",
     )
+
+
+def _failed_checks(evaluation: Evaluation) -> tuple[str, ...]:
+    """Each line once, whatever the number of folds."""
+    findings = [fold.findings for fold in evaluation.folds if fold.findings is not None]
+    return tuple(dict.fromkeys(line for one in findings for line in one.failed))
 
 
 def _outcome_of_twin(experiment: Experiment, twin: Experiment) -> Evaluated:

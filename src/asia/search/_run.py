@@ -18,6 +18,7 @@ from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, SuspicionKind, derive_seed, search_context
 from asia.executor import Executor, LocalExecutor, SequentialExecutor, carrier_of
 from asia.ledger import (
+    ERROR,
     RESUMABLE,
     Chain,
     Extended,
@@ -27,6 +28,7 @@ from asia.ledger import (
     Started,
     Store,
     check_lock,
+    keep_error,
     write_exports,
     write_whole,
 )
@@ -211,8 +213,14 @@ def search(
         # One that starts while another runs could be told something by how long it takes.
         alone = view.started.isolation_strict or carrier_of(executor) is not None
         ready = nullcontext() if alone else evaluator.ready_workers(view.started.parallel)
-        with ready:
-            return loop.run()
+        (directory / ERROR).unlink(missing_ok=True)
+        try:
+            with ready:
+                return loop.run()
+        except Exception as error:
+            path = keep_error(directory, error)
+            error.add_note(f"the traceback is in {path}; the same command resumes the search")
+            raise
 
 
 def make_evaluator(

@@ -10,7 +10,7 @@ from typing import get_args, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data import Array
+from asia.data import Array, filled
 from asia.errors import UserError
 from asia.evaluation import Evaluator
 from asia.ledger import Run, Use, model_to_use, open_run
@@ -140,6 +140,9 @@ def _block(
         if np.shape(array) != shape:
             raise UserError(f"{name} has shape {np.shape(array)}, expected {shape}")
     before, past, after = (np.asarray(a, np.float64) for a in (past_u, past_y, u))
+    if np.isnan(past).all(axis=0).any() and len(past):
+        raise UserError("past_y has an output without a measured sample: give a later start")
+    past = filled(past)
     if done:
         # The last input is held until a whole number of samples that a model receives.
         held = np.repeat(after[-1:], -len(after) % every, axis=0)

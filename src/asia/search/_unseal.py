@@ -9,6 +9,7 @@ from typing import get_args
 
 import numpy as np
 
+from asia._boundary import diagnostic
 from asia.data import Array, Mask, Trajectory
 from asia.errors import CandidateError, UserError
 from asia.evaluation import Evaluator, mean_simulation
@@ -148,13 +149,16 @@ def _score(
     blocks = whole(records, problem.protocol)
     scorer = _TestScorer(make_evaluator(problem, view), store, blocks, problem)
     measured = _by_record([b.y for b in blocks], blocks)
+    bands: TestBands | None = None
+    failed: list[str] = []
     with scorer.evaluator.ready_workers():
         scores = {
             use: scorer.score(final_members(view, use))
             for use in get_args(Use)
             if has_model(view, use)
         }
-        bands = scorer.bands(view)
+        with diagnostic("output bands", failed):
+            bands = scorer.bands(view)
     return Unsealed(
         experiment=best.number,
         test_digest=digest,
@@ -168,6 +172,7 @@ def _score(
         stack=scores.get("stack"),
         horizon=problem.protocol.horizon,
         bands=bands,
+        failed_checks=tuple(failed),
     )
 
 

@@ -99,7 +99,9 @@ class JsonDisplay:
         """Print the event."""
         _print_json(event_object(event, view))
 
-    def finish(self, view: SearchView, pictures: Sequence[Path]) -> None:
+    def finish(
+        self, view: SearchView, pictures: Sequence[Path], failed: Sequence[str] = ()
+    ) -> None:
         """Print `done`."""
         best = view.best
         _print_json(
@@ -114,6 +116,7 @@ class JsonDisplay:
                 "residuals": view.started.residuals,
                 "validation_scores": view.validation_scores,
                 "pictures": [str(p) for p in pictures],
+                "failed_checks": [*view.failed_checks, *failed],
             }
         )
 
@@ -189,13 +192,17 @@ class TextDisplay:
             case Extended():
                 self._print(f"extended to {event.experiments} experiments")
             case Refitted():
+                for line in event.failed_checks:
+                    self._print(f"note    {line}", style="yellow")
                 if event.model is None:
                     self._print(f"no refit on all training data: {event.detail}")
             case _:
                 pass
         self._foot(view)
 
-    def finish(self, view: SearchView, pictures: Sequence[Path]) -> None:
+    def finish(
+        self, view: SearchView, pictures: Sequence[Path], failed: Sequence[str] = ()
+    ) -> None:
         """Say where things are and what to type next."""
         self.close()
         run, best = self._run_word(), view.best
@@ -212,6 +219,8 @@ class TextDisplay:
         for picture in pictures:
             if picture.suffix == ".png":
                 self._print(f"picture  {picture}")
+        for line in failed:
+            self._print(f"note     {line}", style="yellow")
         for line in use_lines(view):
             word, _, words = line.partition(" ")
             self._print(f"{word:<9}{words.strip()}")
@@ -287,6 +296,8 @@ class TextDisplay:
         self._print(experiment_line(experiment, view), style=STYLES.get(status, "magenta"))
         if experiment.failure is not None:
             self._print(f"    {last_line(experiment.failure)}", style="dim")
+        for line in experiment.result.failed_checks:
+            self._print(f"    {line}", style="yellow")
 
     def _rung(self, rung: RungScored) -> None:
         note = "   the noise floor" if rung.name == TRUTH else ""

@@ -54,6 +54,9 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         return
     console.print(f"decision    {r.status}")
     refitted = run.view.refitted
+    mine = refitted.failed_checks if refitted and refitted.experiment == experiment.number else ()
+    for line in (*r.failed_checks, *mine):
+        console.print(printable_line(f"note        {line}"))
     if refitted and refitted.again and refitted.experiment == experiment.number:
         same = f"fold {refitted.again.fold}, fitted a second time, comes out the same"
         console.print(f"again       {again_words(run.view) or same}")

@@ -210,6 +210,7 @@ def event_object(event: Event, view: SearchView) -> dict[str, Any]:
             "validation_scores": event.validation_scores,
             "retests": [r.value for r in event.retests],
             "floor": event.floor,
+            "failed_checks": list(event.failed_checks),
             "best": best.number if best else None,
         }
     if isinstance(event, HandedOver):

@@ -30,6 +30,7 @@ _Device = Annotated[Device, Field(exclude_if=lambda value: value == "cpu")]
 _Flag = Annotated[bool, Field(exclude_if=lambda value: not value)]
 _Bound = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
 _Count = Annotated[int, Field(exclude_if=lambda value: value == 0)]
+_FailedChecks = Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)]
 _Elapsed = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
 
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
@@ -252,6 +253,8 @@ class Evaluated:
     ended_folds: _Count = field(default=0, compare=False)
     """How many folds were ended while they ran, since V was far above the best without them. It
     depends on the machine."""
+    failed_checks: _FailedChecks = field(default=(), compare=False)
+    """Diagnostics that raised an exception, a line each."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -370,4 +373,6 @@ class Refitted:
     estimates: str | None = None
     """Artifact of what the refit says of its parameters; None where it says nothing, and in older
     ledgers."""
+    failed_checks: _FailedChecks = field(default=(), compare=False)
+    """As in `Evaluated`."""
     event: Literal["refitted"] = "refitted"

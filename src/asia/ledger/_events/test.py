@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from asia._stopwatch import TimeSpent
 from asia.ledger._events.final import Use
@@ -110,4 +112,6 @@ class Unsealed:
     """The weighted mean of several experiments; None where the search has none."""
     bands: TestBands | None = None
     """Of the model to use; None where a fold model does not simulate the test."""
+    failed_checks: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
+    """As in `Evaluated`."""
     event: Literal["unsealed"] = "unsealed"

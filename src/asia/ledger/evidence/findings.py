@@ -43,5 +43,5 @@ def findings_of(store: Store, experiment: Experiment, *, bounded: bool) -> tuple
     if score is None or not score.folds:
         found = [replace(one, errors=(), steps=(), held_out_residuals=()) for one in found]
     if bounded:
-        found = [replace(one, parameters=(), printed="") for one in found]
+        found = [replace(one, parameters=(), printed="", failed=()) for one in found]
     return tuple(found)

@@ -112,7 +112,9 @@ def output_lines(evidence: ExperimentEvidence, findings: Sequence[FoldFindings])
 def check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
     """What the checks of `asia validate` say on the training records, a line for each that does not
     pass in some fold, in the words of the fold where it matters most."""
-    known = [one.findings.checks for one in evidence.folds if one.findings is not None]
+    findings = [one.findings for one in evidence.folds if one.findings is not None]
+    yield from dict.fromkeys(line for one in findings for line in one.failed)
+    known = [one.checks for one in findings]
     made = [checks for checks in known if checks is not None]
     if not made:
         return

@@ -7,6 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
+from asia._boundary import diagnostic
 from asia.errors import InternalError
 from asia.ledger import Run, open_run, write_whole
 from asia.problem.load import load_lock
@@ -54,7 +55,7 @@ def page_of(run: Run, sections: Sequence[Section] = SECTIONS) -> str:
 
 
 def _whole(subject: Subject, sections: Sequence[Section]) -> str:
-    written = [(section, section.write(subject)) for section in sections]
+    written = [(section, _written(section, subject)) for section in sections]
     shown = [(section, inner) for section, inner in written if inner is not None]
     name = subject.view.started.run
     links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one, _ in shown]
@@ -66,6 +67,13 @@ def _whole(subject: Subject, sections: Sequence[Section]) -> str:
         _footer(subject),
     )
     return document(f"{name}: report of a search", parts)
+
+
+def _written(section: Section, subject: Subject) -> Html | None:
+    failed: list[str] = []
+    with diagnostic(f"section '{section.title}'", failed):
+        return section.write(subject)
+    return tag("p", said(failed[0], 600))
 
 
 def document(title: str, parts: Sequence[Html]) -> str:

@@ -54,7 +54,7 @@ def _directions(found: SimulatedBlocks, output: int) -> list[_Direction]:
     reach, inputs = columns.reach, len(found.inputs)
     x = np.concatenate(columns.inputs)
     centre = x.mean(axis=0)
-    measured = np.concatenate([b.y[reach:, output] for b in found.blocks])
+    measured = np.concatenate([b.complete_y[reach:, output] for b in found.blocks])
     simulated = np.concatenate([b.y_hat[reach:, output] for b in found.blocks])
     fits = [_ridge(x - centre, y - y.mean()) for y in (measured, simulated)]
     parts: list[_Direction] = []

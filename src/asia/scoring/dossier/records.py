@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asia.data import Array
+from asia.data import Array, filled, spread_of
+from asia.scoring._fit import without_gaps
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class SimulatedBlock:
     u: Array
     """Inputs (H, nu)."""
     y: Array
-    """Measured outputs (H, ny)."""
+    """Measured outputs (H, ny), NaN where an output was not measured."""
     y_hat: Array
     """Simulated outputs (H, ny)."""
     record: int = 0
@@ -27,8 +28,13 @@ class SimulatedBlock:
 
     @property
     def residual(self) -> Array:
-        """Measured less simulated (H, ny)."""
-        return self.y - self.y_hat
+        """Measured less simulated (H, ny), on straight lines between the measured samples."""
+        return filled(self.y - self.y_hat)
+
+    @property
+    def complete_y(self) -> Array:
+        """Measured outputs (H, ny), simulated plus residual where an output was not measured."""
+        return without_gaps(self.y, self.y_hat)
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class SimulatedBlocks:
     @property
     def deviation(self) -> Array:
         """Standard deviation of the measured outputs (ny,), never 0."""
-        found = np.concatenate([b.y for b in self.blocks]).std(axis=0)
+        found = spread_of(np.concatenate([b.y for b in self.blocks]))
         return np.where(found > 0.0, found, 1.0)
 
     def residuals(self, output: int) -> list[Array]:

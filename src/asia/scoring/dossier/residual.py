@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asia.data import Array
+from asia.protocol import find_metric
 from asia.scoring._correlation import QUANTILE, with_input, with_own_past
 from asia.scoring._fit import fit_index, pooled
 from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict
@@ -71,7 +72,7 @@ def residual_checks(found: SimulatedBlocks) -> tuple[Check, ...]:
 def check_fit(found: SimulatedBlocks) -> Check:
     """Fit index and RMSE of the free run of each output."""
     y, y_hat = pooled([b.y for b in found.blocks]), pooled([b.y_hat for b in found.blocks])
-    fits, rmse = fit_index(y, y_hat), np.sqrt(np.mean((y - y_hat) ** 2, axis=0))
+    fits, rmse = fit_index(y, y_hat), find_metric("rmse").values(y, y_hat)
     words = listed(
         [
             f"{name} {fit:.1f} % (RMSE {error:.3g})"

@@ -79,7 +79,7 @@ def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Che
     curves: list[CheckCurve] = []
     words: list[str] = []
     for k, name in enumerate(found.outputs):
-        y, e = [b.y[:, k] for b in found.blocks], found.residuals(k)
+        y, e = [b.complete_y[:, k] for b in found.blocks], found.residuals(k)
         one = spectra(y, y, e, found.sampling_time)
         if one is None:
             continue
@@ -109,7 +109,7 @@ def check_frequency_response(found: SimulatedBlocks, linear: Sequence[LinearResp
     worst: _Worst | None = None
     for number, name in enumerate(found.inputs):
         for k, output in enumerate(found.outputs):
-            y, e = [b.y[:, k] for b in found.blocks], found.residuals(k)
+            y, e = [b.complete_y[:, k] for b in found.blocks], found.residuals(k)
             one = spectra(found.input(number), y, e, found.sampling_time)
             if one is None:
                 continue

@@ -108,5 +108,7 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
                 past_y=y[at - given.past_outputs : at],
                 u=block.case.u[at : at + _AHEAD],
             )
-            found.append(Block(case, y[at : at + _AHEAD], 0, block.start + at))
+            ahead = block.y[at : at + _AHEAD]
+            if not np.isnan(ahead).all(axis=0).any():
+                found.append(Block(case, ahead, 0, block.start + at))
     return found

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from asia._boundary import diagnostic
 from asia.data import Array, Trajectory, filled
 from asia.errors import CandidateError, UserError
 from asia.evaluation import Evaluator
@@ -30,8 +31,10 @@ from asia.problem.load import Problem, load_lock, read_record
 from asia.protocol import Block, whole
 from asia.scoring.dossier import (
     Check,
+    LinearResponse,
     SimulatedBlock,
     SimulatedBlocks,
+    Verdict,
     check_ahead,
     check_bands,
     check_frequency_response,
@@ -113,6 +116,15 @@ def validate(
     return Dossier(run.name, run.view.best.number, chosen.model, name or None, checks, recorded)
 
 
+def _made(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tuple[Check, ...]:
+    """The checks, or one that says why they failed."""
+    failed: list[str] = []
+    with diagnostic(name, failed):
+        found = make()
+        return found if isinstance(found, tuple) else (found,)
+    return (Check(name, Verdict.ABSENT, failed[0]),)
+
+
 @dataclass(frozen=True)
 class _Validation:
     """A dossier under way."""
@@ -128,25 +140,32 @@ class _Validation:
         """The dossier on what the folds held out."""
         basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
         pairs = [
-            (block, error)
-            for fold, errors in zip(self.evaluator.folds, basis.errors, strict=True)
-            for block, error in zip(fold.validation, errors.blocks, strict=True)
+            (block, y_hat)
+            for fold, simulated in zip(self.evaluator.folds, basis.simulated, strict=True)
+            for block, y_hat in zip(fold.validation, simulated, strict=True)
         ]
         blocks = tuple(
-            SimulatedBlock(b.case.u, filled(b.y), filled(b.y) - error, b.record, b.start)
-            for b, error in pairs
+            SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs
         )
         found = self._simulations(blocks)
-        checks = list(self._of_residuals(found))
+        windows = self.evaluator.horizon is not None
+        return (
+            *self._of_residuals(found),
+            *_made("held-out error", lambda: self._overfit(found)),
+            *_made("steps ahead", lambda: self._of_windows(pairs) if windows else self._ahead()),
+            *_made("region of validity", lambda: check_region(found, basis.region)),
+        )
+
+    def _overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+        """Nothing of an older ledger."""
         errors = findings_of(self.run.store, self.best, bounded=False)
-        if errors:
-            train, held = ([float(np.mean(e)) for e in each] for each in (
-                [f.train_errors for f in errors], [f.errors for f in errors]))  # fmt: skip
-            named = identified(self.run)
-            apart = () if named is None else named.disagreeing
-            checks.append(check_overfit(train, held, found, apart))
-        ahead = self._ahead() if self.evaluator.horizon is None else self._of_windows(pairs)
-        return (*checks, ahead, check_region(found, basis.region))
+        if not errors:
+            return ()
+        train = [float(np.mean(f.train_errors)) for f in errors]
+        held = [float(np.mean(f.errors)) for f in errors]
+        named = identified(self.run)
+        apart = () if named is None else named.disagreeing
+        return (check_overfit(train, held, found, apart),)
 
     def on(self, record: Trajectory) -> tuple[Check, ...]:
         """The dossier on a new record."""
@@ -154,17 +173,18 @@ class _Validation:
         if not blocks:
             raise UserError(f"record '{record.name}' is too short: it holds no case to simulate")
         y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
-        pairs = [(b, filled(b.y - y)) for b, y in zip(blocks, y_hat, strict=True)]
+        pairs = list(zip(blocks, y_hat, strict=True))
         found = self._simulations(
-            tuple(
-                SimulatedBlock(b.case.u, y + error, y, b.record, b.start)
-                for (b, error), y in zip(pairs, y_hat, strict=True)
-            )
+            tuple(SimulatedBlock(b.case.u, b.y, y, b.record, b.start) for b, y in pairs)
         )
-        ahead = () if self.evaluator.horizon is None else (self._of_windows(pairs),)
+        windows = self.evaluator.horizon is not None
         basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
-        bands = self._bands(basis, blocks, y_hat)
-        return (*self._of_residuals(found), *ahead, check_region(found, basis.region), bands)
+        return (
+            *self._of_residuals(found),
+            *(_made("steps ahead", lambda: self._of_windows(pairs)) if windows else ()),
+            *_made("region of validity", lambda: check_region(found, basis.region)),
+            *_made("output bands", lambda: self._bands(basis, blocks, y_hat)),
+        )
 
     def _bands(self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]) -> Check:
         """How much of a new record the output bands hold."""
@@ -192,19 +212,33 @@ class _Validation:
         simulator = self._simulator(final_members(self.run.view, self.use))
         given = self._range
         self.progress("answers to small steps, and a long run")
-        linear = linear_responses(given, found.inputs, simulator)
-        y = np.concatenate([r.y for r in self.evaluator.records])
-        levels = [None if one is None else one.levels.noise for one in responses(self.problem)]
-        far = long_run(given, self.evaluator.horizon, simulator)
+        failed: list[str] = []
+        linear: tuple[LinearResponse, ...] = ()
+        with diagnostic("small steps", failed):
+            linear = linear_responses(given, found.inputs, simulator)
+        small = tuple(Check("small steps", Verdict.ABSENT, line) for line in failed)
+
+        def ten_horizons() -> Check:
+            y = np.concatenate([r.y for r in self.evaluator.records])
+            far = long_run(given, self.evaluator.horizon, simulator)
+            return check_long_run(far, y.min(axis=0), y.max(axis=0))
+
+        def spectrum() -> Check:
+            each = responses(self.problem)
+            return check_spectrum(found, [None if r is None else r.levels.noise for r in each])
+
+        far = _made("ten horizons", ten_horizons)
         self.progress(f"residuals of {len(found.outputs)} outputs")
         return (
-            *residual_checks(found),
-            check_gain(found),
-            check_spectrum(found, levels),
-            check_frequency_response(found, linear),
-            check_responses(linear, found.outputs, found.sampling_time),
-            check_long_run(far, y.min(axis=0), y.max(axis=0)),
-        )
+            *_made("residuals", lambda: residual_checks(found)),
+            *_made("direction of gain", lambda: check_gain(found)),
+            *_made("error spectrum", spectrum),
+            *_made("frequency response", lambda: check_frequency_response(found, linear)),
+            *small,
+            *_made("poles and static gain", lambda: check_responses(linear, found.outputs,
+                                                                    found.sampling_time)),
+            *far,
+        )  # fmt: skip
 
     @property
     def _range(self) -> ProbeRange:
@@ -215,7 +249,8 @@ class _Validation:
         """Every window begins anew."""
         past = self.problem.protocol.past_outputs
         hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
-        return check_ahead(np.stack([error for _, error in pairs]), hold, self.evaluator.scale)
+        errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
+        return check_ahead(errors, hold, self.evaluator.scale)
 
     def _ahead(self) -> Check:
         """Each fold's model from starts within what it did not fit."""

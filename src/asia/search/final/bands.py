@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data import Array, filled
+from asia.data import Array
 from asia.evaluation import Evaluator
 from asia.ledger import Experiment, SearchView, Store, Use
 from asia.protocol import Case, Fold
@@ -37,7 +37,9 @@ class BandBasis:
     """What the bands of one final model are made of."""
 
     errors: tuple[HeldOutErrors, ...]
-    """Of the fold models behind it."""
+    """Of the fold models behind it, NaN where an output was not measured."""
+    simulated: tuple[tuple[Array, ...], ...]
+    """Their simulations (H, ny) of each held-out block, one tuple a fold."""
     region: Region
     """Of all training records."""
     windows: bool
@@ -75,23 +77,24 @@ def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -
         assert view.best is not None
         weights = {view.best.number: 1.0}
     parts = [(view.experiment(number), weight) for number, weight in weights.items()]
-    errors = tuple(HeldOutErrors(_missed(fold, parts, store)) for fold in evaluator.folds)
+    simulated = tuple(_simulated(fold, parts, store) for fold in evaluator.folds)
+    errors = tuple(
+        HeldOutErrors(tuple(b.y - y for b, y in zip(fold.validation, y_hat, strict=True)))
+        for fold, y_hat in zip(evaluator.folds, simulated, strict=True)
+    )
     region = region_of([(r.u, r.y) for r in evaluator.records])
-    return BandBasis(errors, region, evaluator.horizon is not None)
+    return BandBasis(errors, simulated, region, evaluator.horizon is not None)
 
 
-def _missed(
+def _simulated(
     fold: Fold, parts: Sequence[tuple[Experiment, float]], store: Store
 ) -> tuple[Array, ...]:
-    """Measured less simulated on what a fold holds out."""
-    total = [block.y.copy() for block in fold.validation]
+    """The weighted simulations of what a fold holds out."""
     shapes = [block.y.shape for block in fold.validation]
+    total = [np.zeros(shape) for shape in shapes]
     for experiment, weight in parts:
         assert experiment.result is not None
-        for left, y_hat in zip(
-            total,
-            store.get_arrays(experiment.result.folds[fold.index].y_hat, shapes),
-            strict=True,
-        ):
-            left -= weight * y_hat
-    return tuple(filled(one) for one in total)
+        kept = store.get_arrays(experiment.result.folds[fold.index].y_hat, shapes)
+        for sum_, y_hat in zip(total, kept, strict=True):
+            sum_ += weight * y_hat
+    return tuple(total)

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 
+from asia._boundary import diagnostic
 from asia.errors import CandidateError
 from asia.evaluation import Evaluator, Refit
-from asia.ledger import Again, Experiment, Refitted, SearchView, Store, put_estimates
+from asia.ledger import Again, Experiment, Refitted, SearchView, Stack, Store, put_estimates
 from asia.scoring import Failure
 from asia.search.final.choice import FinalEvidence, choose_model
 from asia.search.final.refit import CheckedRefit, check_refit
@@ -22,16 +22,26 @@ def refit_winner(
     """The last line of a search, but for looks at the guard. Workers that end for no fault of the
     candidate leave a search without a refit, not without a model."""
     assert best.score is not None
+    failed: list[str] = []
+
+    def stacked() -> Stack | None:
+        with diagnostic("stack", failed):
+            return make_stack(evaluator, view, store, metric)
+        return None
+
     with ExitStack() as opened:
-        stacked = partial(make_stack, evaluator, view, store, metric)
+        make = stacked
         if not evaluator.one_by_one:
             # It does not depend on the refit, which takes longer and goes first.
-            stacked = opened.enter_context(evaluator.beside(stacked, 1)).result
+            make = opened.enter_context(evaluator.beside(stacked, 1)).result
         try:
-            refit, checked = _refit(evaluator, best, store, metric)
+            refit, checked = _refit(evaluator, best, store, metric, failed)
         except CandidateError as error:
             refit, checked = None, CheckedRefit(None, str(error), None)
-        stack = stacked()
+        stack = make()
+    estimates: str | None = None
+    with diagnostic("parameter intervals", failed):
+        estimates = _kept_estimates(store, checked)
     refitted = Refitted(
         experiment=best.number,
         model=None if checked.model is None else store.put(checked.model),
@@ -39,20 +49,23 @@ def refit_winner(
         again=None if refit is None else _second_fit(best, refit),
         check=checked.check,
         stack=stack,
-        estimates=_kept_estimates(store, checked),
+        estimates=estimates,
+        failed_checks=tuple(failed),
     )
     chosen = choose_model(FinalEvidence.of(best, refitted))
     return replace(refitted, use=chosen.model, reason=chosen.reason)
 
 
 def _refit(
-    evaluator: Evaluator, best: Experiment, store: Store, metric: str
+    evaluator: Evaluator, best: Experiment, store: Store, metric: str, failed: list[str]
 ) -> tuple[Refit, CheckedRefit]:
     assert best.result is not None
     source = store.text(best.proposed.source)
     models = [store.get(fold.model) for fold in best.result.folds]
     refit = evaluator.refit(source)
-    return refit, check_refit(evaluator, source, models, refit.model, metric)
+    with diagnostic("comparison of the refit", failed):
+        return refit, check_refit(evaluator, source, models, refit.model, metric)
+    return refit, CheckedRefit(None, "it could not be compared with the fold models", None)
 
 
 def _kept_estimates(store: Store, checked: CheckedRefit) -> str | None:

@@ -27,6 +27,7 @@ def _write(subject: Subject) -> Html:
         ("evaluations", _time(subject)),
         ("outcomes", _outcomes(subject)),
         ("language model", _cost(subject)),
+        ("diagnostics that failed", _failed(subject)),
     )
     relays = [tag("li", said(hand_over_words(event))) for event in view.handed_over]
     relay = tag("ul", *relays) if relays else None
@@ -66,6 +67,11 @@ def _guard(subject: Subject) -> Html:
 def _notes(subject: Subject) -> Html:
     notes = [tag("li", said(note.text, 600)) for note in subject.view.notes]
     return tag("ul", *notes) if notes else join(("none",))
+
+
+def _failed(subject: Subject) -> Html | None:
+    lines = [tag("li", said(line, 600)) for line in subject.view.failed_checks]
+    return tag("ul", *lines) if lines else None
 
 
 def _time(subject: Subject) -> Html:

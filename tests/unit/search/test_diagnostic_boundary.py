@@ -1,0 +1,160 @@
+"""A diagnostic that raises leaves a line and ends no search; a score that raises is not caught."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from asia.cli import main
+from asia.errors import CandidateError, InternalError, Reason
+from asia.evaluation import _findings
+from asia.ledger import Run, error_of, open_run
+from asia.problem.load import load_problem
+from asia.report import _write, write_page, write_report
+from asia.report._page.sections import progress
+from asia.search import _loop, prepare, search, validate
+from asia.search.final import ending
+
+from .toy import Scripted, arx, write_problem
+
+DOSSIER = import_module("asia.search.dossier.validate")
+IN_A_FOLD = {
+    "residual analysis": "diagnose",
+    "signed residuals": "signed_residuals",
+    "held-out residuals": "_held_out_residuals",
+    "errors by step": "_step_errors",
+    "training checks": "training_checks",
+}
+AT_THE_END = {
+    "stack": "make_stack",
+    "comparison of the refit": "check_refit",
+    "parameter intervals": "_kept_estimates",
+}
+IN_A_DOSSIER = {
+    "small steps": "linear_responses",
+    "ten horizons": "long_run",
+    "residuals": "residual_checks",
+    "direction of gain": "check_gain",
+    "error spectrum": "check_spectrum",
+    "frequency response": "check_frequency_response",
+    "poles and static gain": "check_responses",
+    "held-out error": "check_overfit",
+    "steps ahead": "check_ahead",
+    "region of validity": "check_region",
+}
+
+
+def fail(*arguments: object, **options: object) -> None:
+    raise ValueError("array must not contain infs or NaNs")
+
+
+def line(name: str) -> str:
+    return f"check {name} failed: ValueError: array must not contain infs or NaNs"
+
+
+def searched(folder: Path) -> Run:
+    problem = folder / "toy"
+    if not problem.is_dir():
+        write_problem(problem, experiments=2)
+        text = (problem / "problem.toml").read_text()
+        (problem / "problem.toml").write_text(text.replace("[budget]", "[budget]\nretests = 0"))
+    agent = Scripted((arx(2),))
+    ready = prepare(load_problem(problem), agent.name, seed=0, runs=folder / "runs")
+    search(ready, agent, lambda event, view: None, lambda view: None)
+    return open_run(ready.directory)
+
+
+def asia(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr("sys.argv", ["asia", *words])
+    with pytest.raises(SystemExit) as raised:
+        main()
+    return int(raised.value.code or 0)
+
+
+def test_every_step_fails_and_the_search_ends_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for module, names in ((_findings, IN_A_FOLD), (ending, AT_THE_END)):
+        for function in names.values():
+            monkeypatch.setattr(module, function, fail)
+    monkeypatch.setattr(_loop, "write_exports", fail)
+    run = searched(tmp_path)
+    view = run.view
+    assert view.complete
+    assert view.best is not None
+    assert view.best.number == 2
+    assert error_of(run.directory) is None
+    first, second = (e.result for e in view.finished)
+    assert first is not None
+    assert second is not None
+    assert first.failed_checks == tuple(map(line, IN_A_FOLD))
+    exports = line("results.tsv and search_journal.md")
+    assert second.failed_checks == (*map(line, IN_A_FOLD), exports)
+    assert view.refitted is not None
+    assert set(view.refitted.failed_checks) == {*map(line, AT_THE_END), exports}
+    assert view.refitted.use == "ensemble"
+    assert view.refitted.model is None
+    runs = ["--runs", str(run.directory.parent)]
+    for words, shown in ((["status"], f"#02: {exports}"), (["show", "1"], line("stack")[:6])):
+        assert asia(monkeypatch, *words, *runs) == 0
+        assert shown in capsys.readouterr().out
+
+    for function in IN_A_DOSSIER.values():
+        monkeypatch.setattr(DOSSIER, function, fail)
+    found = {c.name: c for c in validate(run.directory).checks}
+    assert {name: found[name].sentence for name in IN_A_DOSSIER} == {
+        name: line(name) for name in IN_A_DOSSIER
+    }
+
+    monkeypatch.setattr(_write, "draw_residuals", fail)
+    failed: list[str] = []
+    paths = write_report(run.directory, failed=failed)
+    assert failed == [line("picture residuals")]
+    assert all(path.stat().st_size for path in paths)
+    page = write_page(run.directory).read_text()
+    assert "diagnostics that failed" in page
+    assert "refit: check stack failed: ValueError" in page
+
+
+def test_a_failing_section_shows_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = searched(tmp_path)
+    monkeypatch.setattr(progress, "progress_figure", fail)
+    assert "check section" in write_page(run.directory).read_text()
+
+
+@pytest.mark.parametrize("error", [RuntimeError("the metric is broken"), InternalError("a bug")])
+def test_a_score_that_raises_ends_the_search_and_status_says_so(
+    error: Exception,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def broken(*arguments: object, **options: object) -> None:
+        raise error
+
+    monkeypatch.setattr(_findings, "score_fold", broken)
+    with pytest.raises(type(error), match=str(error)):
+        searched(tmp_path)
+    monkeypatch.undo()
+    assert asia(monkeypatch, "status", "--runs", str(tmp_path / "runs")) == 0
+    shown = capsys.readouterr().out
+    assert "interrupted: 0 of 2 experiments" in shown
+    name = "" if isinstance(error, InternalError) else "RuntimeError: "
+    assert f"error   {name}{error}" in shown
+    run = searched(tmp_path)
+    assert run.view.complete
+    assert error_of(run.directory) is None
+
+
+def test_errors_raised_on_purpose_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    from asia._boundary import diagnostic
+
+    failed: list[str] = []
+    for error in (CandidateError(Reason.NOT_FINITE), InternalError("a bug")):
+        with pytest.raises(type(error)), diagnostic("anything", failed):
+            raise error
+    with pytest.raises(KeyboardInterrupt), diagnostic("anything", failed):
+        raise KeyboardInterrupt
+    assert failed == []
