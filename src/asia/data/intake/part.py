@@ -10,7 +10,7 @@ import numpy as np
 from asia.data._trajectory import Array
 from asia.data.intake.grid import JITTER, Rows, held
 from asia.data.intake.numbers import to_numbers
-from asia.data.intake.sheet import Sheet, Wanted, find_column, require_column
+from asia.data.intake.sheet import Sheet, Wanted, find_channels, find_column, require_column
 from asia.data.intake.stamps import seconds, time_column
 from asia.errors import UserError
 
@@ -26,6 +26,19 @@ class SheetPart:
     sampling_time: float | None
     where: str
     first_line: int
+    is_file: bool = False
+    """Whether it is the one record of its file."""
+
+
+def expanded(sheet: Sheet, wanted: Wanted) -> Wanted:
+    """With the columns of a matrix in place of its name."""
+
+    def columns(names: Sequence[str]) -> tuple[str, ...]:
+        found = [(n, find_channels(sheet.columns, n)) for n in names]
+        return tuple(c for n, many in found for c in (many if len(many) > 1 else (n,)))
+
+    inputs, outputs = columns(wanted.inputs), columns(wanted.outputs)
+    return replace(wanted, inputs=inputs, outputs=outputs)
 
 
 def parts(sheet: Sheet, wanted: Wanted) -> list[SheetPart]:

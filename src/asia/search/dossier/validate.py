@@ -25,7 +25,7 @@ from asia.ledger import (
     without_artifacts,
 )
 from asia.problem.frequency import responses
-from asia.problem.load import Problem, load_lock, read_record
+from asia.problem.load import Problem, load_lock, read_records
 from asia.protocol import Block, whole
 from asia.scoring.dossier import (
     Check,
@@ -103,7 +103,7 @@ def validate(
     problem = load_lock(directory / LOCK)
     evaluator = make_evaluator(problem, run.view)
     work = _Validation(run, problem, evaluator, run.view.best, chosen.model, progress)
-    new = None if record is None else read_record(problem, record)
+    new = None if record is None else read_records(problem, record)
     checks = work.held_out() if new is None else work.on(new)
     name = "" if record is None else record.name
     recorded = run.view.complete
