@@ -24,7 +24,8 @@ from asia.agents.llm.reply import MalformedReplyError, read_reply
 from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source, source_digest
 from asia.data._store import read_seal
-from asia.data.sources.csv import read_csv, split_csv
+from asia.data.intake.records import take_in
+from asia.data.intake.sheet import Wanted
 from asia.drive import RunDesk, SearchRequest, Workspace
 from asia.drive._desk import tidy
 from asia.drive._queue import Queue
@@ -177,8 +178,7 @@ def _problem_targets(place: Place) -> tuple[Target, ...]:
 
     def csv(data: bytes) -> None:
         path = place.put("record.csv", data)
-        split_csv(path, ["u", "y"], 0.2)
-        read_csv(path, ["u"], ["y"], 0.5)
+        take_in([path], Wanted(("u",), ("y",)), "train", 0.5)
 
     def expression(data: bytes) -> None:
         parse_expression(data.decode("utf-8", "replace"), "physics.dynamics.x")

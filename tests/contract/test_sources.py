@@ -15,7 +15,7 @@ from asia._plugins import Part
 from asia.data import Signal, Trajectory
 from asia.data.sources import SOURCES, Channels, DataSet, SourceData, Subset, source_class
 from asia.data.sources.benchmarks import NonlinearBenchmark
-from asia.data.sources.csv_files import CsvFiles
+from asia.data.sources.files import RecordFiles
 from asia.data.sources.nanodrone import Nanodrone
 from asia.data.sources.official import OfficialBenchmark
 from asia.data.sources.simulated import Simulated
@@ -60,10 +60,10 @@ def logs(folder: Path) -> str:
     return f"loggers:{folder}"
 
 
-def test_csv_files_conform(tmp_path: Path) -> None:
+def test_record_files_conform(tmp_path: Path) -> None:
     a, b, c, d = (write(tmp_path / f"{name}.csv", k) for k, name in enumerate("abcd"))
-    check_source(lambda: CsvFiles((a, b), (c,), (d,)), ONE)
-    check_source(lambda: CsvFiles((a,)), ONE)
+    check_source(lambda: RecordFiles((a, b), (c,), (d,)), ONE)
+    check_source(lambda: RecordFiles((a,)), ONE)
 
 
 def test_a_sealed_store_conforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -162,6 +162,7 @@ def spread(words: list[str]) -> list[str]:
     list options of these commands."""
     known = {
         "init": _init.LISTS,
+        "validate": ("--columns",),
         "bench": _bench.LISTS,
         "compare": _compare.LISTS,
         "redteam": _redteam.LISTS,

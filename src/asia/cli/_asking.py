@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,6 +31,13 @@ class InitAnswers:
     """s; None: found from the time stamps."""
     seal: bool | None
     """None: not decided."""
+    test_experiments: list[str] = field(default_factory=list[str])
+    """Experiments in the training files that are the test."""
+
+    @property
+    def has_test(self) -> bool:
+        """Whether test records are named."""
+        return bool(self.test or self.test_experiments)
 
 
 def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
@@ -40,6 +47,8 @@ def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
     answers = given
     if not given.train:
         answers = _with_files(given, asks=asks)
+    if asks and not answers.has_test and given.seal is None:
+        answers = _with_test(answers, wanted)
     answers = replace(answers, inputs=_split(answers.inputs), outputs=_split(answers.outputs))
     if not answers.inputs or not answers.outputs:
         if not asks and not yes:
@@ -48,7 +57,7 @@ def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
                 f"{missing} is missing: name the columns, or take what is found with --yes"
             )
         answers = _with_columns(answers, wanted, asks=asks)
-    if not answers.test and answers.seal is None:
+    if not answers.has_test and answers.seal is None:
         answers = replace(answers, seal=_sealed(asks=asks, yes=yes))
     return answers
 
@@ -58,14 +67,48 @@ def _with_files(given: InitAnswers, *, asks: bool) -> InitAnswers:
 
     if not asks:
         raise UserError("--train is missing: name the files with training records")
-    train, tests = record_files(Path())
+    train, _ = record_files(Path())
     text = typer.prompt("Files with training records", default=_joined(train) or None)
     chosen = [Path(name) for name in split_names(text, [str(p) for p in train])]
-    if given.test or not tests:
-        return replace(given, train=chosen)
-    text = typer.prompt('Files with test records ("none" without)', default=_joined(tests))
-    kept = [] if text.strip() == "none" else [Path(n) for n in split_names(text)]
-    return replace(given, train=chosen, test=kept)
+    return replace(given, train=chosen)
+
+
+def _with_test(given: InitAnswers, wanted: Wanted) -> InitAnswers:
+    """Ask for experiments of the training files, or else for files, that are the test."""
+    from asia.data.intake.survey import experiments_in, record_files, split_names
+
+    known = experiments_in(given.train, wanted)
+    if len(known) > 1:
+        say(f"experiments: {', '.join(known)}")
+        names = _chosen('Experiments for the test ("none" without)', "none", known)
+        if names:
+            return replace(given, test_experiments=names)
+    used = {path.resolve() for path in given.train}
+    tests = [path for path in record_files(Path())[1] if path.resolve() not in used]
+    question = 'Files with test records ("none" without)'
+    while True:
+        text = typer.prompt(question, default=_joined(tests) or "none")
+        if text.strip() == "none":
+            return given
+        paths = [Path(name) for name in split_names(text, [str(p) for p in tests])]
+        missing = [path for path in paths if not path.exists()]
+        if paths and not missing:
+            return replace(given, test=paths)
+        say(f"no such file: {missing[0]}" if missing else "")
+
+
+def _chosen(question: str, default: str, known: Sequence[str]) -> list[str]:
+    from asia.data.intake.survey import split_names
+
+    while True:
+        text = typer.prompt(question, default=default)
+        if text.strip() == "none":
+            return []
+        names = split_names(text, known)
+        unknown = [name for name in names if name not in known]
+        if names and not unknown:
+            return names
+        say(f"no '{unknown[0]}'; there are {', '.join(known)}" if unknown else "")
 
 
 def _with_columns(answers: InitAnswers, wanted: Wanted, *, asks: bool) -> InitAnswers:
@@ -75,32 +118,47 @@ def _with_columns(answers: InitAnswers, wanted: Wanted, *, asks: bool) -> InitAn
     if asks:
         times = f"; sample times in {found.time}" if found.time else ""
         say(f"{answers.train[0]} has {', '.join(found.names)}{times}")
+        for name, reason in found.unusable.items():
+            say(f"{name} {reason}")
     outputs = answers.outputs or [n for n in found.outputs if n not in answers.inputs]
     inputs = answers.inputs or [n for n in found.inputs if n not in outputs]
     if not answers.inputs:
-        inputs = _columns("Inputs", inputs, found, asks=asks)
+        inputs = _columns("Inputs", inputs, found, asks=asks, refused={})
     if not answers.outputs:
         left = [n for n in outputs if n not in inputs]
-        outputs = _columns("Outputs", left, found, asks=asks)
+        outputs = _columns("Outputs", left, found, asks=asks, refused=found.unusable)
     step = answers.sampling_time
     if step is None and not found.timed and asks:
         step = _sampling_time()
     return replace(answers, inputs=inputs, outputs=outputs, sampling_time=step)
 
 
-def _columns(what: str, default: Sequence[str], found: FileColumns, *, asks: bool) -> list[str]:
+def _columns(
+    what: str,
+    default: Sequence[str],
+    found: FileColumns,
+    *,
+    asks: bool,
+    refused: Mapping[str, str],
+) -> list[str]:
     from asia.data.intake.survey import split_names
 
     if not asks:
+        if not default:
+            raise UserError(f"no column can be one of the {what.lower()}: name them")
         say(f"{what.lower():<8} {', '.join(default)}")
         return list(default)
     while True:
         text = typer.prompt(what, default=", ".join(default) or None)
         names = split_names(text, found.names)
         unknown = [name for name in names if name not in found.names]
-        if names and not unknown:
+        bad = [name for name in names if name in refused]
+        if names and not unknown and not bad:
             return names
-        say(f"no column '{unknown[0]}'; there are {', '.join(found.names)}" if unknown else "")
+        if unknown:
+            say(f"no column '{unknown[0]}'; there are {', '.join(found.names)}")
+        elif bad:
+            say(f"'{bad[0]}' {refused[bad[0]]}: there is nothing to identify, name another")
 
 
 def _sampling_time() -> float:

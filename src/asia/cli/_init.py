@@ -13,7 +13,7 @@ import typer
 
 from asia._text import say
 from asia.cli._asking import InitAnswers, completed
-from asia.cli._options.shared import Keys
+from asia.cli._options.shared import ColumnNames, Experiment, Keys, Time, TimeUnit
 from asia.errors import UserError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SEAL_FRACTION = 0.2
 _SILENT_SECONDS = 2.0
-LISTS = ("--train", "--test", "--inputs", "--outputs", "--columns")
+LISTS = ("--train", "--test", "--inputs", "--outputs", "--columns", "--test-experiments")
 
 
 Train = Annotated[
@@ -45,17 +45,9 @@ Sealed = Annotated[
         "record.",
     ),
 ]
-Time = Annotated[
-    str | None, typer.Option(help='Column with the time stamps; "none": do not use any.')
-]
-TimeUnit = Annotated[
-    str | None, typer.Option(help="Unit of time stamps that are numbers: s, ms, us, ns, days.")
-]
-ColumnNames = Annotated[
-    list[str] | None, typer.Option(help="Column names of files without a header, in order.")
-]
-Experiment = Annotated[
-    str | None, typer.Option(help="Column that names the experiment: each becomes a record.")
+TestExperiments = Annotated[
+    list[str] | None,
+    typer.Option(help="Experiments in the training files that are the test, by their names."),
 ]
 
 Delay = Annotated[
@@ -83,6 +75,7 @@ def init(
     time_unit: TimeUnit = None,
     columns: ColumnNames = None,
     experiment_column: Experiment = None,
+    test_experiments: TestExperiments = None,
     delay: Delay = None,
     decimate: Decimate = 1,
     detrend: Detrend = False,
@@ -99,7 +92,15 @@ def init(
         raise UserError(
             f"--sampling-time is {sampling_time:g}: expected a number of seconds above 0"
         )
-    given = InitAnswers(train or [], test or [], inputs or [], outputs or [], sampling_time, seal)
+    given = InitAnswers(
+        train or [],
+        test or [],
+        inputs or [],
+        outputs or [],
+        sampling_time,
+        seal,
+        test_experiments or [],
+    )
     answers = completed(given, wanted, yes=yes)
     if answers.seal:
         from asia.search import check_hidden_from_workers
@@ -112,13 +113,14 @@ def init(
         inputs=answers.inputs,
         outputs=answers.outputs,
         sampling_time=answers.sampling_time,
-        seal_fraction=SEAL_FRACTION if answers.seal and not answers.test else None,
+        test_experiments=answers.test_experiments,
+        seal_fraction=SEAL_FRACTION if answers.seal and not answers.has_test else None,
         seal=bool(answers.seal),
         keys=keys,
         wanted=wanted,
         preparation=Preparation(delay, decimate, detrend, scale),
     )
-    _print_made(made, name, has_test=bool(answers.test))
+    _print_made(made, name, has_test=answers.has_test)
 
 
 def _progress() -> Callable[[str], None]:

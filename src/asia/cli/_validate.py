@@ -11,7 +11,16 @@ import typer
 
 from asia._text import say
 from asia.cli._options.run_directory import run_directory
-from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
+from asia.cli._options.shared import (
+    DEFAULT_RUNS,
+    ColumnNames,
+    Experiment,
+    Json,
+    RunName,
+    Runs,
+    Time,
+    TimeUnit,
+)
 
 if TYPE_CHECKING:
     from asia.search import Dossier
@@ -21,8 +30,15 @@ def validate(
     run: RunName = None,
     record: Annotated[
         Path | None,
-        typer.Option(help="A CSV file with the problem's columns, to validate the model on."),
+        typer.Option(
+            help="A file with the problem's columns, to validate the model on; every format that "
+            "asia init reads."
+        ),
     ] = None,
+    time: Time = None,
+    time_unit: TimeUnit = None,
+    columns: ColumnNames = None,
+    experiment_column: Experiment = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
@@ -31,11 +47,18 @@ def validate(
     Judges what the folds held out, and how the model answers small steps and a long run. The sealed
     test stays closed.
     """
+    from asia.problem.load import Wanted
     from asia.report import write_dossier
     from asia.search import validate as check
 
+    reading = Wanted((), (), time, time_unit, experiment_column, tuple(columns or ()))
     directory = run_directory(runs, run)
-    found = check(directory, record, lambda text: say(f"checking {text}", file=sys.stderr))
+    found = check(
+        directory,
+        record,
+        lambda text: say(f"checking {text}", file=sys.stderr),
+        None if reading == Wanted((), ()) else reading,
+    )
     failed: list[str] = []
     for path in write_dossier(directory, found.checks, found.summary, failed):
         say(str(path), file=sys.stderr)

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from datetime import date
 from typing import Any
 
 import numpy as np
 
 from asia._nearest import suggestion
-from asia.data._trajectory import Array, Signal, Trajectory
-from asia.data.intake.sheet import find_column, split_unit
+from asia.data._trajectory import Array, Signal
+from asia.data.intake.grid import JITTER
+from asia.data.intake.part import SheetPart
+from asia.data.intake.records import Intake, Use, make_records
+from asia.data.intake.sheet import Column, Sheet, Wanted, find_column, split_unit
+from asia.data.intake.stamps import seconds, time_column
 from asia.errors import UserError
+
+_IGNORE_INDEX = "drop the index (reset_index(drop=True)) and give sampling_time"
 
 
 def one_a_record(values: Any) -> list[Any]:
@@ -38,30 +46,109 @@ def name_signals(
     return tuple(s if isinstance(s, Signal) else Signal(s) for s in named)
 
 
-def make_trajectories(
+def read_arrays(
     u: Sequence[Any],
     y: Sequence[Any],
     inputs: Sequence[Signal],
     outputs: Sequence[Signal],
-    sampling_time: float,
+    sampling_time: float | None,
     kind: str,
-) -> tuple[Trajectory, ...]:
-    """One record a pair of `u` and `y`, called `kind` and its number. Of a data frame the columns
-    of the signals are taken. Raises UserError for what does not fit."""
+    use: Use = "train",
+    least: int = 1,
+) -> Intake:
+    """Read one record a pair of `u` and `y`, called `kind` and its number, by the rules for files.
+
+    The columns of the signals are taken out of data frames. Their index gives the time stamps:
+    dates, or numbers in seconds. sampling_time: s; None for that of the stamps. Raises
+    UserError for what does not fit.
+    """
     if len(u) != len(y):
         raise UserError(
             f"{len(u)} arrays of inputs, but {len(y)} of outputs to {kind}: give one of each a "
             "record"
         )
-    return tuple(
-        Trajectory(
-            _columns(one, inputs, f"inputs of record '{kind}{k}'"),
-            _columns(other, outputs, f"outputs of record '{kind}{k}'"),
-            sampling_time,
-            f"{kind}{k}",
-        )
+    if sampling_time is not None and not sampling_time > 0:
+        raise UserError(f"sampling_time is {sampling_time:g} s, expected more than 0")
+    parts = [
+        _part(one, other, inputs, outputs, f"{kind}{k}")
         for k, (one, other) in enumerate(zip(u, y, strict=True), 1)
-    )
+    ]
+    if not parts:
+        return Intake(())
+    if sampling_time is None and all(p.stamps is None or len(p.stamps) < 3 for p in parts):
+        raise UserError("the sampling time is not known: give sampling_time=..., in seconds")
+    return make_records(parts, use, sampling_time, least, _IGNORE_INDEX)
+
+
+def _part(
+    u: Any, y: Any, inputs: Sequence[Signal], outputs: Sequence[Signal], name: str
+) -> SheetPart:
+    us = _columns(u, inputs, f"inputs of record '{name}'")
+    ys = _columns(y, outputs, f"outputs of record '{name}'")
+    if len(us) != len(ys):
+        raise UserError(
+            f"record '{name}': {len(us)} input samples but {len(ys)} output samples; both need the "
+            "same length"
+        )
+    where = f"record '{name}'"
+    for what, values in (("inputs", us), ("outputs", ys)):
+        if np.isinf(values).any():
+            row, column = (int(k) for k in np.argwhere(np.isinf(values))[0])
+            raise UserError(
+                f"{what} of record '{name}': the value at sample {row}, channel {column} is "
+                "infinite: write NaN where nothing was measured"
+            )
+    own = [found for v in (u, y) if (found := _time_index(v, where)) is not None]
+    if len(own) == 2:
+        _check_same_times(own[0], own[1])
+    stamps = _seconds(own[0]) if own else None
+    if stamps is not None and not np.isfinite(stamps).all():
+        rows = np.isfinite(stamps)
+        us, ys, stamps = us[rows], ys[rows], stamps[rows]
+    return SheetPart(name, us, ys, stamps, None, where, 1, is_file=True)
+
+
+def _time_index(values: Any, where: str) -> Sheet | None:
+    """The index of a data frame as a sheet of one column, where it is a time."""
+    index = getattr(values, "index", None)
+    if index is None or callable(index) or not len(index):
+        return None
+    name = str(getattr(index, "name", None) or "")
+    # Dates with a time zone come as objects.
+    cells = np.asarray(index)
+    if cells.dtype.kind == "m":
+        cells = cells.astype("timedelta64[ns]").astype(np.float64) * 1e-9
+        return Sheet(where, {"seconds": Column(cells, "s")}, where=where)
+    sheet = Sheet(where, {name or "index": Column(cells)}, where=where)
+    is_named = bool(name) and time_column(sheet, Wanted((), ())) is not None
+    if cells.dtype.kind in "Mf" or is_named or isinstance(cells[0], date):
+        return sheet
+    return None
+
+
+def _seconds(sheet: Sheet) -> Array:
+    return seconds(sheet, next(iter(sheet.columns)), Wanted((), ()))
+
+
+def _check_same_times(u: Sheet, y: Sheet) -> None:
+    """Raises UserError where inputs and outputs were not sampled at the same times."""
+    where = u.where
+    (name, first_column), (_, second_column) = (next(iter(s.columns.items())) for s in (u, y))
+    cells = first_column.cells, second_column.cells
+    kinds = [c.dtype.kind in "fiu" for c in cells]
+    if kinds[0] != kinds[1]:
+        raise UserError(f"{where}: one of u and y has dates as its index, the other has numbers")
+    both = replace(first_column, cells=np.concatenate(cells))
+    stamps = _seconds(replace(u, columns={name: both}))
+    first, second = stamps[: len(cells[0])], stamps[len(cells[0]) :]
+    step = float(np.median(np.diff(first))) if len(first) > 1 else 1.0
+    apart = np.abs(second - first)
+    if np.nanmax(apart) > JITTER * abs(step):
+        row = int(np.nanargmax(apart > JITTER * abs(step)))
+        raise UserError(
+            f"{where}: the time index of y is {apart[row]:g} s away from that of u at row "
+            f"{row + 1}: cut both to the same times"
+        )
 
 
 def _columns(values: Any, signals: Sequence[Signal], what: str) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TypeGuard
 
@@ -117,6 +118,17 @@ class Trajectory:
             return self[start:stop]
         y = self.measured_y[start:stop]
         return Trajectory(self.u[start:stop], y, self.sampling_time, self.name)
+
+
+def unique_names(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, a later one that was there before with `_2`, `_3` and so on behind it."""
+    found: dict[str, None] = {}
+    for name in names:
+        number, own = 2, name
+        while own in found:
+            own, number = f"{name}_{number}", number + 1
+        found[own] = None
+    return tuple(found)
 
 
 def filled(values: Array) -> Array:

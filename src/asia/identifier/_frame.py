@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asia.errors import UserError
-from asia.ledger import Experiment, find_run, open_run
+from asia.ledger import Experiment, Run, find_run, open_run
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def load_run(run: Path | str | None = None, *, runs: Path | str = "runs") -> pd.DataFrame:
+def load_run(run: Run | Path | str | None = None, *, runs: Path | str = "runs") -> pd.DataFrame:
     """The experiments of a run, one row each, by their number.
 
-    run: a path, a name below `runs`, or None for the newest one. Columns: `V`, the value of each
+    run: a run such as `SystemIdentifier.run_`, a path, a name below `runs`, or None for the newest
+    one. Columns: `V`, the value of each
     fold (`V_fold1`, ...), `status`, `family`, `title`, `parent`, `hypothesis`, `seconds` and
     `failure`; what there is none of is missing. `frame.attrs` has `run`, `problem`, `metric`, and
     `best`, the number of the best experiment. Needs pandas. Raises UserError when there is no such
@@ -25,6 +26,8 @@ def load_run(run: Path | str | None = None, *, runs: Path | str = "runs") -> pd.
         import pandas as pd
     except ImportError:
         raise UserError("a data frame needs pandas: pip install pandas") from None
+    if isinstance(run, Run):
+        run = run.directory
     opened = open_run(find_run(Path(runs), None if run is None else str(run)))
     view = opened.view
     numbers = pd.Index([e.number for e in view.experiments], name="experiment")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -14,11 +15,10 @@ from asia._api import run as search_for_model
 from asia._text import say
 from asia.agents import Agent
 from asia.data import Array, Signal, filled
-from asia.data._arrays import make_trajectories, one_a_record
+from asia.data._arrays import name_signals, one_a_record, read_arrays
 from asia.errors import UserError
 from asia.export import Exported
 from asia.export import export as export_model
-from asia.identifier._records import check_times, digest_of, sampling_time_of
 from asia.ledger import (
     Evaluated,
     Event,
@@ -35,8 +35,12 @@ from asia.report import brief_html, write_page, write_report
 from asia.scoring import fit_index
 from asia.search import LOCK, BandedSimulation, simulate, simulate_cases
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 Table = Mapping[str, Any]
 _AT_ONCE = 4096
+_ESTIMATES = ("value", "unit", "standard_error", "low", "high")
 
 
 class SystemIdentifier:
@@ -108,12 +112,14 @@ class SystemIdentifier:
 
         u, y: inputs (T, nu) and outputs (T, ny) in physical units, arrays (T,) of one channel, data
         frames, or lists of them, one a record. sampling_time in seconds; None takes it from the
-        time index of the data frames. inputs, outputs: names, or `asia.Signal`s with units. The
+        index of the data frames: dates, or numbers in seconds. The index is treated as `asia init`
+        treats the time stamps of files: a little jitter counts as none, more is resampled, and a
+        record is cut at gaps. inputs, outputs: names, or `asia.Signal`s with units. The
         same call again resumes. Raises UserError for anything the caller can mend.
         """
-        every = [*one_a_record(u), *one_a_record(y)]
-        check_times(one_a_record(u), one_a_record(y))
-        step = sampling_time_of(every, sampling_time)
+        us, ys = one_a_record(u), one_a_record(y)
+        signals = name_signals(inputs, us[0], "u"), name_signals(outputs, ys[0], "y")
+        step = read_arrays(us, ys, *signals, sampling_time, "train").records[0].sampling_time
         problem = Problem.from_arrays(
             u,
             y,
@@ -127,6 +133,9 @@ class SystemIdentifier:
             physics=self.physics,
             symmetry=self.symmetry,
         )
+        if self.progress:
+            for warning in problem.warnings:
+                say(warning)
         self.run_ = search_for_model(
             problem,
             agent=self.agent,
@@ -185,13 +194,14 @@ class SystemIdentifier:
         """The fit index in percent of the simulation of one record, or of several: 100 is perfect,
         0 as good as the mean. The mean over outputs and records.
 
-        Each record begins with the past window; the simulation starts behind it.
+        Each record begins with the past window; the simulation starts behind it. Records are read
+        by the rules of a test: outputs are never interpolated.
         """
         us, ys = one_a_record(u), one_a_record(y)
         problem, rule = self.problem_, self.problem_.protocol
-        records = make_trajectories(
-            us, ys, problem.inputs, problem.outputs, problem.sampling_time, "record"
-        )
+        signals = problem.channels.inputs, problem.channels.outputs
+        step = problem.channels.sampling_time
+        records = read_arrays(us, ys, *signals, step, "record", "test").records
         for record in records:
             if len(record) <= rule.past + 1:
                 raise UserError(
@@ -249,11 +259,34 @@ class SystemIdentifier:
         return self._opened.store.text(best.proposed.source)
 
     @property
-    def parameters_(self) -> tuple[IdentifiedParameter, ...]:
-        """The parameters of the model fitted to all records, with their uncertainty; () where the
-        best candidate has none."""
-        found = identified(self._opened)
-        return () if found is None else found.parameters
+    def parameters_(self) -> pd.DataFrame | tuple[IdentifiedParameter, ...]:
+        """The parameters of the model fitted to all records, with their uncertainty: a data frame,
+        one row a parameter, or without pandas a tuple of objects.
+
+        Columns: `value`, `unit`, `standard_error`; `low` and `high`, the 95 % interval;
+        `fold_error`, the standard error by the spread of the fold models; `lower` and `upper`, the
+        search range; `identifiable`, whether the records determine it. No rows where the best
+        candidate has no parameters.
+        """
+        model = identified(self._opened)
+        found = () if model is None else model.parameters
+        try:
+            import pandas as pd
+        except ImportError:
+            return found
+        rows = [
+            {
+                **{name: getattr(one.fitted, name) for name in _ESTIMATES},
+                "fold_error": one.fold_error,
+                **{name: getattr(one.fitted, name) for name in ("lower", "upper", "identifiable")},
+            }
+            for one in found
+        ]
+        names = pd.Index([one.fitted.name for one in found], name="parameter")
+        columns = [*_ESTIMATES, "fold_error", "lower", "upper", "identifiable"]
+        frame = pd.DataFrame(rows, index=names, columns=columns)
+        numbers = [name for name in columns if name not in ("unit", "identifiable")]
+        return frame.astype(dict.fromkeys(numbers, float))
 
     def __repr__(self) -> str:
         own, usual = self.get_params(), inspect.signature(type(self)).parameters
@@ -284,7 +317,13 @@ class SystemIdentifier:
             return Path(self.directory)
         arrays = [np.asarray(one, dtype=np.float64) for v in (u, y) for one in one_a_record(v)]
         settings = step, inputs, outputs, self.protocol, self.budget, self.physics
-        name = digest_of(arrays, *settings, self.symmetry, self.description)
+        times = [
+            str(np.asarray(one.index).tolist())
+            for v in (u, y)
+            for one in one_a_record(v)
+            if hasattr(one, "columns") and hasattr(one, "index")
+        ]
+        name = _digest(arrays, *settings, self.symmetry, self.description, *times)
         return Path(self.runs) / "problems" / f"records-{name}"
 
 
@@ -312,6 +351,14 @@ class _Printer:
 
 def _parameters() -> list[str]:
     return list(inspect.signature(SystemIdentifier).parameters)
+
+
+def _digest(arrays: Sequence[Array], *settings: object) -> str:
+    """8 hexadecimal digits of records and settings: the same ones have the same name."""
+    found = hashlib.sha256(repr(settings).encode())
+    for array in arrays:
+        found.update(repr(array.shape).encode() + array.astype("<f8").tobytes())
+    return found.hexdigest()[:8]
 
 
 def _table(values: Any, channels: int, name: str) -> Array:

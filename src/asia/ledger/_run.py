@@ -41,6 +41,12 @@ class Run:
     lines: tuple[Line, ...]
     busy: bool
 
+    def __repr__(self) -> str:
+        best = self.view.best
+        value = f", best #{best.number} V={best.score.value:.6g}" if best and best.score else ""
+        count = len(self.view.experiments)
+        return f"Run('{self.directory}', {self.state}, {count} experiments{value})"
+
     @property
     def name(self) -> str:
         """Name of the run."""

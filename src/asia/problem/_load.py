@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 from asia._files import read_text
 from asia._nearest import suggestion
 from asia.data._trajectory import Signal, Trajectory
+from asia.data.intake.sheet import Wanted
 from asia.data.sources import Channels, data_source, test_source
-from asia.data.sources.csv_files import read_files
+from asia.data.sources.files import RecordFiles
 from asia.errors import UserError
 from asia.problem._lock import check_digests
 from asia.problem._problem import Problem, TestSource, prepared
@@ -75,10 +76,14 @@ def load_lock(path: Path) -> Problem:
     return problem
 
 
-def read_record(problem: Problem, path: Path) -> Trajectory:
-    """A record that a person brings, with the problem's columns and sampling time. Raises UserError
-    where it cannot be read."""
-    return prepared(problem, read_files([path], problem.channels).trajectories)[0]
+def read_records(
+    problem: Problem, path: Path, reading: Wanted | None = None
+) -> tuple[Trajectory, ...]:
+    """Read the records of a file that the user brings, with the columns and the sampling time of
+    the problem, by the rules of a test. reading: options of reading in place of those of the
+    problem. Raises UserError."""
+    data = problem.data if isinstance(problem.data, RecordFiles) else RecordFiles(())
+    return prepared(problem, data.records_of(path, problem.channels, reading).records)
 
 
 def _builtin_root() -> Path:
@@ -139,7 +144,8 @@ def _assemble(
     _check_preprocess(file, *names)
     check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
     data = data_source(file.data, root)
-    records = data.records("train", channels)
+    least = least_samples(file.protocol.rule()) * file.preprocess.decimate
+    records = data.records("train", replace(channels, least=least))
     recorded = [t.name for t in records.trajectories]
     _require_records(recorded, file)
     rule = with_groups(file.protocol.rule(), file.data.groups, recorded)
@@ -199,29 +205,37 @@ def _check_names(channels: Channels) -> None:
             raise UserError(f"signal '{name}' is named {count} times among inputs and outputs")
 
 
+def least_samples(rule: ProtocolRule) -> int:
+    """The shortest training record that the folds can divide."""
+    if rule.folds.kind == "leave_one_group_out":
+        return rule.past + max(least_case(rule), LEAST_BEYOND_PAST)
+    gap = rule.folds.gap or 0
+    if rule.folds.tail is not None:
+        shortest = rule.past + least_case(rule) + gap
+        return rule.past + max(rule.folds.tail, rule.folds.count * least_case(rule)) + shortest
+    beyond = max(least_case(rule), LEAST_BEYOND_PAST) + gap
+    return rule.past + block_count(rule) * (rule.past + beyond)
+
+
 def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
     """Raises UserError when a record is too short for the folds: each held-out block must be able
     to hold a past window and some samples to train on."""
+    gap = rule.folds.gap or 0
     if rule.folds.kind == "leave_one_group_out":
-        least = rule.past + max(least_case(rule), LEAST_BEYOND_PAST)
         wanted = f"a past window of {rule.past}"
         advice = "a shorter past window"
     elif rule.folds.tail is not None:
-        count, gap = rule.folds.count, rule.folds.gap or 0
-        shortest = rule.past + least_case(rule) + gap
-        least = rule.past + max(rule.folds.tail, count * least_case(rule)) + shortest
-        wanted = f"a tail of {rule.folds.tail} in {count} folds with a past window of {rule.past}"
+        tail, count = rule.folds.tail, rule.folds.count
+        wanted = f"a tail of {tail} in {count} folds with a past window of {rule.past}"
         advice = "fewer folds, a shorter tail or past window"
     else:
-        count, gap = block_count(rule), rule.folds.gap or 0
-        beyond = max(least_case(rule), LEAST_BEYOND_PAST) + gap
-        least = rule.past + count * (rule.past + beyond)
         wanted = f"{rule.folds.count} folds with a past window of {rule.past}"
         wanted += f" and a gap of {gap}" if gap else ""
         advice = "fewer folds, a shorter past window" + (" or gap" if gap else "")
     if rule.horizon is not None:
         wanted += f" and a horizon of {rule.horizon}"
         advice = f"{advice} or horizon"
+    least = least_samples(rule)
     for t in trajectories:
         if len(t) < least:
             raise UserError(

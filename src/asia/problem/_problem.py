@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from asia.data._arrays import make_trajectories, name_signals, one_a_record
+from asia.data._arrays import name_signals, one_a_record, read_arrays
 from asia.data._preprocess import Preprocess
 from asia.data._trajectory import Array, Signal, Trajectory
 from asia.data.sources import Channels, Source
@@ -100,7 +100,7 @@ class Problem:
         u: Any,
         y: Any,
         *,
-        sampling_time: float,
+        sampling_time: float | None = None,
         directory: Path | str,
         inputs: Sequence[str | Signal] | None = None,
         outputs: Sequence[str | Signal] | None = None,
@@ -119,7 +119,9 @@ class Problem:
         unseal.
 
         u, y: inputs (T, nu) and outputs (T, ny) in physical units, arrays or data frames, or lists
-        of them, one a record; sampling_time in seconds; test_u, test_y: the same for the test.
+        of them, one a record; sampling_time in seconds, None for that of the time index of the data
+        frames; test_u, test_y: the same for the test. Time stamps, gaps and missing values are
+        treated as `asia init` treats those of files, and `warnings` tells what was done.
         inputs, outputs: names or `Signal`s with units; columns of that name are taken out of data
         frames. name: of the problem, the directory's without one. The records are called train1,
         train2 and so on, and test1; `groups` names them. protocol, budget, physics, symmetry:
@@ -133,13 +135,17 @@ class Problem:
         signals = name_signals(inputs, us[0], "u"), name_signals(outputs, ys[0], "y")
         # The module makes problems: imported above, it would close a circle.
         arrays = import_module("asia.problem.new.arrays")
+        least = arrays.least_piece(protocol)
+        train = read_arrays(us, ys, *signals, sampling_time, "train", "train", least)
+        step = train.records[0].sampling_time
+        test = read_arrays(test_us, test_ys, *signals, step, "test", "test")
         given = arrays.ArrayProblem(
             name=name or Path(directory).resolve().name,
-            train=make_trajectories(us, ys, *signals, sampling_time, "train"),
-            test=make_trajectories(test_us, test_ys, *signals, sampling_time, "test"),
+            train=train.records,
+            test=test.records,
             inputs=signals[0],
             outputs=signals[1],
-            sampling_time=sampling_time,
+            sampling_time=step,
             description=description,
             baseline=baseline,
             groups=groups,
@@ -148,7 +154,8 @@ class Problem:
             physics=physics,
             symmetry=symmetry,
         )
-        return arrays.save_problem(given, Path(directory))
+        problem = arrays.save_problem(given, Path(directory))
+        return replace(problem, warnings=(*train.notes, *test.notes, *problem.warnings))
 
     @property
     def channels(self) -> Channels:

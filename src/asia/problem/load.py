@@ -6,7 +6,7 @@ from asia.data._store import key_folder
 from asia.data.intake.sheet import Wanted
 from asia.problem._check import CheckReport, check_problem
 from asia.problem._digest import protocol_digest
-from asia.problem._load import builtin_problems, load_lock, load_problem, read_record
+from asia.problem._load import builtin_problems, load_lock, load_problem, read_records
 from asia.problem._lock import Difference, lock_differences, lock_text
 from asia.problem._problem import Problem, Seal, kept_places, record_places
 from asia.problem._protocol import check_feedback
@@ -34,7 +34,7 @@ __all__ = [
     "lock_differences",
     "lock_text",
     "protocol_digest",
-    "read_record",
+    "read_records",
     "record_places",
     "training_text",
 ]

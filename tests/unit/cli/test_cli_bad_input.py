@@ -48,12 +48,8 @@ def in_rows(change: Callable[[list[str]], list[str]], name: str = "train.csv") -
     return spoil
 
 
-def unfinished_column(rows: list[str]) -> list[str]:
-    return [*rows[:-5], *(row.split(",")[0] + "," for row in rows[-5:])]
-
-
-def not_a_number(rows: list[str]) -> list[str]:
-    return [*rows[:9], "nan," + rows[9].split(",")[1], *rows[10:]]
+def a_word(rows: list[str]) -> list[str]:
+    return [*rows[:9], "wet," + rows[9].split(",")[1], *rows[10:]]
 
 
 def scaled(factor: float, name: str = "train.csv") -> Spoil:
@@ -86,9 +82,8 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "unknown key": (in_toml("past_inputs", "past_inptus"), ("past_inptus", "past_inputs")),
     "no TOML": (in_toml('name = "toy"', 'name = "toy'), ("problem.toml",)),
     "missing column": (in_toml('["u"]', '["volt"]'), ("train.csv", "'volt'", "u, y")),
-    "unequal lengths": (in_rows(unfinished_column), ("train.csv", "unequal lengths", "'y'")),
-    "NaN in an input": (in_rows(not_a_number), ("train.csv", "line 11", "'u'")),
-    "NaN in the test": (in_rows(not_a_number, "test.csv"), ("test.csv", "line 11", "'u'")),
+    "a word in an input": (in_rows(a_word), ("train.csv", "line 11", "'u'")),
+    "a word in the test": (in_rows(a_word, "test.csv"), ("test.csv", "line 11", "'u'")),
     "too few samples": (in_rows(lambda rows: rows[:20]), ("20 samples", "at least 29")),
     "too short a test": (in_rows(lambda rows: rows[:3], "test.csv"), ("test", "3 samples")),
     "test left out": (
@@ -102,7 +97,7 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "no header": (without_header, ("train.csv", "the first row holds numbers")),
     "no such file": (lambda p: (p / "train.csv").unlink(), ("no such file", "train.csv")),
     "no such test": (lambda p: (p / "test.csv").unlink(), ("no such file", "test.csv")),
-    "not a file": (replaced_by_directory, ("cannot read", "train.csv")),
+    "not a file": (replaced_by_directory, ("train.csv is a folder",)),
     "a pipe for records": (replaced_by_pipe("train.csv"), ("train.csv: it is a named pipe",)),
     "a pipe for the baseline": (replaced_by_pipe("baseline.py"), ("baseline.py: it is a named",)),
     "huge outputs": (

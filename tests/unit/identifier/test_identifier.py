@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import asia
-from asia.data import Array
+from asia.data import Array, Signal
+from asia.data._arrays import read_arrays
+from asia.data.intake.records import Intake, Use
 from asia.errors import UserError
-from asia.identifier._records import check_times, sampling_time_of
 from asia.search import BandedSimulation
 from tests.unit.cli.conftest import command_line
 
@@ -142,25 +145,88 @@ def test_a_run_as_a_table(fitted: asia.SystemIdentifier) -> None:
     assert asia.load_run(runs=fitted.runs).equals(frame)
 
 
-def test_the_sampling_time_is_that_of_the_index() -> None:
-    times = [datetime(2026, 1, 1) + timedelta(milliseconds=20 * k) for k in range(50)]
-    frame = pd.DataFrame({"u": np.zeros(50)}, index=pd.DatetimeIndex(times))
-    assert sampling_time_of([frame, np.zeros(3)], None) == pytest.approx(0.02)
-    assert sampling_time_of([frame], 0.02) == 0.02
-    with pytest.raises(UserError, match=r"steps of 0\.02 s"):
-        sampling_time_of([frame], 0.1)
-    with pytest.raises(UserError, match=r"not equally spaced: 0\.04 s after row 9, 0\.02 s"):
-        sampling_time_of([frame.drop(frame.index[10])], None)
-    with pytest.raises(UserError, match=r"different steps \(0\.02 s, 0\.04 s\)"):
-        sampling_time_of([frame, frame[::2]], None)
+def test_a_run_is_named_by_itself_and_prints_short(fitted: asia.SystemIdentifier) -> None:
+    assert asia.load_run(fitted.run_).equals(asia.load_run(fitted.run_.directory))
+    assert len(repr(fitted.run_)) < 300
+    assert fitted.run_.name in repr(fitted.run_)
+    assert "1 experiments, best #1 V=" in repr(fitted.run_)
+
+
+def test_parameters_are_a_data_frame_where_pandas_is_installed(
+    fitted: asia.SystemIdentifier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = fitted.parameters_
+    assert isinstance(frame, pd.DataFrame)
+    assert frame.index.name == "parameter"
+    assert list(frame.columns) == [
+        "value", "unit", "standard_error", "low", "high", "fold_error", "lower", "upper",
+        "identifiable",
+    ]  # fmt: skip
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    plain = fitted.parameters_
+    assert isinstance(plain, tuple)
+    assert [one.fitted.name for one in plain] == list(frame.index)
+    assert [one.fitted.value for one in plain] == frame["value"].tolist()
+
+
+def read(
+    u: Sequence[Any], y: Sequence[Any], step: float | None = None, use: Use = "train"
+) -> Intake:
+    return read_arrays(u, y, [Signal("u")], [Signal("y")], step, "record", use)
+
+
+def frame_of(index: Any, name: str) -> pd.DataFrame:
+    return pd.DataFrame({name: np.sin(np.arange(len(index)))}, index=index)
+
+
+@pytest.mark.parametrize(
+    "index",
+    [
+        pd.date_range("2026-01-01", periods=50, freq="20ms"),
+        pd.date_range("2026-01-01", periods=50, freq="20ms", tz="Europe/Berlin"),
+        pd.timedelta_range(0, periods=50, freq="20ms"),
+        pd.Index(np.arange(50) * 0.02),
+        pd.Index(np.arange(50) * 20, name="time_ms"),
+        pd.Index([str(t) for t in pd.date_range("2026-01-01", periods=50, freq="20ms")], name="t"),
+    ],
+)
+def test_the_sampling_time_is_that_of_the_index(index: Any) -> None:
+    u, y = frame_of(index, "u"), frame_of(index, "y")
+    for pair in ((u, y), (u, y.to_numpy()), (u.to_numpy(), y)):
+        found = read([pair[0]], [pair[1]])
+        assert found.records[0].sampling_time == pytest.approx(0.02)
+        assert len(found.records[0]) == 50
+        assert found.notes == ()
+
+
+def test_an_index_that_numbers_the_rows_is_no_time() -> None:
+    u, y = frame_of(pd.RangeIndex(50), "u"), frame_of(pd.Index(np.arange(50) * 2), "y")
+    assert len(read([u], [y], 0.1).records[0]) == 50
     with pytest.raises(UserError, match="give sampling_time"):
-        sampling_time_of([np.zeros(3)], None)
+        read([u], [y])
 
 
-def test_inputs_and_outputs_begin_at_the_same_time() -> None:
+def test_an_index_has_the_rules_of_a_column_of_time_stamps() -> None:
+    rng = np.random.default_rng(0)
+    jittered = np.arange(200) * 0.1 + 0.001 * rng.standard_normal(200)
+    u, y = frame_of(pd.Index(jittered), "u"), frame_of(pd.Index(jittered), "y")
+    found = read([u], [y])
+    assert found.records[0].sampling_time == pytest.approx(0.1)
+    assert "resampled to 0.1 s" in found.notes[0]
+    with pytest.raises(UserError, match=r"never interpolated: bring .* drop the index"):
+        read([u], [y], use="test")
+    gap = np.delete(np.arange(60) * 0.1, 30)
+    cut = read([frame_of(pd.Index(gap), "u")], [frame_of(pd.Index(gap), "y")])
+    assert [len(r) for r in cut.records] == [30, 29]
+    with pytest.raises(UserError, match=r"sampled every 0\.1 s, but the sampling time is 0\.02 s"):
+        read([frame_of(pd.Index(gap), "u")], [frame_of(pd.Index(gap), "y")], 0.02)
+    missing = np.sin(np.arange(50.0))
+    missing[20] = np.nan
+    assert [len(r) for r in read([missing], [missing], 0.1).records] == [20, 29]
+
+
+def test_inputs_and_outputs_have_the_same_times() -> None:
     times = pd.date_range("2026-01-01", periods=50, freq="20ms")
-    u = pd.DataFrame({"u": np.zeros(50)}, index=times)
-    check_times([u], [u + 1.0])
-    check_times([np.zeros(3)], [u])
-    with pytest.raises(UserError, match=r"record 2: the time index of y begins 0\.04 s away"):
-        check_times([u, u[:-2]], [u, u[2:]])
+    u, y = frame_of(times, "u"), frame_of(times, "y")
+    with pytest.raises(UserError, match=r"'record2': the time index of y is 0\.04 s away"):
+        read([u, u[:-2]], [y, y[2:]])

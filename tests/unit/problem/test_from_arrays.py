@@ -158,7 +158,7 @@ def test_a_directory_with_other_things_in_it_is_left_alone(tmp_path: Path) -> No
         ({"test_y": None}, "1 arrays of inputs, but 0 of outputs to test"),
         ({"u": np.zeros((2, 60, 1))}, "list of arrays for several records"),
         ({"u": np.zeros((90, 1))}, "both need the same length"),
-        ({"u": np.full((120, 1), np.nan)}, "missing or infinite value"),
+        ({"u": np.full((120, 1), np.inf)}, "the value at sample 0, channel 0 is infinite"),
         ({"u": np.array(["a"] * 120)}, "do not read as numbers"),
         ({"inputs": ["a", "b"]}, "1 channels, but 2 are named"),
         ({"inputs": ["y"]}, "signal 'y' is named 2 times"),

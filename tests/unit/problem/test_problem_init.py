@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asia.data.sources.csv_files import CsvFiles
+from asia.data.sources.files import RecordFiles
 from asia.errors import UserError
 from asia.problem.load import load_problem
 from asia.problem.new.init import init_problem
@@ -40,7 +40,7 @@ def test_new_problem_loads(data: Path) -> None:
     problem = load_problem(data / "mine")
     assert problem.name == "mine"
     assert [t.name for t in problem.train] == ["a", "b"]
-    assert problem.test.source == CsvFiles((data / "a.csv", data / "b.csv"), (data / "c.csv",))
+    assert problem.test.source == RecordFiles((data / "a.csv", data / "b.csv"), (data / "c.csv",))
     assert 'train = ["../a.csv", "../b.csv"]' in path.read_text()
     assert "plain English" in problem.description
     assert sorted(p.name for p in data.iterdir()) == ["a.csv", "b.csv", "c.csv", "mine"]
@@ -80,7 +80,7 @@ def test_data_elsewhere_are_named_by_absolute_path(data: Path, record: Record) -
     ("changes", "expected"),
     [
         ({"inputs": ["v"]}, "no column 'v'"),
-        ({"inputs": []}, "inputs is []"),
+        ({"inputs": []}, "--inputs is empty"),
         ({"outputs": ["u"]}, "signal 'u' is named 2 times"),
         ({"sampling_time": 0.0}, "sampling_time is 0.0, expected a number above 0"),
         ({"train": []}, "names no training data"),

@@ -8,7 +8,7 @@ import pytest
 
 from asia.data import Signal, Trajectory
 from asia.data.sources import Channels, DataSet, DataTable, Source, SourceData, Subset
-from asia.data.sources.csv_files import CsvFiles
+from asia.data.sources.files import RecordFiles
 from asia.data.sources.nanodrone import Nanodrone
 from asia.data.sources.simulated import Simulated
 from asia.errors import UserError
@@ -60,7 +60,7 @@ def test_a_data_sets_guard_trains_nothing() -> None:
     [
         (DataTable(guard=("a",), source="simulated:two_tanks"), Simulated, "say how many"),
         (DataTable(guard=2, source="nanodrone"), Nanodrone, "name the training records"),
-        (DataTable(guard=2, train=("a.csv",)), CsvFiles, "name the files"),
+        (DataTable(guard=2, train=("a.csv",)), RecordFiles, "name the files"),
     ],
 )
 def test_what_does_not_go_with_the_source(

@@ -10,7 +10,7 @@ import pytest
 
 import asia
 from asia.data._digest import data_digest
-from asia.data.sources.csv_files import CsvFiles
+from asia.data.sources.files import RecordFiles
 from asia.errors import UserError
 from asia.problem._problem import Problem
 from asia.problem.load import load_lock, load_problem, lock_text
@@ -79,7 +79,7 @@ def test_too_short_test_record_is_refused(tanks: Problem) -> None:
 
 
 def test_unreadable_test_record_is_refused(tmp_path: Path, tanks: Problem) -> None:
-    source = CsvFiles((), (tmp_path / "nowhere.csv",))
+    source = RecordFiles((), (tmp_path / "nowhere.csv",))
     with pytest.raises(UserError, match="no such file"):
         seal(replace(tanks, test=replace(tanks.test, source=source)))
 

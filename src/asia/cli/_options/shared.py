@@ -43,4 +43,16 @@ ProblemName = Annotated[
         "problem.toml.",
     ),
 ]
+Time = Annotated[
+    str | None, typer.Option(help='Column with the time stamps; "none": do not use any.')
+]
+TimeUnit = Annotated[
+    str | None, typer.Option(help="Unit of time stamps that are numbers: s, ms, us, ns, days.")
+]
+ColumnNames = Annotated[
+    list[str] | None, typer.Option(help="Column names of files without a header, in order.")
+]
+Experiment = Annotated[
+    str | None, typer.Option(help="Column that names the experiment: each becomes a record.")
+]
 DEFAULT_RUNS = Path("runs")

@@ -36,8 +36,9 @@ class Clock:
         return self.jitter < JITTER or self.coarse
 
 
-def runs(stamps: Array, where: str, first_line: int) -> list[slice]:
-    """Stretches in which time goes on. Raises UserError for stamps that repeat."""
+def runs(stamps: Array, where: str, first_line: int, ignore: str) -> list[slice]:
+    """Stretches in which time goes on. ignore: how the user can do without the stamps. Raises
+    UserError for stamps that repeat."""
     back = np.flatnonzero(np.diff(stamps) < 0) + 1
     edges = [0, *back.tolist(), len(stamps)]
     found = [slice(a, b) for a, b in itertools.pairwise(edges)]
@@ -45,8 +46,7 @@ def runs(stamps: Array, where: str, first_line: int) -> list[slice]:
     if same.size:
         raise UserError(
             f"{where}, line {first_line + int(same[0]) + 1}: the time stamp repeats the one before "
-            f"({same.size} such rows): write stamps with more digits, or give --time none and "
-            "--sampling-time"
+            f"({same.size} such rows): write stamps with more digits, or {ignore}"
         )
     return found
 

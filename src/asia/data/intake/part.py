@@ -10,7 +10,7 @@ import numpy as np
 from asia.data._trajectory import Array
 from asia.data.intake.grid import JITTER, Rows, held
 from asia.data.intake.numbers import to_numbers
-from asia.data.intake.sheet import Sheet, Wanted, find_column, require_column
+from asia.data.intake.sheet import Column, Sheet, Wanted, find_channels, find_column, require_column
 from asia.data.intake.stamps import seconds, time_column
 from asia.errors import UserError
 
@@ -26,6 +26,19 @@ class SheetPart:
     sampling_time: float | None
     where: str
     first_line: int
+    is_file: bool = False
+    """Whether it is the one record of its file."""
+
+
+def expanded(sheet: Sheet, wanted: Wanted) -> Wanted:
+    """With the columns of a matrix in place of its name."""
+
+    def columns(names: Sequence[str]) -> tuple[str, ...]:
+        found = [(n, find_channels(sheet.columns, n)) for n in names]
+        return tuple(c for n, many in found for c in (many if len(many) > 1 else (n,)))
+
+    inputs, outputs = columns(wanted.inputs), columns(wanted.outputs)
+    return replace(wanted, inputs=inputs, outputs=outputs)
 
 
 def parts(sheet: Sheet, wanted: Wanted) -> list[SheetPart]:
@@ -36,17 +49,17 @@ def parts(sheet: Sheet, wanted: Wanted) -> list[SheetPart]:
     whole = _one_clock(sheet, wanted) if any(s is None for s in own) else _merged(sheet, wanted)
     if wanted.experiment is None:
         return [whole]
-    labels = [_label(c) for c in require_column(sheet, wanted.experiment).cells]
+    every = [_label(c) for c in require_column(sheet, wanted.experiment).cells]
     return [
         replace(
             whole,
-            name=label if label.isprintable() and "/" not in label else label.replace("/", "_"),
+            name=label,
             u=whole.u[rows],
             y=whole.y[rows],
             stamps=None if whole.stamps is None else whole.stamps[rows],
             where=f"{whole.where}, experiment {label}",
         )
-        for label, rows in _experiments(labels)
+        for label, rows in _experiments(every)
     ]
 
 
@@ -122,17 +135,23 @@ def _placed(stamps: Array, values: Array, at: Array, step: float) -> Array:
     return np.where(np.abs(stamps[near] - at) <= JITTER * step, values[near], np.nan)
 
 
+def labels(column: Column) -> list[str]:
+    """Names of the experiments in a column, in the order in which they come up."""
+    return [name for name in dict.fromkeys(map(_label, column.cells)) if name]
+
+
 def _label(cell: object) -> str:
     if isinstance(cell, float | np.floating) and float(cell).is_integer():
         return str(int(cell))
-    return "" if cell is None else str(cell).strip()
+    text = "" if cell is None else str(cell).strip()
+    return "".join(c if c.isprintable() else "_" for c in text)
 
 
-def _experiments(labels: Sequence[str]) -> list[tuple[str, Rows]]:
+def _experiments(every: Sequence[str]) -> list[tuple[str, Rows]]:
     """Labels in the order in which they come up, and their rows. Rows without one are left out."""
-    values = np.array(labels, dtype=object)
+    values = np.array(every, dtype=object)
     return [
         (name, np.flatnonzero(values == name).astype(np.int64))
-        for name in dict.fromkeys(labels)
+        for name in dict.fromkeys(every)
         if name
     ]

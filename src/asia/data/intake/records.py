@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from asia.data._trajectory import Array, Trajectory
+from asia._nearest import suggestion
+from asia.data._trajectory import Array, Trajectory, unique_names
 from asia.data.intake.formats.table import read_sheets
 from asia.data.intake.grid import (
     Clock,
@@ -20,25 +22,34 @@ from asia.data.intake.grid import (
     places,
     runs,
 )
-from asia.data.intake.part import SheetPart, parts, units
-from asia.data.intake.sheet import Wanted
-from asia.data.sources.source import unique_names
+from asia.data.intake.part import SheetPart, expanded, parts, units
+from asia.data.intake.sheet import Sheet, Wanted
 from asia.errors import UserError
 
-Use = Literal["train", "test"]
+Use = Literal["train", "test", "split"]
+"""Training records, test records, and records whose last part becomes a test."""
+IGNORE_STAMPS = (
+    'ignore them: --time none and --sampling-time, or time = "none" in [data] of problem.toml'
+)
 _SAME = 1e-3
 _EXACT = 1e-6
 _GAP = 2.5
+_COARSER = 1.5
 
 
 @dataclass(frozen=True)
 class Intake:
-    """The records; units that the files give by channel; notes: what was found and done, in
-    plain words."""
+    """Records, and what was done to make them."""
 
     records: tuple[Trajectory, ...]
-    units: Mapping[str, str]
-    notes: tuple[str, ...]
+    units: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Units that the files give, by channel."""
+    notes: tuple[str, ...] = ()
+    """Findings and changes, in plain words."""
+    inputs: tuple[str, ...] = ()
+    """Names of the inputs, with the columns of a matrix in place of its name."""
+    outputs: tuple[str, ...] = ()
+    """Names of the outputs, likewise."""
 
 
 @dataclass(frozen=True)
@@ -55,30 +66,83 @@ def take_in(
     use: Use,
     sampling_time: float | None = None,
     least: int = 1,
+    only: Collection[str] | None = None,
+    without: Collection[str] = (),
 ) -> Intake:
-    """Records of `paths` with one sampling time: `sampling_time` (s), or the slowest that the files
-    tell. least: pieces of fewer samples are left out. Outputs of a test are never interpolated.
-    Raises UserError."""
-    timed: list[_Timed] = []
-    notes: list[str] = []
+    """Read the records of `paths`: the one way from a file to a record.
+
+    sampling_time: s; None for the slowest that the files tell. least: pieces of fewer samples are
+    left out. only, without: names of experiments to read, or to leave out. Outputs of a test are
+    never interpolated. Raises UserError.
+    """
+    found: list[SheetPart] = []
     found_units: dict[str, str] = {}
+    asked: Wanted | None = None
+    stems = Counter(path.stem for path in paths)
     for path in paths:
         for sheet in read_sheets(path, wanted):
-            found_units = units(sheet, (*wanted.inputs, *wanted.outputs)) | found_units
-            for part in parts(sheet, wanted):
-                timed += _stretches(_oldest_first(part, notes))
-    step = _slowest(timed, paths) if sampling_time is None else sampling_time
+            own = expanded(sheet, wanted)
+            if asked is not None and own.names != asked.names:
+                raise UserError(
+                    f"{sheet.where} has the channels {', '.join(own.names)}, the files before it "
+                    f"{', '.join(asked.names)}: name the columns one by one"
+                )
+            asked = own
+            found_units = units(sheet, (*own.inputs, *own.outputs)) | found_units
+            for part in parts(sheet, own):
+                name = part.name
+                if name == path.stem and stems[name] > 1:
+                    name = f"{path.resolve().parent.name}/{name}"
+                found.append(replace(part, name=name, is_file=part.where == str(path)))
+    known = [part.name for part in found]
+    for name in (*(only or ()), *without):
+        if name not in known:
+            raise UserError(
+                f"no experiment '{name}' in {', '.join(map(str, paths))} (there are "
+                f"{', '.join(dict.fromkeys(known))}){suggestion(name, known)}"
+            )
+    kept = [p for p in found if (only is None or p.name in only) and p.name not in without]
+    if found and not kept:
+        raise UserError(
+            f"every experiment of {', '.join(map(str, paths))} is held out as a test: leave one "
+            "to train on"
+        )
+    made = make_records(kept, use, sampling_time, least)
+    asked = asked or wanted
+    return replace(made, units=found_units, inputs=asked.inputs, outputs=asked.outputs)
+
+
+def make_records(
+    found: Sequence[SheetPart],
+    use: Use,
+    sampling_time: float | None = None,
+    least: int = 1,
+    ignore: str = IGNORE_STAMPS,
+) -> Intake:
+    """Put channels on one time grid, cut them at gaps, and name the records. ignore: how the user
+    can do without the time stamps, for messages. Raises UserError."""
+    notes: list[str] = []
+    timed = [one for part in found for one in _stretches(_oldest_first(part, notes), ignore)]
+    where = ", ".join(dict.fromkeys(part.where for part in found))
+    step = _slowest(timed, where) if sampling_time is None else sampling_time
     made: list[Trajectory] = []
     for one in timed:
-        made += _pieces(one, step, use, least, notes)
+        made += _pieces(one, step, use, least, notes, ignore)
     if not made:
         raise UserError(
-            f"no piece of {', '.join(map(str, paths))} has {least} samples in a row: "
+            f"no piece of {where} has {least} samples in a row: "
             + ("; ".join(notes) or "bring longer records")
         )
     names = unique_names([t.name for t in made])
     records = tuple(replace(t, name=n) for t, n in zip(made, names, strict=True))
-    return Intake(records, found_units, tuple(notes))
+    return Intake(records, notes=tuple(notes))
+
+
+def as_written(sheet: Sheet, wanted: Wanted, sampling_time: float) -> Trajectory:
+    """The record whose samples are the rows of a sheet, whatever its time stamps: of files that
+    ASIA wrote and of benchmarks. Raises UserError."""
+    part = parts(sheet, replace(wanted, time="none", experiment=None))[0]
+    return Trajectory(part.u, part.y, sampling_time, sheet.name)
 
 
 def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
@@ -90,19 +154,17 @@ def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
     return replace(part, u=part.u[back], y=part.y[back], stamps=part.stamps[back])
 
 
-def _stretches(part: SheetPart) -> list[_Timed]:
+def _stretches(part: SheetPart, ignore: str) -> list[_Timed]:
     if part.stamps is None:
         return [_Timed(part, None)]
-    found = runs(part.stamps, part.where, part.first_line)
+    found = runs(part.stamps, part.where, part.first_line, ignore)
     return [_Timed(cut, clock(_stamps(cut))) for cut in (_cut(part, rows) for rows in found)]
 
 
 def _cut(part: SheetPart, rows: slice) -> SheetPart:
     stamps = None if part.stamps is None else part.stamps[rows]
     line = part.first_line + rows.start
-    return SheetPart(
-        part.name, part.u[rows], part.y[rows], stamps, part.sampling_time, part.where, line
-    )
+    return replace(part, u=part.u[rows], y=part.y[rows], stamps=stamps, first_line=line)
 
 
 def _stamps(part: SheetPart) -> Array:
@@ -113,12 +175,12 @@ def _own_step(one: _Timed) -> float | None:
     return one.part.sampling_time if one.clock is None else one.clock.step
 
 
-def _slowest(timed: Sequence[_Timed], paths: Sequence[Path]) -> float:
+def _slowest(timed: Sequence[_Timed], where: str) -> float:
     known = [step for step in map(_own_step, timed) if step is not None]
     if not known:
         raise UserError(
-            f"{', '.join(map(str, paths))}: no column with time stamps was found: give "
-            "--sampling-time in seconds, or name the column with --time"
+            f"{where}: no column with time stamps was found: give --sampling-time in seconds, or "
+            "name the column with --time"
         )
     slowest = max(known)
     # Clocks of several records differ by what a quartz drifts: they are one sampling time.
@@ -126,10 +188,14 @@ def _slowest(timed: Sequence[_Timed], paths: Sequence[Path]) -> float:
     return min(alike, key=lambda s: (len(f"{s:.12g}"), s))
 
 
-def _pieces(one: _Timed, step: float, use: Use, least: int, notes: list[str]) -> list[Trajectory]:
-    on_grid = _on_grid(one, step, use, notes)
+def _pieces(
+    one: _Timed, step: float, use: Use, least: int, notes: list[str], ignore: str
+) -> list[Trajectory]:
+    on_grid = _on_grid(one, step, use, notes, ignore)
     cuts = [whole for whole in on_grid for whole in _without_missing(whole, notes)]
-    long = [cut for cut in cuts if len(cut.u) >= least]
+    # A whole file that is too short is an error, which the folds raise.
+    is_whole = one.part.is_file and len(cuts) == 1
+    long = [cut for cut in cuts if is_whole or len(cut.u) >= least]
     if len(long) < len(cuts):
         lost = sum(len(cut.u) for cut in cuts if len(cut.u) < least)
         notes.append(
@@ -145,12 +211,12 @@ def _pieces(one: _Timed, step: float, use: Use, least: int, notes: list[str]) ->
     ]
 
 
-def _on_grid(one: _Timed, step: float, use: Use, notes: list[str]) -> list[SheetPart]:
+def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) -> list[SheetPart]:
     """The stretch with the sampling time `step`, cut at its gaps."""
     part = one.part
     own = _own_step(one) or step
     if one.clock is not None and not one.clock.regular:
-        return _resampled(part, one.clock, step, use, notes)
+        return _resampled(part, one.clock, step, use, notes, ignore)
     if one.clock is None:
         whole = [part]
     else:
@@ -162,11 +228,17 @@ def _on_grid(one: _Timed, step: float, use: Use, notes: list[str]) -> list[Sheet
         whole = [_cut(part, rows) for rows in cuts]
     if abs(own - step) <= _SAME * step:
         return whole
-    return _other_rate(whole, own, step, use, notes)
+    if own > _COARSER * step:
+        raise UserError(
+            f"{part.where}: it is sampled every {own:g} s, but the sampling time is {step:g} s: "
+            "give that sampling time, or the unit of the time stamps (--time-unit, or time_unit in "
+            f"[data]); if the stamps are wrong, {ignore}"
+        )
+    return _other_rate(whole, own, step, use, notes, ignore)
 
 
 def _other_rate(
-    whole: Sequence[SheetPart], own: float, step: float, use: Use, notes: list[str]
+    whole: Sequence[SheetPart], own: float, step: float, use: Use, notes: list[str], ignore: str
 ) -> list[SheetPart]:
     ratio = step / own
     where = whole[0].where
@@ -181,7 +253,7 @@ def _other_rate(
     for part in whole:
         stamps = np.arange(len(part.u), dtype=np.float64) * own
         timed = SheetPart(part.name, part.u, part.y, stamps, own, part.where, part.first_line)
-        made += _resampled(timed, Clock(own, 0.0), step, use, notes)
+        made += _resampled(timed, Clock(own, 0.0), step, use, notes, ignore)
     return made
 
 
@@ -194,14 +266,18 @@ def _decimated(part: SheetPart, count: int) -> SheetPart:
 
 
 def _resampled(
-    part: SheetPart, found: Clock, step: float, use: Use, notes: list[str]
+    part: SheetPart, found: Clock, step: float, use: Use, notes: list[str], ignore: str
 ) -> list[SheetPart]:
-    jitter = f"stamps lie {found.jitter:.1%} of a sample off the grid"
-    reason = jitter if found.jitter > 0 else f"sampled every {found.step:g} s"
-    if use == "test":
+    jitter = f"the time stamps jitter by {found.jitter:.1%} of a sample"
+    reason = jitter if found.jitter > 0 else f"it is sampled every {found.step:g} s"
+    if use != "train":
+        mend = f"bring a test record sampled every {step:g} s"
+        if use == "split":
+            mend = f"keep the last part for training (--no-seal) and {mend}"
+        if found.jitter > 0:
+            mend += f"; if only the stamps are wrong, {ignore}"
         raise UserError(
-            f"{part.where}: {reason}, and outputs of a test are never interpolated: bring a test "
-            f"record sampled every {step:g} s, or give --time none where the stamps are wrong"
+            f"{part.where}: {reason}, and outputs of a test are never interpolated: {mend}"
         )
     notes.append(
         f"{part.where}: {reason}; resampled to {step:g} s: inputs held, outputs on straight lines "

@@ -30,6 +30,8 @@ class Column:
     unit: str = ""
     seconds: Array | None = None
     """Its own sample times, s, where the channels of a file have several."""
+    matrix: str = ""
+    """Name of the matrix that the channel is a column of."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,14 @@ def find_column(columns: Sequence[str], name: str) -> str | None:
     if not bare:
         bare = [c for c in columns if split_unit(c)[0].casefold() == name.casefold()]
     return bare[0] if len(bare) == 1 else None
+
+
+def find_channels(columns: Mapping[str, Column], name: str) -> tuple[str, ...]:
+    """The column of that name, or all columns of the matrix of that name; () without either."""
+    one = find_column(list(columns), name)
+    if one is not None:
+        return (one,)
+    return tuple(n for n, c in columns.items() if c.matrix and c.matrix == name)
 
 
 def require_column(sheet: Sheet, name: str) -> Column:

@@ -51,9 +51,21 @@ def time_column(sheet: Sheet, wanted: Wanted) -> str | None:
     named = {split_unit(name)[0].casefold(): name for name in reversed(list(sheet.columns))}
     taken = {find_column(list(sheet.columns), n) for n in wanted.names}
     for candidate in [*_NAMES, *(f"{n}{e}" for n in ("t", "time", "timestamp") for e in _ENDINGS)]:
-        if candidate in named and named[candidate] not in taken:
-            return named[candidate]
+        name = named.get(candidate)
+        if name is not None and name not in taken and not _is_count(name, sheet):
+            return name
     return next((n for n, c in sheet.columns.items() if c.cells.dtype.kind == "M"), None)
+
+
+def _is_count(name: str, sheet: Sheet) -> bool:
+    """Whether an index only numbers the rows."""
+    cells = sheet.columns[name].cells
+    if name.casefold() not in ("index", "__index_level_0__") or len(cells) < 2:
+        return False
+    try:
+        return bool((np.diff(cells.astype(np.float64)) == 1.0).all())
+    except (TypeError, ValueError):
+        return False
 
 
 def seconds(sheet: Sheet, name: str, wanted: Wanted) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from asia.data.intake.sheet import Cells, Column, Sheet, Wanted, find_column
+from asia.data.intake.sheet import Cells, Column, Sheet, Wanted, find_channels
 
 _STEPS = ("ts", "dt", "sampling_time", "sample_time", "samplingtime", "fs", "sampling_rate")
 _RATES = ("fs", "sampling_rate")
@@ -27,7 +27,7 @@ def tree_sheets(
 
 def _search(name: str, where: str, tree: Mapping[str, Any], wanted: Wanted) -> Iterator[Sheet]:
     sheet = _sheet(name, where, tree)
-    if all(find_column(list(sheet.columns), n) for n in wanted.names):
+    if all(find_channels(sheet.columns, n) for n in wanted.names):
         yield sheet
         return
     for key, node in tree.items():
@@ -56,7 +56,7 @@ def _sheet(name: str, where: str, tree: Mapping[str, Any]) -> Sheet:
                 step = 1.0 / value if bare.casefold() in _RATES else value
             continue
         for key, cells in _split(label, values):
-            columns[key] = Column(cells)
+            columns[key] = Column(cells, matrix="" if key == label else label)
     lengths = Counter(len(c.cells) for c in columns.values())
     longest = max(lengths, key=lambda n: (lengths[n], n), default=0)
     kept = {k: c for k, c in columns.items() if len(c.cells) == longest}

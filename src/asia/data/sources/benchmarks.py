@@ -15,8 +15,8 @@ from typing import Any, ClassVar, Literal
 
 from asia._nearest import nearest
 from asia.data._digest import data_digest
-from asia.data._trajectory import Trajectory
-from asia.data.sources.source import Channels, DataSet, SourceData, Subset, unique_names
+from asia.data._trajectory import Trajectory, unique_names
+from asia.data.sources.source import Channels, DataSet, SourceData, Subset
 from asia.errors import UserError
 
 _DOWNLOAD_TIMEOUT_S = 20.0

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from asia.data.sources.csv_files import read_files
+from asia.data.intake.formats.text import Text
+from asia.data.intake.records import as_written
+from asia.data.intake.sheet import Wanted
 from asia.data.sources.source import Channels, DataSet, SourceData, Subset
 from asia.errors import UserError
 
@@ -45,7 +47,12 @@ class Nanodrone(DataSet):
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
         """As `DataSet.load`."""
-        return read_files(_flights(subset), channels)
+        inputs, outputs = channels.names
+        wanted = Wanted(tuple(inputs), tuple(outputs))
+        sheets = [Text().read(path, wanted)[0] for path in _flights(subset)]
+        return SourceData(
+            tuple(as_written(sheet, wanted, channels.sampling_time) for sheet in sheets)
+        )
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
         """As `Source.places`."""

@@ -6,8 +6,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from asia.data._store import SealHead, find_key, key_folder, open_store, read_seal
-from asia.data.sources.csv import read_csv
+from asia.data._store import PlainFile, SealHead, find_key, key_folder, open_store, read_seal
+from asia.data._trajectory import Trajectory, unique_names
+from asia.data.intake.formats.text import Text
+from asia.data.intake.records import as_written
+from asia.data.intake.sheet import Wanted
 from asia.data.sources.source import (
     Channels,
     DataTable,
@@ -15,7 +18,6 @@ from asia.data.sources.source import (
     Source,
     SourceData,
     Subset,
-    unique_names,
 )
 from asia.errors import UserError
 
@@ -43,10 +45,10 @@ class SealedStore(Source):
         """As `Source.read`. Raises UserError also without the key."""
         if subset != "test":
             return SourceData(())
-        found = [
-            read_csv(Path(c.name), *channels.names, channels.sampling_time, c.data).trajectory
-            for c in open_store(self.path, key_folder(self.keys))
-        ]
+        inputs, outputs = channels.names
+        wanted = Wanted(tuple(inputs), tuple(outputs))
+        files = open_store(self.path, key_folder(self.keys))
+        found = [sealed_record(file, wanted, channels.sampling_time) for file in files]
         names = unique_names([record.name for record in found])
         return SourceData(tuple(replace(r, name=n) for r, n in zip(found, names, strict=True)))
 
@@ -96,3 +98,10 @@ class SealedStore(Source):
                 "was written with this problem.toml"
             )
         return head
+
+
+def sealed_record(file: PlainFile, wanted: Wanted, sampling_time: float) -> Trajectory:
+    """The record of a file in a store. Its time stamps were checked before it was sealed. Raises
+    UserError."""
+    sheet = Text().parse(Path(file.name), file.data, wanted)
+    return as_written(sheet, wanted, sampling_time)

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, Field
 from asia._nearest import suggestion
 from asia.data._magnitudes import check_magnitudes, check_ranges
 from asia.data._trajectory import Array, Signal, Trajectory
+from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
 
 Subset = Literal["train", "test", "guard"]
@@ -32,6 +33,9 @@ class Channels:
     """The outputs, in the order of `Trajectory.y`."""
     sampling_time: float
     """The sampling time of every record, s."""
+    least: int = field(default=1, compare=False)
+    """Samples of the shortest piece of a training record that is of use, where files are cut at
+    gaps."""
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
@@ -92,9 +96,9 @@ class DataTable:
     """`[data]` of a problem file."""
 
     train: tuple[FileName, ...] = ()
-    """CSV files to train on."""
+    """Files to train on."""
     test: tuple[FileName, ...] = ()
-    """CSV files of the test."""
+    """Files of the test."""
     sealed: SealedEntry | None = None
     """The encrypted test, instead of `test`."""
     source: str | None = None
@@ -107,6 +111,21 @@ class DataTable:
     """Files, or names of training records, or a number of simulated records that stand guard."""
     period: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
     """Samples after which the inputs of every record repeat; found where it is not given."""
+    time: str | None = None
+    """Column with the time stamps; found by its name where not given, and "none" for no stamps."""
+    time_unit: str | None = None
+    """Unit of time stamps that are numbers, such as ms."""
+    columns: tuple[str, ...] = ()
+    """Column names of files without a header."""
+    experiment_column: str | None = None
+    """Column of the files that names the experiment of a row."""
+    test_experiments: tuple[str, ...] = ()
+    """Experiments in the training files that are the test."""
+
+    @property
+    def reading(self) -> Wanted:
+        """Options of reading files."""
+        return Wanted((), (), self.time, self.time_unit, self.experiment_column, self.columns)
 
 
 class Source(ABC):
@@ -261,17 +280,6 @@ def not_counted(guard: int, what: str) -> UserError:
     return UserError(
         f"data.guard is {guard}, which only a simulated source understands: name the {what}"
     )
-
-
-def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, a later one that was there before with `_2`, `_3` and so on behind it."""
-    found: dict[str, None] = {}
-    for name in names:
-        number, own = 2, name
-        while own in found:
-            own, number = f"{name}_{number}", number + 1
-        found[own] = None
-    return tuple(found)
 
 
 def _check_channels(trajectories: Sequence[Trajectory], channels: Channels) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from asia._nearest import suggestion
 from asia._plugins import parts_of
+from asia.data.intake.sheet import Wanted
 from asia.data.sources.benchmarks import NonlinearBenchmark
-from asia.data.sources.csv_files import CsvFiles
+from asia.data.sources.files import RecordFiles
 from asia.data.sources.nanodrone import Nanodrone
 from asia.data.sources.official import OfficialBenchmark
 from asia.data.sources.sealed import SealedStore
@@ -31,11 +32,17 @@ def data_source(table: DataTable, root: Path) -> Source:
     """The source of the training and the guard records, and of the test unless that is encrypted.
     root: the folder of the problem file, absolute. Raises UserError."""
     if table.source is None:
-        if table.test and table.sealed:
-            raise UserError("[data] has both test and sealed: keep one of them")
-        return CsvFiles.from_table(table, root)
+        if (table.test or table.test_experiments) and table.sealed:
+            named = "test" if table.test else "test_experiments"
+            raise UserError(f"[data] has both {named} and sealed: keep one of them")
+        return RecordFiles.from_table(table, root)
     if table.train or table.test or table.sealed:
         raise UserError("[data] has both source and file names: keep one of them")
+    if table.reading != Wanted((), ()) or table.test_experiments:
+        raise UserError(
+            "[data] has a source and options for reading files (time, time_unit, columns, "
+            "experiment_column, test_experiments): leave these out"
+        )
     return source_class(table.source).from_table(table, root)
 
 
@@ -56,8 +63,8 @@ def source_class(text: str) -> type[Source]:
     if name not in plugged:
         forms = [source.usage or name for name, source in SOURCES.items()] + list(plugged)
         raise UserError(
-            f"data.source is '{text}', expected {', '.join(map(repr, forms))}; CSV files are named "
-            f"in data.train and data.test{suggestion(name, [*SOURCES, *plugged])}"
+            f"data.source is '{text}', expected {', '.join(map(repr, forms))}; files are named in "
+            f"data.train and data.test{suggestion(name, [*SOURCES, *plugged])}"
         )
     part = plugged[name]
     return checked_class(part.load(), f"source '{name}' of package {part.package}")

@@ -7,12 +7,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.problem._budget import Budget
-from asia.problem._load import load_problem
+from asia.problem._load import least_samples, load_problem
 from asia.problem._problem import Problem
 from asia.problem._protocol import groups_table, protocol_table
+from asia.problem._schema import ProtocolTable
 from asia.problem._toml import toml_text
 from asia.problem.new.directory import check_directory, write_directory
 from asia.problem.new.text import record_csv
@@ -72,6 +75,17 @@ def save_problem(given: ArrayProblem, directory: Path) -> Problem:
         check_directory(directory)
         write_directory(directory, files)
     return load_problem(directory)
+
+
+def least_piece(protocol: ProtocolRule | Table | None) -> int:
+    """Samples of the shortest piece of a record that the folds can divide; 1 where the protocol is
+    wrong, which loading the problem tells."""
+    if protocol is None or isinstance(protocol, ProtocolRule):
+        return least_samples(protocol or ProtocolRule())
+    try:
+        return least_samples(TypeAdapter(ProtocolTable).validate_python(_plain(protocol)).rule())
+    except ValueError:
+        return 1
 
 
 def _files(given: ArrayProblem) -> list[tuple[str, str]]:

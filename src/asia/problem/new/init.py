@@ -13,9 +13,8 @@ from asia.data._preprocess import Preprocess
 from asia.data._store import PlainFile, key_folder
 from asia.data._trajectory import Trajectory
 from asia.data.intake.sheet import Wanted
-from asia.data.sources.csv import split_csv
 from asia.errors import UserError
-from asia.problem._load import LEAST_BEYOND_PAST, require_length
+from asia.problem._load import least_samples, require_length
 from asia.problem._toml import toml_value
 from asia.problem.new.directory import check_directory, write_directory
 from asia.problem.new.preparing import Preparation, prepare, preprocess_lines
@@ -29,7 +28,6 @@ from asia.problem.new.sealing import (
 )
 from asia.problem.new.taking import Taken, origins, take
 from asia.problem.new.text import RecordRows, record_csv
-from asia.protocol._cuts import block_count, least_case
 from asia.protocol._rules import ProtocolRule
 
 _DESCRIPTION = """\
@@ -94,6 +92,7 @@ class _Plan:
     comments: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict[str, str])
     done: Preprocess = field(default_factory=Preprocess)
+    time: str | None = None
 
 
 def init_problem(
@@ -104,6 +103,7 @@ def init_problem(
     inputs: Sequence[str],
     outputs: Sequence[str],
     sampling_time: float | None = None,
+    test_experiments: Sequence[str] = (),
     seal_fraction: float | None = None,
     seal: bool = False,
     keys: Path | None = None,
@@ -112,8 +112,9 @@ def init_problem(
 ) -> NewProblem:
     """Writes problem.toml, with comments, and description.md.
 
-    sampling_time in seconds; None: from the time stamps. wanted: how else the files are read, its
-    inputs and outputs apart. preparation: what `[preprocess]` is to say. Files that need no change
+    sampling_time in seconds; None: from the time stamps. test_experiments: experiments in the
+    training files that are the test. wanted: how else the files are read, its inputs and outputs
+    apart. preparation: what `[preprocess]` is to say. Files that need no change
     stay where they are; of others clean copies
     are written into the directory as CSV, and problem.toml says what was done. seal: the test
     files are moved into an encrypted store in the directory, its key into the folder `keys` (None:
@@ -128,21 +129,29 @@ def init_problem(
         raise UserError(
             f"the share to seal is {seal_fraction:g}, expected more than 0 and at most 0.5"
         )
+    if not train:
+        raise UserError("--train names no training data: name at least one file")
+    for what, names in (("inputs", inputs), ("outputs", outputs)):
+        if not names:
+            raise UserError(f"--{what} is empty: name at least one column")
     if sampling_time is not None and not sampling_time > 0:
         raise UserError(f"sampling_time is {sampling_time}, expected a number above 0")
     rule = ProtocolRule()
     wanted = replace(wanted or Wanted((), ()), inputs=tuple(inputs), outputs=tuple(outputs))
-    taken = take(train, test, wanted, sampling_time, _least(rule, seal_fraction, test))
-    columns = Columns(tuple(inputs), tuple(outputs), taken.sampling_time)
+    has_test = bool(test or test_experiments)
+    split = seal_fraction is not None and not has_test
+    least = _least(rule, seal_fraction if split else None)
+    taken = take(train, test, wanted, sampling_time, least, test_experiments, split=split)
+    inputs, outputs = taken.inputs, taken.outputs
+    columns = Columns(inputs, outputs, taken.sampling_time)
     records = taken.train
-    if test or seal_fraction is None:
-        moved = seal and bool(test)
-        make = _plan if taken.plain else _copied
-        plan = make(train, test, columns, directory, taken, seal=moved)
-    else:
-        split = _split if taken.plain else _split_copies
-        plan = split(train, columns, seal_fraction, taken)
+    if seal_fraction is not None and not has_test:
+        plan = _split_copies(train, columns, seal_fraction, taken)
         records = tuple(r[: len(r) - round(seal_fraction * len(r))] for r in records)
+    else:
+        make = _plan if taken.plain else _copied
+        plan = make(train, test, columns, directory, taken, seal=seal and has_test)
+    plan = replace(plan, time=wanted.time if taken.plain else None)
     done = prepare(preparation or Preparation(), records, inputs, outputs)
     tests = plan.sealing.records if plan.sealing else taken.test
     _check_test(tests, rule)
@@ -178,13 +187,10 @@ def _write(
     return NewProblem(directory / "problem.toml", directory / STORE, key, gone.removed, notes, read)
 
 
-def _least(
-    rule: ProtocolRule, seal_fraction: float | None, test: Sequence[Path]
-) -> tuple[int, int]:
+def _least(rule: ProtocolRule, seal_fraction: float | None) -> tuple[int, int]:
     """Samples that a piece of a training record, and of a test record, must have."""
-    count = block_count(rule)
-    train = rule.past + count * (rule.past + max(least_case(rule), LEAST_BEYOND_PAST))
-    if seal_fraction is not None and not test:
+    train = least_samples(rule)
+    if seal_fraction is not None:
         train = ceil(train / (1.0 - seal_fraction)) + 1
     return train, rule.past + 1
 
@@ -235,7 +241,7 @@ def _plan(
     del taken
     kept = tuple(_written(path, directory) for path in train)
     if seal:
-        return _Plan(kept, sealing=seal_files(test, train, columns))
+        return _Plan(kept, sealing=seal_files(test, columns))
     return _Plan(kept, tuple(_written(path, directory) for path in test))
 
 
@@ -260,7 +266,10 @@ def _copied(
         return replace(plan, test=tested, files=(*files, *tests))
     contents = tuple(PlainFile(n, "".join(rows.blocks()).encode()) for n, rows in tests)
     return replace(
-        plan, files=files, sealing=Sealing(columns, contents), notes=(_still_held(test),)
+        plan,
+        files=files,
+        sealing=Sealing(columns, contents),
+        notes=(_still_held(test or train),),
     )
 
 
@@ -296,21 +305,6 @@ def _still_held(paths: Sequence[Path]) -> str:
     )
 
 
-def _split(train: Sequence[Path], columns: Columns, share: float, taken: Taken) -> _Plan:
-    """The last `share` of each record to seal, the rest to write."""
-    del taken
-    stems = [path.stem for path in train]
-    if len(set(stems)) < len(stems):
-        raise UserError("two training files have the same name: rename one to split them")
-    kept = tuple(f"{stem}_train.csv" for stem in stems)
-    texts = [split_csv(path, (*columns.inputs, *columns.outputs), share) for path in train]
-    sealed = (
-        PlainFile(f"{s}_sealed.csv", t[1].encode()) for s, t in zip(stems, texts, strict=True)
-    )
-    files = tuple((name, text[0]) for name, text in zip(kept, texts, strict=True))
-    return _Plan(kept, (), files, Sealing(columns, tuple(sealed)), (_still_held(train),))
-
-
 def _written(path: Path, directory: Path) -> str:
     """Relative when the data lie beside the problem, so that both can move together."""
     path = path.resolve()
@@ -322,6 +316,8 @@ def _written(path: Path, directory: Path) -> str:
 def _data_lines(plan: _Plan) -> str:
     done = "".join(f"# {_one_line(text)}\n" for text in plan.comments)
     lines = f"{done}train = {toml_value(plan.train)}\n"
+    if plan.time is not None:
+        lines += f"time = {toml_value(plan.time)}\n"
     if plan.sealing is not None:
         return lines + plan.sealing.toml()
     if plan.test:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from asia._files import sync_folder
+from asia._files import read_file, sync_folder
 from asia.data._copies import samples_outside, shared_samples
 from asia.data._digest import data_digest
 from asia.data._store import (
@@ -22,7 +22,8 @@ from asia.data._store import (
     write_store,
 )
 from asia.data._trajectory import Trajectory
-from asia.data.sources.csv import read_csv, read_whole
+from asia.data.intake.sheet import Wanted
+from asia.data.sources.sealed import sealed_record
 from asia.errors import UserError
 from asia.problem._toml import toml_value
 
@@ -39,9 +40,7 @@ class Columns:
 
     def read(self, content: PlainFile) -> Trajectory:
         """Raises UserError."""
-        path = Path(content.name)
-        wanted = self.inputs, self.outputs, self.sampling_time
-        return read_csv(path, *wanted, content.data).trajectory
+        return sealed_record(content, Wanted(self.inputs, self.outputs), self.sampling_time)
 
 
 @dataclass(frozen=True)
@@ -103,27 +102,20 @@ class Removal:
     notes: tuple[str, ...]
 
 
-def seal_files(paths: Sequence[Path], train: Sequence[Path], columns: Columns) -> Sealing:
+def seal_files(paths: Sequence[Path], columns: Columns) -> Sealing:
     """The files as what is to be sealed. Raises UserError for one that cannot be moved or does not
     read."""
-    used = {path.resolve() for path in train}
     for path in paths:
         if path.is_symlink():
             raise UserError(
                 f"{path} is a link, and sealing would leave the file behind it: give "
                 f"{path.resolve()} itself"
             )
-        if path.resolve() in used:
-            raise UserError(f"{path} is named in both train and test: name every record once")
-    counts = Counter(path.resolve() for path in paths)
-    for path, count in counts.items():
-        if count > 1:
-            raise UserError(f"--test names {path} {count} times: name every record once")
     names = Counter(path.name for path in paths)
     contents = tuple(
         PlainFile(
             path.name if names[path.name] == 1 else f"{path.resolve().parent.name}_{path.name}",
-            read_whole(path),
+            read_file(path, "name a file"),
         )
         for path in paths
     )
@@ -170,7 +162,7 @@ def _why_kept(path: Path, content: PlainFile) -> str | None:
                 "belongs to a download and stays, for others read it from there: the store hides "
                 "nothing that is not public"
             )
-    if read_whole(path) != content.data:
+    if read_file(path, "name a file") != content.data:
         return "changed while it was sealed and stays: compare it with your original"
     return None
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import operator
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite, pi
@@ -115,17 +116,40 @@ def parse_expression(text: str, where: str) -> Expression:
             f"{where}: the expression has {len(text)} characters, at most {_LONGEST} are "
             "allowed; split it into [physics.definitions]"
         )
+    if "^" in text:
+        power = text.replace("^", "**")
+        raise UserError(f"{where}: '^' is not a power: write ** as in '{power}'")
     try:
         tree = expression_tree(text.strip())
         root = _convert(tree.body, where)
         names = frozenset(_names(root))
     except (SyntaxError, ValueError) as error:
-        raise UserError(f"{where}: '{text}' is not an expression ({error.args[0]})") from None
+        product = _with_product(text)
+        advice = f": write '{product}'" if product else ""
+        raise UserError(
+            f"{where}: '{text}' is not an expression ({error.args[0]}){advice}"
+        ) from None
     except (RecursionError, MemoryError):
         raise UserError(
             f"{where}: the expression is nested too deeply; split it into [physics.definitions]"
         ) from None
     return Expression(text, root, names)
+
+
+def _with_product(text: str) -> str | None:
+    """The text with `*` between factors side by side, such as `b w1`, and parentheses behind the
+    name of a function; None where that does not make it an expression."""
+    changed = re.sub(r"(?<=[\w)])\s+(?=[A-Za-z_(])|(?<=\))(?=[\w(])", "*", text.strip())
+    changed = re.sub(r"(?<![\w.])(\d+\.?\d*)(?=(?![eE][-+]?\d)[A-Za-z_(])", r"\1*", changed)
+    called = "|".join(FUNCTIONS)
+    changed = re.sub(rf"\b({called})\*(\w+)", r"\1(\2)", changed)
+    if changed == text.strip():
+        return None
+    try:
+        expression_tree(changed)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return None
+    return changed
 
 
 def _convert(node: ast.expr, where: str) -> Node:
@@ -187,7 +211,12 @@ def _call(node: ast.Call, where: str) -> Call:
         raise UserError(f"{where}: '{ast.unparse(node.func)}' cannot be called")
     name = node.func.id
     if name not in FUNCTIONS:
-        raise UserError(f"{where}: there is no function '{name}'{nearest(name, FUNCTIONS)}")
+        product = ""
+        if len(node.args) == 1 and not node.keywords:
+            product = f"; for a product write '{name}*({ast.unparse(node.args[0])})'"
+        raise UserError(
+            f"{where}: there is no function '{name}'{nearest(name, FUNCTIONS)}{product}"
+        )
     least, greatest = FUNCTIONS[name]
     count = len(node.args)
     starred = any(isinstance(argument, ast.Starred) for argument in node.args)

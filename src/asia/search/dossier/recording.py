@@ -17,7 +17,7 @@ _LONGEST = 2000
 def record_dossier(
     directory: Path,
     model: Use,
-    record: Trajectory | None,
+    records: Sequence[Trajectory],
     name: str,
     checks: Sequence[Check],
 ) -> bool:
@@ -26,7 +26,7 @@ def record_dossier(
     store = Store(directory / "artifacts")
     curves = put_curves(store, checks)
     with Chain(directory / "ledger.jsonl") as chain:
-        event = _event(chain.view, model, record, name, checks, curves)
+        event = _event(chain.view, model, records, name, checks, curves)
         if event in chain.view.validated:
             return False
         chain.append(event)
@@ -36,7 +36,7 @@ def record_dossier(
 def _event(
     view: SearchView,
     model: Use,
-    record: Trajectory | None,
+    records: Sequence[Trajectory],
     name: str,
     checks: Sequence[Check],
     curves: str,
@@ -49,7 +49,7 @@ def _event(
         experiment=view.best.number,
         model=model,
         record=name,
-        record_digest="" if record is None else data_digest([record]),
+        record_digest=data_digest(records) if records else "",
         checks=tuple(
             RecordedCheck(
                 one.name,

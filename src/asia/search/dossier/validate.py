@@ -27,7 +27,7 @@ from asia.ledger import (
     without_artifacts,
 )
 from asia.problem.frequency import responses
-from asia.problem.load import Problem, load_lock, read_record
+from asia.problem.load import Problem, Wanted, load_lock, read_records
 from asia.protocol import Block, whole
 from asia.scoring.dossier import (
     Check,
@@ -84,14 +84,16 @@ def validate(
     directory: Path,
     record: Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
+    reading: Wanted | None = None,
 ) -> Dossier:
     """Check the model to use of a run.
 
     Without a record, residuals are those of the fold models on what their fold held out. With one,
     the model to use simulates it from its first past window. The dossier of a finished search is
-    kept in its ledger. progress: told what is under way. Raises UserError where the run has no
-    scored model, hides its scores, or came without its artifacts, and where the record cannot be
-    read; CandidateError where the model cannot simulate it.
+    kept in its ledger. progress: told what is under way. reading: options for the record, in place
+    of those of the problem; a file of several experiments is validated on all of them. Raises
+    UserError where the run has no scored model, hides its scores, or came without its artifacts,
+    and where the record cannot be read; CandidateError where the model cannot simulate it.
     """
     run = open_run(directory)
     chosen = model_to_use(run.view)
@@ -107,8 +109,8 @@ def validate(
     problem = load_lock(directory / LOCK)
     evaluator = make_evaluator(problem, run.view)
     work = _Validation(run, problem, evaluator, run.view.best, chosen.model, progress)
-    new = None if record is None else read_record(problem, record)
-    checks = work.held_out() if new is None else work.on(new)
+    new = () if record is None else read_records(problem, record, reading)
+    checks = work.on(new) if new else work.held_out()
     name = "" if record is None else record.name
     recorded = run.view.complete
     if recorded:
@@ -167,11 +169,13 @@ class _Validation:
         apart = () if named is None else named.disagreeing
         return (check_overfit(train, held, found, apart),)
 
-    def on(self, record: Trajectory) -> tuple[Check, ...]:
-        """The dossier on a new record."""
-        blocks = whole([record], self.problem.protocol)
+    def on(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
+        """The dossier on new records."""
+        blocks = whole(records, self.problem.protocol)
         if not blocks:
-            raise UserError(f"record '{record.name}' is too short: it holds no case to simulate")
+            raise UserError(
+                f"record '{records[0].name}' is too short: it holds no case to simulate"
+            )
         y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
         pairs = list(zip(blocks, y_hat, strict=True))
         found = self._simulations(

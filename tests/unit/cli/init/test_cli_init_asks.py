@@ -53,7 +53,7 @@ def test_the_defaults_are_what_was_found(asia: Asia, monkeypatch: pytest.MonkeyP
 
 def test_a_wrong_answer_is_asked_again(asia: Asia, monkeypatch: pytest.MonkeyPatch) -> None:
     write("log.csv", "pump speed,valve,level", 3)
-    person = answer(monkeypatch, "log.csv", "pump", "pump speed", "level", "-1", "0.5", "n")
+    person = answer(monkeypatch, "log.csv", "none", "pump", "pump speed", "level", "-1", "0.5", "n")
     done = asia("init", "mill")
     assert done.code == 0, done.err
     assert person.answers == []
@@ -61,6 +61,47 @@ def test_a_wrong_answer_is_asked_again(asia: Asia, monkeypatch: pytest.MonkeyPat
     problem = load_problem("mill")
     assert [s.name for s in problem.inputs] == ["pump speed"]
     assert problem.sampling_time == 0.5
+
+
+def test_test_files_are_asked_for(asia: Asia, monkeypatch: pytest.MonkeyPatch) -> None:
+    write("monday.csv", "time,u,y", 3)
+    write("tuesday.csv", "time,u,y", 3)
+    person = answer(monkeypatch, "nowhere.csv", "tuesday.csv", "", "")
+    done = asia("init", "mill", "--train", "monday.csv")
+    assert done.code == 0, done.err
+    assert person.answers == []
+    assert "no such file: nowhere.csv" in done.out
+    assert 'test = ["../tuesday.csv"]' in (Path("mill") / "problem.toml").read_text()
+
+
+def test_experiments_of_one_file_are_offered_as_the_test(
+    asia: Asia, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    rows = [f"{r},{0.5 * k},{rng.normal()},{rng.normal()}" for r in "abc" for k in range(100)]
+    Path("wide.csv").write_text("\n".join(["run,time,u,y", *rows]))
+    person = answer(monkeypatch, "d", "c", "", "")
+    done = asia("init", "mill", "--train", "wide.csv", "--experiment-column", "run")
+    assert done.code == 0, done.err
+    assert person.answers == []
+    assert "no 'd'; there are a, b, c" in done.out
+    problem = load_problem("mill")
+    assert [t.name for t in problem.train] == ["a", "b"]
+    assert 'test = ["c.csv"]' in (Path("mill") / "problem.toml").read_text()
+
+
+def test_a_constant_channel_is_no_output(asia: Asia, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    rows = [f"{0.5 * k},{rng.normal()},{rng.normal()},ok,7" for k in range(100)]
+    Path("log.csv").write_text("\n".join(["time,flow,level,state,mode", *rows]))
+    found = survey(Path("log.csv"), Wanted((), ()))
+    assert (found.inputs, found.outputs) == (("flow",), ("level",))
+    assert found.unusable == {"state": "holds no numbers", "mode": "is 7 in every sample"}
+    person = answer(monkeypatch, "none", "", "mode", "level", "n")
+    done = asia("init", "mill", "--train", "log.csv")
+    assert done.code == 0, done.err
+    assert person.answers == []
+    assert "'mode' is 7 in every sample: there is nothing to identify, name another" in done.out
 
 
 def test_yes_takes_what_is_found_and_says_it(asia: Asia) -> None:

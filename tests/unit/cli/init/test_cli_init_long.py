@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from asia.data import Trajectory
+from asia.data.intake.formats.text import Text
+from asia.data.intake.sheet import Sheet, Wanted
 from asia.problem.load import load_problem
 from asia.problem.new.text import RecordRows, record_csv
 from tests.unit.cli.conftest import Asia
@@ -33,10 +35,13 @@ def test_a_long_parquet_file_is_never_read_as_text(
     table = arrow.table({"t": 0.5 * np.arange(ROWS), "u": u, "y": 2.0 * u})
     parquet.write_table(table, tmp_path / "long.parquet")
 
-    def refused(path: Path, *rest: object) -> None:
-        raise AssertionError(f"{path} was read as text")
+    parse = Text.parse
 
-    monkeypatch.setattr("asia.problem.new.taking.read_csv", refused)
+    def refused(self: Text, path: Path, raw: bytes, wanted: Wanted) -> Sheet:
+        assert path.suffix != ".parquet"
+        return parse(self, path, raw, wanted)
+
+    monkeypatch.setattr(Text, "parse", refused)
     monkeypatch.setattr("asia.cli._init._SILENT_SECONDS", 0.0)
     directory = tmp_path / "long"
     done = asia(

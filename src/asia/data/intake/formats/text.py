@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import isnan
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
 from asia._files import read_file
+from asia.data._trajectory import Array
 from asia.data.intake.numbers import number
 from asia.data.intake.sheet import Column, FileFormat, Sheet, Wanted, as_objects, split_unit
 from asia.errors import UserError
 
 _SAMPLE = 400
+_HEAD_LINES = 2000
+_BLOCK = 2**20
 # Rows of names and units that are looked at, at most.
 _HEADS = 4
 _COMMENTS = ("#", "%", "//", "!")
@@ -45,16 +51,56 @@ class Text(FileFormat):
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
         """As `FileFormat.read`."""
-        lines = decode(path).split("\n")
+        return (self.parse(path, read_file(path, "name a CSV file"), wanted),)
+
+    def parse(self, path: Path, raw: bytes, wanted: Wanted) -> Sheet:
+        """The content `raw` of a file called `path`. Raises UserError."""
+        text = decode(path, raw)
+        # The layout shows in the first lines: a long file is not cut into lines for it.
+        lines = text.split("\n", _HEAD_LINES)[:_HEAD_LINES]
+        if sum(bool(line.strip()) and not _is_comment(line) for line in lines) < _SAMPLE:
+            lines = text.split("\n")
         layout = _layout(path, lines, wanted)
         names, units = _names(path, layout, wanted)
-        rows = _rows(path, lines, layout)
-        columns = {
-            name: _column(cells, unit)
-            for name, cells, unit in zip(names, zip(*rows, strict=True), units, strict=True)
-            if name
-        }
-        return (Sheet(path.stem, columns, None, str(path), layout.first + 1),)
+        # Labels of experiments are kept as they are written, such as 01.
+        numbers = None if wanted.experiment else _numbers(text, lines, layout)
+        if numbers is None:
+            cells = zip(*_rows(path, text.split("\n"), layout), strict=True)
+            found = [_column(c, unit) for c, unit in zip(cells, units, strict=True)]
+        else:
+            found = [Column(c, unit) for c, unit in zip(numbers.T, units, strict=True)]
+        columns = {name: column for name, column in zip(names, found, strict=True) if name}
+        return Sheet(path.stem, columns, None, str(path), layout.first + 1)
+
+
+def _numbers(text: str, lines: Sequence[str], layout: _Layout) -> Array | None:
+    """All cells of a table of plain numbers (rows, cells), read in blocks; None for any other."""
+    body = text[sum(len(line) + 1 for line in lines[: layout.first]) :]
+    if '"' in body or layout.units:
+        return None
+    if layout.delimiter != "," and "," in body:
+        body = body.replace(",", ".")
+    try:
+        blocks = [
+            np.loadtxt(io.StringIO(block), delimiter=layout.delimiter, ndmin=2, comments=None)
+            for block in _blocks(body)
+        ]
+    except ValueError:
+        return None
+    if not blocks or any(block.shape[1] != layout.cells for block in blocks):
+        return None
+    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+
+
+def _blocks(body: str) -> Iterator[str]:
+    """Whole lines, about a megabyte at a time."""
+    first = 0
+    while first < len(body):
+        end = body.find("\n", first + _BLOCK)
+        end = len(body) if end < 0 else end
+        if body[first:end].strip():
+            yield body[first:end]
+        first = end + 1
 
 
 def _column(cells: Sequence[str], unit: str) -> Column:
@@ -68,9 +114,8 @@ def _column(cells: Sequence[str], unit: str) -> Column:
     return Column(as_objects(bare), unit or behind)
 
 
-def decode(path: Path) -> str:
-    """The file as text. Raises UserError."""
-    raw = read_file(path, "name a CSV file")
+def decode(path: Path, raw: bytes) -> str:
+    """The content of a file as text. Raises UserError."""
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = raw.decode("utf-16", errors="replace")
     elif b"\0" in raw[:4000] and raw[1:4000:2].count(0) > len(raw[1:4000:2]) * 0.9:
@@ -127,7 +172,7 @@ def _ranked(
     """The layouts by separator, each with how well it suits."""
     ranked: list[tuple[tuple[float, float, int], _Layout]] = []
     for delimiter in (",", ";", "\t", "|", None):
-        found = _with_delimiter(lines, filled, delimiter, units)
+        found = _with_delimiter(lines, filled, delimiter, units, wanted)
         if found is None:
             continue
         share, layout = found
@@ -142,7 +187,11 @@ def _ranked(
 
 
 def _with_delimiter(
-    lines: Sequence[str], filled: Sequence[int], delimiter: str | None, units: bool
+    lines: Sequence[str],
+    filled: Sequence[int],
+    delimiter: str | None,
+    units: bool,
+    wanted: Wanted,
 ) -> tuple[float, _Layout] | None:
     """The layout with this delimiter, and the share of its cells that are values."""
     sample = [(k, _cut(lines[k], delimiter)) for k in filled[:_SAMPLE]]
@@ -154,7 +203,13 @@ def _with_delimiter(
     first = _first(sample, {k for k, row in data if len(row) == cells})
     total = sum(len(row) for k, row in sample if k >= first)
     values = sum(_is_value(c, delimiter, units) for k, row in sample if k >= first for c in row)
-    heads = _heads(lines, first, cells, delimiter, units)
+    ends = all(not row[-1] for k, row in data if k >= first and len(row) == cells)
+    heads = _heads(lines, first, cells, delimiter, units, ends=ends)
+    names = next(row for k, row in sample if k == first)
+    if not heads and wanted.names and set(wanted.names) <= set(names) and len(data) > 1:
+        # Numbers may be names.
+        heads = (tuple(names),)
+        first = next(k for k, _ in data if k > first)
     above = [line for line in lines[:first] if line.strip()][-1:]
     wide = len(_cut(above[0], delimiter)) if above and not heads else 0
     return values / max(total, 1), _Layout(delimiter, cells, first, heads, wide, units)
@@ -176,9 +231,10 @@ def _is_data(row: Sequence[str], delimiter: str | None, units: bool) -> bool:
 
 
 def _heads(
-    lines: Sequence[str], first: int, cells: int, delimiter: str | None, units: bool
+    lines: Sequence[str], first: int, cells: int, delimiter: str | None, units: bool, *, ends: bool
 ) -> tuple[tuple[str, ...], ...]:
-    """Rows of names and units above the data, the lowest last."""
+    """Rows of names and units above the data, the lowest last. ends: whether every row of data ends
+    with a separator, which the rows above it may lack."""
     found: list[tuple[str, ...]] = []
     for line in reversed(lines[:first]):
         if not line.strip():
@@ -187,7 +243,7 @@ def _heads(
         row = _cut(bare, delimiter)
         while len(row) > cells and not row[-1]:
             row.pop()
-        if len(row) not in (cells, cells - 1) or _is_data(row, delimiter, units):
+        if len(row) not in (cells, cells - ends) or _is_data(row, delimiter, units):
             if found:
                 break
             continue

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,15 +9,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from asia.data.sources.csv import read_csv, split_csv
+from asia.data.intake.records import Intake, take_in
+from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
-def read(path: Path, text: str | bytes, inputs: str = "u", outputs: str = "y") -> np.ndarray:
+def read_file(
+    path: Path, text: str | bytes, inputs: str = "u", outputs: str = "y", time: str | None = None
+) -> Intake:
     path.write_bytes(text.encode() if isinstance(text, str) else text)
-    t = read_csv(path, inputs.split("|"), outputs.split("|"), 1.0).trajectory
+    wanted = Wanted(tuple(inputs.split("|")), tuple(outputs.split("|")), time)
+    return take_in([path], wanted, "test", 1.0)
+
+
+def read(path: Path, text: str | bytes, inputs: str = "u", outputs: str = "y") -> np.ndarray:
+    (t,) = read_file(path, text, inputs, outputs).records
     return np.concatenate([t.u, t.y], axis=1)
 
 
@@ -56,7 +65,7 @@ def test_round_trip(
     ],
 )
 def test_layouts(tmp_path: Path, text: str, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("asia.data.sources.csv._BLOCK", block)
+    monkeypatch.setattr("asia.data.intake.formats.text._BLOCK", block)
     got = read(tmp_path / "a.csv", text)
     assert got.tolist() == [[1.5, 2.0], [3.0, 4.25]]
 
@@ -70,17 +79,10 @@ def test_utf16(tmp_path: Path) -> None:
     [
         ("u,z\n1,2\n", "no column 'y' (it has u, z)"),
         ("u,y,y\n1,2,3\n", "2 columns are named 'y'"),
-        ("u,y\n1,2\nnan,3\n4,5\n", "line 3, column 'u': the value is missing or infinite ('nan')"),
-        ("u,y\n1,2\n\n3,inf\n4,5\n", "line 4, column 'y'"),
-        ("u,y\n1,2\n,3\n4,5\n", "line 3, column 'u': the cell is empty"),
-        ("u,y\n1,2\n3,abc\n", "line 3, column 'y': 'abc' is not a number"),
-        ("u,y\nV,V\n1,2\n", "line 2, column 'u': 'V' is not a number"),
-        (
-            "u,y\n1,2\n3,\n4,\n",
-            "unequal lengths, column 'y' ends before line 3 but the file goes on to line 4",
-        ),
-        ("u,y\n1,2\n3\n", "line 3: 1 cells where the header has 2"),
-        ("t,u,y\n0,1,5,2\n1,2,5,3\n", "line 2: 4 cells where the header has 3"),
+        ("u,y\n1,2\n3,inf\n4,5\n", "column 'y', line 3: the value is infinite"),
+        ("u,y\n1,2\n3,abc\n", "column 'y', line 3: 'abc' is not a number"),
+        ("u,y\n1,2\n3\n", "line 3: 1 cells where the rows above have 2"),
+        ("t,u,y\n0,1,5,2\n1,2,5,3\n", "the header has 3 cells, the rows below it 4 cells"),
         ("", "is empty"),
         ("u,y\n", "no data below it"),
         (b"\x89PNG\0\x01", "is not a text file"),
@@ -93,12 +95,26 @@ def test_bad_files(tmp_path: Path, text: str | bytes, expected: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("u,y\n1,2\nnan,3\n4,5\n6,7\n", [[[1, 2]], [[4, 5], [6, 7]]]),
+        ("u,y\n1,2\n,3\n4,5\n", [[[1, 2]], [[4, 5]]]),
+        ("u,y\n1,2\n3,4\n5,\n6,\n", [[[1, 2], [3, 4]]]),
+        ("u,y\nV,m\n1,2\n3,4\n", [[[1, 2], [3, 4]]]),
+    ],
+)
+def test_missing_values_cut_and_trim(tmp_path: Path, text: str, expected: list[Any]) -> None:
+    records = read_file(tmp_path / "a.csv", text).records
+    assert [np.hstack([r.u, r.y]).tolist() for r in records] == expected
+
+
 @pytest.mark.parametrize("text", ["1,2\n3,4\n", "0,5;1,2\n1,5;2,2\n", "1e-3\t-2\n3\t4\n"])
 def test_missing_header(tmp_path: Path, text: str) -> None:
     with pytest.raises(UserError) as caught:
         read(tmp_path / "a.csv", text)
     assert str(caught.value).endswith(
-        "the first row holds numbers: add a header row with the column names"
+        "the first row holds numbers: add a header row with the column names, or give --columns"
     )
 
 
@@ -114,36 +130,40 @@ def test_known_columns_are_listed_once(tmp_path: Path) -> None:
 
 def test_unreadable_file(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no such file"):
-        read_csv(tmp_path / "a.csv", ["u"], ["y"], 1.0)
-    with pytest.raises(UserError, match="cannot read"):
-        read_csv(tmp_path, ["u"], ["y"], 1.0)
+        take_in([tmp_path / "a.csv"], Wanted(("u",), ("y",)), "train", 1.0)
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("t,u,y\n0,1,2\n0.5,1,2\n1,1,2\n", "steps by 0.5, but sampling_time is 1 s"),
-        ("time,u,y\n0,1,2\n1,1,2\n1,1,2\n", "does not increase at line 4"),
-        ("t,u,y\n0,1,2\n1,1,2\n2,1,2\n5,1,2\n", "gap of 3 s at line 5"),
-        ("t,u,y\n10:00,1,2\n10:01,1,2\n", "does not read as numbers"),
+        ("t,u,y\n0,1,2\n0.5,1,2\n1,1,2\n1.5,1,2\n", "every 2th output is kept"),
+        ("t,u,y\n0,1,2\n1,1,2\n2,1,2\n5,1,2\n6,1,2\n", "1 gap in time"),
         ("t,u,y\n0,1,2\n1,1,2\n2,1,2\n", None),
+        ("index,u,y\n0,1,2\n1,1,2\n2,1,2\n", None),
     ],
 )
-def test_time_column_is_compared(tmp_path: Path, text: str, expected: str | None) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text(text)
-    warnings = read_csv(path, ["u"], ["y"], 1.0).warnings
-    assert len(warnings) == (expected is not None)
-    assert expected is None or expected in warnings[0]
+def test_time_stamps_decide(tmp_path: Path, text: str, expected: str | None) -> None:
+    notes = read_file(tmp_path / "a.csv", text).notes
+    assert bool(notes) == (expected is not None)
+    assert expected is None or expected in notes[0]
+    assert read_file(tmp_path / "a.csv", text, time="none").notes == ()
+
+
+def test_stamps_that_contradict_the_sampling_time_are_refused(tmp_path: Path) -> None:
+    text = "t,u,y\n" + "".join(f"{10 * k},{k},{k}\n" for k in range(9))
+    with pytest.raises(UserError, match="every 10 s, but the sampling time is 1 s: give that samp"):
+        read_file(tmp_path / "a.csv", text)
+    with pytest.raises(UserError, match="the time stamp repeats"):
+        read_file(tmp_path / "a.csv", "time,u,y\n0,1,2\n1,1,2\n1,1,2\n")
 
 
 def test_time_may_be_an_input(tmp_path: Path) -> None:
     assert read(tmp_path / "a.csv", "t,y\n0,1\n0,2\n", "t").tolist() == [[0.0, 1.0], [0.0, 2.0]]
 
 
-def test_split_keeps_every_row_and_column(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text("t,u,y\n" + "".join(f"{k},{k},{k}\n" for k in range(10)))
-    first, last = split_csv(path, ["u", "y"], 0.2)
-    assert first.splitlines()[-1] == "7,7,7"
-    assert last.splitlines() == ["t,u,y", "8,8,8", "9,9,9"]
+def test_a_long_table_of_numbers_is_read_like_one_of_texts(tmp_path: Path) -> None:
+    rows = [f"{k / 8};{k % 7},5;{k % 5},25" for k in range(3000)]
+    fast = read_file(tmp_path / "a.csv", "\n".join(["t;u;y", *rows]))
+    slow = read_file(tmp_path / "b.csv", "\n".join(["t;u;y;note", *(f"{r};x" for r in rows)]))
+    assert np.array_equal(fast.records[0].y, slow.records[0].y)
+    assert np.array_equal(fast.records[0].u, slow.records[0].u)

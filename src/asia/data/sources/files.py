@@ -1,0 +1,143 @@
+"""Records in files, of every format that ASIA reads."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from asia.data._trajectory import unique_names
+from asia.data.intake.records import Intake, Use, take_in
+from asia.data.intake.sheet import Wanted
+from asia.data.sources.source import (
+    Channels,
+    DataTable,
+    Source,
+    SourceData,
+    Subset,
+    not_counted,
+    refuse_seed,
+)
+from asia.errors import UserError
+
+
+@dataclass(frozen=True)
+class RecordFiles(Source):
+    """Files that a problem names one by one; absolute paths."""
+
+    train: tuple[Path, ...]
+    """Files to train on."""
+    test: tuple[Path, ...] = ()
+    """Files of the test; () without a test, or where it is encrypted."""
+    guard: tuple[Path, ...] = ()
+    """Files that stand guard."""
+    reading: Wanted = field(default_factory=lambda: Wanted((), ()))
+    """Options of reading: time stamps, columns and experiments."""
+    test_experiments: tuple[str, ...] = ()
+    """Experiments in the training files that are the test."""
+
+    test_kept: ClassVar[str] = (
+        "in plain files; isolation alone keeps candidates off them, and asia init --seal "
+        "would encrypt them"
+    )
+
+    @classmethod
+    def from_table(cls, table: DataTable, root: Path) -> Self:
+        """As `Source.from_table`."""
+        refuse_seed(table)
+        if not table.train:
+            raise UserError(
+                '[data] names no training data: expected train = ["file.csv"] or source'
+            )
+        if isinstance(table.guard, int):
+            raise not_counted(table.guard, "files")
+        named = {"train": table.train, "test": table.test, "guard": table.guard}
+        lists = {k: tuple((root / name).resolve() for name in v) for k, v in named.items()}
+        for path, count in Counter(p for paths in lists.values() for p in paths).items():
+            if count > 1:
+                owners = [name for name, paths in lists.items() if path in paths]
+                what = f"both {' and '.join(owners)}" if len(owners) > 1 else "one list twice"
+                raise UserError(f"[data] names {path} in {what}: name every record once")
+        return cls(**lists, reading=table.reading, test_experiments=table.test_experiments)
+
+    def read(self, subset: Subset, channels: Channels) -> SourceData:
+        """As `Source.read`."""
+        if subset == "train":
+            found = [self._take(self.train, channels, "train", without=self.test_experiments)]
+        elif subset == "guard":
+            found = [self._take(self.guard, channels, "test")] if self.guard else []
+        else:
+            held = self.test_experiments
+            found = [self._take(self.test, channels, "test")] if self.test else []
+            found += [self._take(self.train, channels, "test", only=held)] if held else []
+        records = [record for one in found for record in one.records]
+        if subset == "guard" and len(records) != len(self.guard):
+            raise UserError(
+                f"{len(self.guard)} files stand guard, and they hold {len(records)} records: name "
+                "files of one record without gaps in data.guard"
+            )
+        names = unique_names([r.name for r in records])
+        return SourceData(
+            tuple(replace(r, name=n) for r, n in zip(records, names, strict=True)),
+            warnings=tuple(note for one in found for note in one.notes),
+        )
+
+    def records_of(self, path: Path, channels: Channels, reading: Wanted | None = None) -> Intake:
+        """The records of another file, which are to be judged as a test. reading: options in place
+        of the problem's own. Raises UserError."""
+        own = self if reading is None else replace(self, reading=reading)
+        return own._take((path,), channels, "test")
+
+    def _take(self, paths: tuple[Path, ...], channels: Channels, use: Use, **chosen: Any) -> Intake:
+        inputs, outputs = channels.names
+        wanted = replace(self.reading, inputs=tuple(inputs), outputs=tuple(outputs))
+        least = channels.least if use == "train" else 1
+        found = take_in(paths, wanted, use, channels.sampling_time, least, **chosen)
+        if (found.inputs, found.outputs) != (wanted.inputs, wanted.outputs):
+            raise UserError(
+                f"{paths[0]}: a signal is a matrix with several columns: name the columns "
+                f"{', '.join((*found.inputs, *found.outputs))} in problem.toml"
+            )
+        return found
+
+    def places(self, subset: Subset) -> tuple[Path, ...]:
+        """As `Source.places`."""
+        held = self.train if self.test_experiments else ()
+        return {"train": self.train, "test": (*self.test, *held), "guard": self.guard}[subset]
+
+    def to_toml(self) -> dict[str, Any]:
+        """As `Source.to_toml`."""
+        reading = self.reading
+        return {
+            "train": [str(path) for path in self.train],
+            "test": [str(path) for path in self.test],
+            "guard": [str(path) for path in self.guard] or None,
+            "time": reading.time,
+            "time_unit": reading.time_unit,
+            "columns": list(reading.columns) or None,
+            "experiment_column": reading.experiment,
+            "test_experiments": list(self.test_experiments) or None,
+        }
+
+    @property
+    def has_test(self) -> bool:
+        """As `Source.has_test`."""
+        return bool(self.test or self.test_experiments)
+
+    @property
+    def guard_names(self) -> tuple[str, ...]:
+        """As `Source.guard_names`."""
+        return _names(self.guard)
+
+    def check_openable(self) -> None:
+        """As `Source.check_openable`."""
+        for path in self.test:
+            if not path.exists():
+                raise UserError(f"no such file: {path}; put the test data back")
+
+
+def _names(paths: tuple[Path, ...]) -> tuple[str, ...]:
+    """What the records are called: the file, with its folder where two files have one name."""
+    stems = Counter(path.stem for path in paths)
+    return tuple(p.stem if stems[p.stem] == 1 else f"{p.parent.name}/{p.stem}" for p in paths)
