@@ -8,7 +8,11 @@ import pytest
 from asia.errors import UserError
 from asia.ledger import Chain, Store, Unsealed, find_run, journal, open_run, results_table, verify
 from asia.ledger import TestedModel as Record
-from asia.ledger._events import adapter
+from asia.ledger._chain import read_lines
+from asia.ledger._events import Started, adapter
+from asia.search._run import check_same_search
+
+from .conftest import finished_run
 
 
 def test_replay_tells_the_search(run: Path) -> None:
@@ -112,3 +116,24 @@ def test_a_row_has_the_whole_hypothesis_the_parent_the_time_and_the_folds(run: P
     assert cells[3:6] == [words, "1", "1.0"]
     assert third.score is not None
     assert cells[6] == " ".join(f"{fold.value:.6f}" for fold in third.score.folds)
+
+
+def test_a_run_with_lessons_of_an_older_version_verifies_and_shows_but_does_not_resume(
+    tmp_path: Path,
+) -> None:
+    directory = finished_run(tmp_path / "run")
+    ledger = directory / "ledger.jsonl"
+    events = [line.event for line in read_lines(ledger)]
+    digest = Store(directory / "artifacts").put(b"[]")
+    ledger.unlink()
+    with Chain(ledger) as chain:
+        for event in events:
+            chain.append(replace(event, lessons=digest) if isinstance(event, Started) else event)
+    verify(directory)
+    view = open_run(directory).view
+    assert view.started.lessons == digest
+    with pytest.raises(UserError, match="choose another --name"):
+        check_same_search(view, replace(view.started, lessons=None))
+    (directory / "artifacts" / digest).unlink()
+    with pytest.raises(UserError, match=digest[:8]):
+        verify(directory)
