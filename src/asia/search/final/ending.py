@@ -25,8 +25,8 @@ def refit_winner(
     with ExitStack() as opened:
         stacked = partial(make_stack, evaluator, view, store, metric)
         if not evaluator.one_by_one:
-            # It does not depend on the refit, which takes longer and goes first.
-            stacked = opened.enter_context(evaluator.beside(stacked, 1)).result
+            # It does not depend on the refit.
+            stacked = opened.enter_context(evaluator.background(stacked)).result
         try:
             refit, checked = _refit(evaluator, best, store, metric)
         except CandidateError as error:
