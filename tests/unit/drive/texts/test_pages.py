@@ -25,7 +25,7 @@ RECORDS = {
                        for k in (1, 2)),
 }  # fmt: skip
 SOURCES = {
-    "cascaded_tanks": 'source = "nonlinear_benchmarks:Cascaded_Tanks"',
+    "cascaded_tanks": 'source = "benchmark:cascaded_tanks"',
     "nanodrone": 'source = "nanodrone"',
 }
 FACTS = problem_facts(load_problem("two_tanks_sim"))
