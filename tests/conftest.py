@@ -54,14 +54,6 @@ def quick_linear_rung() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session", autouse=True)
-def lessons_of_nobody(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Nobody's own lessons are read or written."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ASIA_LESSONS", str(tmp_path_factory.mktemp("lessons")))
-        yield
-
-
 @pytest.fixture
 def real_linear_rung(monkeypatch: pytest.MonkeyPatch) -> None:
     """For the tests whose subject it is."""

@@ -30,6 +30,15 @@ def periodic(seed: int, samples: int, *shape: int, periods: int = 2) -> tuple[Va
     return np.stack([u] * periods, axis=-1), np.moveaxis(y, 0, -1)
 
 
+def write_cascaded_tanks(root: Path, samples: int = 1_024) -> None:
+    folder = _folder(root, "Cascaded_Tanks/CascadedTanksFiles")
+    arrays: dict[str, Values] = {"Ts": np.array([[4.0]])}
+    for k, name in enumerate(("Est", "Val")):
+        u = noise_input(k, samples, 1)
+        arrays |= {f"u{name}": u, f"y{name}": response(u, k)}
+    savemat(folder / "dataBenchmark.mat", arrays)
+
+
 def write_ced(root: Path) -> None:
     folder = _folder(root, "CED")
     arrays: dict[str, Values] = {}
@@ -101,6 +110,7 @@ def _folder(root: Path, name: str) -> Path:
 
 
 WRITERS = {
+    "cascaded_tanks": write_cascaded_tanks,
     "ced": write_ced,
     "emps": write_emps,
     "silverbox": write_silverbox,

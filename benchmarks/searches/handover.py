@@ -15,11 +15,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -28,13 +26,14 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from asia.agents import Agent, AgentView, Proposal, make_agent
+from asia.agents import make_agent
 from asia.ledger import Store, TestedModel, Unsealed, open_run
-from asia.problem.load import Problem, load_problem
+from asia.problem.load import Problem
 from asia.sandbox import Isolation
 from asia.search import prepare, search, unseal
 from asia.search.final.choice import FinalEvidence, choose_model
-from systems import KINDS, Record, System, make_system, write_problem
+from harness import Brisk, option_parser, run_all, synthetic_problem, table, words
+from systems import KINDS, Record, System, make_system
 
 # A fit may take the problem's own time; the agent plans for less, which makes its fits short.
 PLANNED_SECONDS = 6.0
@@ -42,19 +41,6 @@ SHORT, LONG = 400, 1000
 FAR_OFF = 0.25
 _EVIDENCE = TypeAdapter(FinalEvidence)
 MODELS = "ensemble", "refit", "stack"
-
-
-class Brisk:
-    """An agent that plans for short fits."""
-
-    def __init__(self, agent: Agent) -> None:
-        self._agent = agent
-        self.name = agent.name
-
-    def propose(self, view: AgentView) -> Proposal | None:
-        """What the agent proposes when a fit may take `PLANNED_SECONDS`."""
-        effort = replace(view.facts.budget, fit_seconds=PLANNED_SECONDS)
-        return self._agent.propose(replace(view, facts=replace(view.facts, budget=effort)))
 
 
 @dataclass(frozen=True)
@@ -94,19 +80,16 @@ def main() -> None:
     ]
     if not options.table:
         (options.out / "results").mkdir(parents=True, exist_ok=True)
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(options.jobs, mp_context=context) as pool:
-            waiting = [pool.submit(run_task, task) for task in tasks if not task.result.exists()]
-            for future in as_completed(waiting):
-                print(future.result(), file=sys.stderr, flush=True)
+        missing = [task for task in tasks if not task.result.exists()]
+        for line in run_all(run_task, missing, options.jobs):
+            print(line, file=sys.stderr, flush=True)
     print(tables([json.loads(t.result.read_text()) for t in tasks if t.result.exists()]))
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = option_parser(__doc__)
     parser.add_argument("--seeds", type=_numbers, default=list(range(200, 206)), metavar="A,B")
-    kinds = {"type": lambda text: text.split(","), "default": list(KINDS), "metavar": "A,B"}
-    parser.add_argument("--systems", **kinds)
+    parser.add_argument("--systems", default=list(KINDS), type=words(KINDS), metavar="A,B")
     parser.add_argument("--experiments", type=int, default=5)
     parser.add_argument("--folds", type=int, default=2)
     parser.add_argument("--jobs", type=int, default=1, help="searches at a time")
@@ -124,15 +107,11 @@ def run_task(task: Task) -> str:
     start = time.monotonic()
     system = _system(task)
     place = task.out / "problems" / f"{task.kind}-{task.seed}"
-    if not (place / "problem.toml").is_file():
-        write_problem(system, place, task.experiments)
-    problem = load_problem(place)
-    # Nobody stops because nothing was found for a while.
-    budget = replace(problem.budget, experiments=task.experiments, patience=10 * task.experiments)
+    problem = synthetic_problem(system, place, task.experiments)
     rule = problem.protocol
     rule = replace(rule, folds=replace(rule.folds, count=task.folds))
-    problem = replace(problem, budget=budget, protocol=rule)
-    agent = Brisk(make_agent("expert"))
+    problem = replace(problem, protocol=rule)
+    agent = Brisk(make_agent("expert"), PLANNED_SECONDS)
     ready = prepare(
         problem, agent.name, seed=task.seed, runs=task.out / "runs", name=task.run,
         isolation=Isolation.PROCESS,
@@ -196,9 +175,8 @@ def tables(found: Sequence[dict[str, Any]]) -> str:
         f"{len(found)} searches. Loss: sealed error of the named model over that of the best of "
         "the three, less 1.",
         "",
-        "| always | named | median loss, measured | worst | median loss, truth | worst |",
-        "|---|---|---|---|---|---|",
     ]
+    rows: list[list[str]] = []
     rules: list[tuple[str, Callable[[dict[str, Any]], str]]] = [
         ("the rule", _named),
         *((name, lambda one, name=name: name) for name in MODELS),
@@ -208,7 +186,9 @@ def tables(found: Sequence[dict[str, Any]]) -> str:
         for what in ("rmse", "truth"):
             losses = [_loss(one, rule(one), what) for one in found]
             cells += [f"{100 * median(losses):.1f} %", f"{100 * max(losses):.1f} %"]
-        lines.append(f"| {' | '.join(cells)} |")
+        rows.append(cells)
+    heads = "always", "named", "median loss, measured", "worst", "median loss, truth", "worst"
+    lines.append(table(heads, rows))
     over = [one for one in found if _loss(one, _named(one), "rmse") > FAR_OFF]
     lines += ["", f"Loss of the rule above {100 * FAR_OFF:.0f} %, measured: {len(over)}."]
     lines += [f"- {one['run']}: {_named(one)}, {one['rmse']}" for one in over]
@@ -225,13 +205,8 @@ def _band_lines(found: Sequence[dict[str, Any]]) -> list[str]:
     """What the output bands held on the sealed records, everywhere and near the training data."""
     if not found:
         return ["No search kept output bands."]
-    lines = [
-        f"Output bands of {found[0]['level']:.0%}, share of sealed samples that they held:",
-        "",
-        "| outside the region of validity | searches | mean | median | lowest | highest |",
-        "|---|---|---|---|---|---|",
-    ]
-    for words, low, high in (
+    rows: list[list[str]] = []
+    for region, low, high in (
         ("any", -1.0, 1.0), ("at most 2 %", -1.0, 0.02), ("2 to 10 %", 0.02, 0.1),
         ("above 10 %", 0.1, 1.0),
     ):  # fmt: skip
@@ -240,8 +215,10 @@ def _band_lines(found: Sequence[dict[str, Any]]) -> list[str]:
             cells = [
                 f"{100 * x:.1f} %" for x in (np.mean(held), median(held), min(held), max(held))
             ]
-            lines.append(f"| {words} | {len(held)} | {' | '.join(cells)} |")
-    return lines
+            rows.append([region, str(len(held)), *cells])
+    heads = "outside the region of validity", "searches", "mean", "median", "lowest", "highest"
+    head = f"Output bands of {found[0]['level']:.0%}, share of sealed samples that they held:"
+    return [head, "", table(heads, rows)]
 
 
 def _named(one: dict[str, Any]) -> str:

@@ -15,19 +15,15 @@ Nothing here opens a test.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
 from asia.agents import (
     Agent,
-    AgentView,
-    Proposal,
     RelayAgent,
     legs_of,
     make_agent,
@@ -37,23 +33,20 @@ from asia.ledger import open_run
 from asia.problem.load import Problem, load_problem
 from asia.sandbox import Isolation
 from asia.search import prepare, search
-from systems import KINDS, make_system, write_problem
+from harness import (
+    Brisk,
+    number,
+    option_parser,
+    run_all,
+    synthetic_problem,
+    table,
+    with_experiments,
+    words,
+)
+from systems import KINDS, make_system
 
 # A fit may take the problem's own time; the agents plan for less, which makes their fits short.
 PLANNED_SECONDS = 20.0
-
-
-class Brisk:
-    """An agent that plans for short fits."""
-
-    def __init__(self, agent: Agent) -> None:
-        self._agent = agent
-        self.name = agent.name
-
-    def propose(self, view: AgentView) -> Proposal | None:
-        """What the agent proposes when a fit may take `PLANNED_SECONDS`."""
-        effort = replace(view.facts.budget, fit_seconds=PLANNED_SECONDS)
-        return self._agent.propose(replace(view, facts=replace(view.facts, budget=effort)))
 
 
 @dataclass(frozen=True)
@@ -97,20 +90,16 @@ def main() -> None:
     options = _options()
     tasks = _tasks(options)
     found: list[Found] = []
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.jobs, mp_context=context) as pool:
-        waiting = [pool.submit(run_task, task) for task in tasks]
-        for future in as_completed(waiting):
-            found.append(future.result())
-            (options.out / "relay.md").write_text(tables(found, len(tasks)))
+    for one in run_all(run_task, tasks, options.jobs):
+        found.append(one)
+        (options.out / "relay.md").write_text(tables(found, len(tasks)))
     print(tables(found, len(tasks)))
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    words = {"type": lambda text: text.split(","), "metavar": "A,B"}
+    parser = option_parser(__doc__)
     problems = ["two_tanks_sim", "wiener", "cascaded_tanks"]
-    parser.add_argument("--problems", default=problems, **words)
+    parser.add_argument("--problems", default=problems, type=words(), metavar="A,B")
     parser.add_argument("--first", default="expert", help="first agent of the relay")
     parser.add_argument("--second", default="bayes", help="second agent of the relay")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 on")
@@ -152,7 +141,7 @@ def run_task(task: Task) -> Found:
     value = best.score.value if best is not None and best.score is not None else None
     wall = time.monotonic() - start
     print(
-        f"{task.run}  V {_number(value)} by #{best.number if best else 0}, evaluations "
+        f"{task.run}  V {number(value)} by #{best.number if best else 0}, evaluations "
         f"{view.seconds:.0f} s, wall {wall:.0f} s",
         file=sys.stderr,
         flush=True,
@@ -163,22 +152,18 @@ def run_task(task: Task) -> Found:
 def _problem(task: Task) -> Problem:
     if task.problem in KINDS:
         place = task.out / "problems" / f"{task.problem}-{task.seed}"
-        if not (place / "problem.toml").is_file():
-            write_problem(make_system(KINDS[task.problem], task.seed), place, task.experiments)
-        problem = load_problem(place)
-    else:
-        problem = load_problem(task.problem)
-    # At equal budget nobody may stop because nothing was found for a while.
-    budget = replace(problem.budget, experiments=task.experiments, patience=10 * task.experiments)
-    return replace(problem, budget=budget)
+        return synthetic_problem(
+            make_system(KINDS[task.problem], task.seed), place, task.experiments
+        )
+    return with_experiments(load_problem(task.problem), task.experiments)
 
 
 def _agent(arm: str) -> Agent:
     agent = make_agent(arm)
     if not isinstance(agent, RelayAgent):
-        return Brisk(agent)
+        return Brisk(agent, PLANNED_SECONDS)
     return RelayAgent(
-        [make_runner(Brisk(r.agent), r.leg.experiments) for r in agent.runners],
+        [make_runner(Brisk(r.agent, PLANNED_SECONDS), r.leg.experiments) for r in agent.runners],
     )
 
 
@@ -190,23 +175,24 @@ def tables(found: Sequence[Found], total: int) -> str:
     lines = [
         f"{len(found)} of {total} searches are finished.",
         "",
-        f"| problem | {' | '.join(f'median V, {arm} (seeds)' for arm in arms)} |",
-        f"|---|{'---|' * len(arms)}",
     ]
-    for problem in problems:
-        cells = [_median([f for f in found if (f.task.problem, f.task.arm) == (problem, arm)])
-                 for arm in arms]  # fmt: skip
-        lines.append(f"| {problem} | {' | '.join(cells)} |")
-    heads = "problem | relay against | seeds | better | same | worse | median V ratio | V ratios"
-    lines += ["", f"| {heads} |", f"|{'---|' * 8}"]
+    cells = [
+        [problem, *(_median([f for f in found if (f.task.problem, f.task.arm) == (problem, arm)])
+                    for arm in arms)]
+        for problem in problems
+    ]  # fmt: skip
+    lines.append(table(["problem", *(f"median V, {arm} (seeds)" for arm in arms)], cells))
+    heads = "problem", "relay against", "seeds", "better", "same", "worse"
+    rows: list[list[str]] = []
     relay, *alone = arms
     for other in alone:
         every: list[float] = []
         for problem in problems:
             ratios = _ratios(values, problem, relay, other)
             every += ratios
-            lines.append(_pair_row(problem, other, ratios))
-        lines.append(_pair_row("all", other, every))
+            rows.append(_pair_row(problem, other, ratios))
+        rows.append(_pair_row("all", other, every))
+    lines += ["", table([*heads, "median V ratio", "V ratios"], rows)]
     seconds = [f.seconds for f in found]
     lines += [
         "",
@@ -231,24 +217,18 @@ def _ratios(
     return [a / b for a, b in pairs if a is not None and b is not None]
 
 
-def _pair_row(problem: str, other: str, ratios: Sequence[float]) -> str:
+def _pair_row(problem: str, other: str, ratios: Sequence[float]) -> list[str]:
     if not ratios:
-        return f"| {problem} | {other} | 0 | | | | | |"
+        return [problem, other, "0", *[""] * 5]
     better, same = sum(r < 1 for r in ratios), sum(r == 1 for r in ratios)
     each = ", ".join(f"{r:.2f}" for r in ratios)
-    return (
-        f"| {problem} | {other} | {len(ratios)} | {better} | {same} | "
-        f"{len(ratios) - better - same} | {median(ratios):.3f} | {each} |"
-    )
+    counts = len(ratios), better, same, len(ratios) - better - same
+    return [problem, other, *map(str, counts), f"{median(ratios):.3f}", each]
 
 
 def _median(found: Sequence[Found]) -> str:
     known = [f.value for f in found if f.value is not None]
-    return f"{_number(median(known))} ({len(known)})" if known else "-"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+    return f"{number(median(known))} ({len(known)})" if known else "-"
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -35,6 +35,7 @@ from asia.ledger import (
 from asia.problem.load import Problem, load_problem
 from asia.scoring import Failure, Score
 from asia.search import prepare, search, unseal
+from harness import option_parser, table, words
 from systems import KINDS, System, make_system, write_problem
 from unfamiliar import UNFAMILIAR
 
@@ -85,26 +86,15 @@ def main() -> None:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--systems", type=_words(KNOWN), default=list(KINDS), metavar="A,B")
+    parser = option_parser(__doc__)
+    parser.add_argument("--systems", type=words(KNOWN), default=list(KINDS), metavar="A,B")
     agents = ["expert", "random"]
-    parser.add_argument("--agents", type=_words(AGENTS), default=agents, metavar="A,B")
+    parser.add_argument("--agents", type=words(AGENTS), default=agents, metavar="A,B")
     parser.add_argument("--experiments", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0, help="of the systems and of the searches")
     parser.add_argument("--out", type=Path, help="keep problems and runs here, and resume")
     parser.add_argument("--figure", type=Path, help="draw the curves here")
     return parser.parse_args()
-
-
-def _words(known: Iterable[str]) -> Callable[[str], list[str]]:
-    def parse(text: str) -> list[str]:
-        words = text.split(",")
-        for word in words:
-            if word not in known:
-                raise argparse.ArgumentTypeError(f"'{word}' is none of {', '.join(known)}")
-        return words
-
-    return parse
 
 
 def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path) -> Found:
@@ -120,8 +110,8 @@ def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path)
             outcome = event.outcome
             value = f"V={outcome.value:.4f}" if isinstance(outcome, Score) else outcome.reason.value
             title = view.experiment(event.experiment).proposed.title
-            words = f"{event.experiment}/{count} {event.status:<12} {value:<11}"
-            print(f"{name}  {words}{event.seconds:6.1f} s  {title}", file=sys.stderr, flush=True)
+            line = f"{event.experiment}/{count} {event.status:<12} {value:<11}"
+            print(f"{name}  {line}{event.seconds:6.1f} s  {title}", file=sys.stderr, flush=True)
 
     view = search(ready, make_agent(agent), on_event, lambda view: None)
     ratio, named, use = _errors_over_noise(system, problem, ready.directory, view)
@@ -196,10 +186,10 @@ def _reached(rows: dict[str, dict[str, Found]]) -> str:
         within = [k + 1 for k, v in enumerate(found["expert"].curve) if v <= target]
         needed.append(within[0] if within else float("inf"))
     budget = max(len(found["random"].curve) for found in rows.values())
-    words = ", ".join(f"{n} {k:g}" for n, k in zip(rows, needed, strict=True))
+    each = ", ".join(f"{n} {k:g}" for n, k in zip(rows, needed, strict=True))
     return (
         f"\nExperiments the expert needed for random's best of {budget}: median "
-        f"{median(needed):g} ({words}; inf: never)"
+        f"{median(needed):g} ({each}; inf: never)"
     )
 
 
@@ -230,7 +220,7 @@ def _table(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> str:
         heads += [f"V {agent}", "best at", "family", "failed"]
     heads += [f"error over noise, {agent}" for agent in agents]
     heads += [f"of the model to use, {agent}" for agent in agents]
-    lines = [heads, ["---"] * len(heads)]
+    lines: list[list[str]] = []
     for name, found in rows.items():
         first = found[agents[0]]
         cells = [name, _number(first.floor), _number(first.linear)]
@@ -242,7 +232,7 @@ def _table(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> str:
         cells += [f"{_number(found[agent].named)} ({found[agent].use})" for agent in agents]
         lines.append(cells)
     lines.append(_medians(rows, agents))
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return table(heads, lines)
 
 
 def _medians(rows: dict[str, dict[str, Found]], agents: Sequence[str]) -> list[str]:

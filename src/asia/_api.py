@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from asia.agents import Agent, NamedAgent, SpaceName, choose_agent, legs_of, settings_of
-from asia.agents.lessons import Lesson
 from asia.executor import Executor, make_executor
 from asia.ledger import Event, Run, SearchView, open_run
 from asia.problem.load import Problem, load_problem
@@ -34,7 +33,6 @@ def run(
     space: SpaceName | None = None,
     executor: Executor | str = "local",
     sinks: Sequence[str | OpenSink] = (),
-    lessons: Sequence[Lesson] | None = None,
     parallel: int = 1,
     stop_folds: bool = False,
     device: str = "cpu",
@@ -47,8 +45,7 @@ def run(
     the problem's own setting. space: what the agent "random" draws from. executor: what runs the
     evaluations, one of `executor_names()` or one of your own. sinks: where events go as they come,
     by the name of an installed one, `module:Name`, or what opens one; see `asia.search.Sink`.
-    lessons: of earlier searches, such as `asia.agents.lessons.kept_lessons()`; None for a search
-    without. parallel: experiments in flight. stop_folds: pass over the folds of a candidate that is
+    parallel: experiments in flight. stop_folds: pass over the folds of a candidate that is
     far behind the best without them. device: what networks are trained on, `cpu`, `gpu` or `auto`.
     Raises UserError for anything the caller can mend.
     """
@@ -72,7 +69,6 @@ def run(
         runs=Path(runs),
         name=name,
         agent_settings=chosen.settings,
-        lessons=lessons,
         legs=legs,
         parallel=parallel,
         stop_folds=stop_folds,

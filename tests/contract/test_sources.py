@@ -9,12 +9,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
-from scipy.io import savemat
 
 from asia._plugins import Part
 from asia.data import Signal, Trajectory
 from asia.data.sources import SOURCES, Channels, DataSet, SourceData, Subset, source_class
-from asia.data.sources.benchmarks import NonlinearBenchmark
 from asia.data.sources.files import RecordFiles
 from asia.data.sources.nanodrone import Nanodrone
 from asia.data.sources.official import OfficialBenchmark
@@ -104,24 +102,8 @@ def test_nanodrone_conforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         check_source(lambda guard=guard: Nanodrone(guard=guard), ONE)
 
 
-def test_nonlinear_benchmarks_conform(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ASIA_DATA_DIR", str(tmp_path))
-    folder = tmp_path / "nonlinear_benchmarks" / "CED"
-    folder.mkdir(parents=True)
-    (folder / "FULLTEXT01.zip").touch()
-    random = np.random.default_rng(0)
-    names = ("u11", "u12", "z11", "z12")
-    savemat(folder / "DATAUNIF.MAT", {name: random.standard_normal((500, 1)) for name in names})
-    channels = Channels((Signal("u"),), (Signal("y"),), 0.02)
-    for guard in ((), ("train CED low input amplitude",)):
-        check_source(
-            lambda guard=guard: NonlinearBenchmark("nonlinear_benchmarks:CED", guard), channels
-        )
-
-
 def test_every_source_of_the_table_is_tested_here() -> None:
     assert set(SOURCES.values()) == {
-        NonlinearBenchmark,
         Nanodrone,
         OfficialBenchmark,
         Simulated,

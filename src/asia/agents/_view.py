@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-from asia.agents._lesson import Lesson
 from asia.data import Signal, Trajectory
 from asia.ledger import Diagnostics, Phase, Status
 from asia.problem import Physics
@@ -141,7 +140,7 @@ class AgentView:
     """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
     normalised source was tried; `notes` are what a person said meanwhile, oldest first; `linear` is
     V of the best linear model and `mean` V of the mean of the training outputs, None where they are
-    not known; `lessons` are of earlier searches.
+    not known.
     `remaining` are the experiments left to the agent that is asked; `leg` is its place in a relay,
     1-based, 0 where it is alone; `running` are the experiments in flight, oldest first: () unless
     several are proposed ahead of their results."""
@@ -154,7 +153,6 @@ class AgentView:
     is_known: Callable[[str], bool] = field(repr=False)
     notes: tuple[str, ...] = ()
     linear: float | None = None
-    lessons: tuple[Lesson, ...] = ()
     leg: int = 0
     mean: float | None = None
     running: tuple[Running, ...] = ()

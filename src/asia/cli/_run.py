@@ -15,7 +15,6 @@ from asia.cli._driver import (
     refuse_for_others,
     relay_driver,
 )
-from asia.cli._lessons import chosen_lessons
 from asia.cli._options.command import PREFIX, CommandOptions
 from asia.cli._options.engine import EngineOptions
 from asia.cli._options.groups import given
@@ -44,13 +43,6 @@ Sinks = Annotated[
     list[str] | None,
     typer.Option(help="Give the events to an installed sink, or module:Name; repeatable."),
 ]
-Lessons = Annotated[
-    str | None,
-    typer.Option(
-        metavar="off | own | shipped | all | FILE",
-        help="Lessons of earlier searches for expert, llm, or your own class; default off.",
-    ),
-]
 
 
 def run(
@@ -67,7 +59,6 @@ def run(
     options: SearchOptions,
     engine: EngineOptions,
     sink: Sinks = None,
-    lessons: Lessons = None,
     runs: Runs = DEFAULT_RUNS,
     profile: Profile = False,
     json: Json = False,
@@ -97,7 +88,6 @@ def run(
             isolation_strict=options.isolation_strict,
             agent_settings=driver.settings,
             legs=driver.legs,
-            lessons=chosen_lessons(lessons, agent),
             parallel=engine.parallel,
             stop_folds=engine.stop_folds,
             device=engine.device,

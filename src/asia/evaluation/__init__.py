@@ -9,6 +9,7 @@ from asia.evaluation._oracle import rounded_score
 from asia.evaluation._relations import Suspicion, SuspicionKind
 from asia.evaluation._requests import simulate_held_out, simulate_training
 from asia.evaluation._results import (
+    FAR_BELOW,
     Evaluation,
     FoldFindings,
     FoldResult,
@@ -22,24 +23,23 @@ from asia.evaluation._results import (
 )
 from asia.evaluation._rungs import LINEAR, LINEAR_RUNG, MEAN_RUNG, TRUTH, Rung, score_rungs
 from asia.evaluation._training_checks import TrainingCheck
-from asia.evaluation.work.alone import FAR_BELOW
-from asia.evaluation.work.beside import SPARE_TURN, Beside
-from asia.evaluation.work.survey import MachineState, survey_machines
+from asia.evaluation.work.background import BackgroundJob, JobSettings
+from asia.evaluation.work.machines import MachineState, survey_machines
 
 __all__ = [
     "FAR_BELOW",
     "LINEAR",
     "LINEAR_RUNG",
     "MEAN_RUNG",
-    "SPARE_TURN",
     "TRUTH",
-    "Beside",
+    "BackgroundJob",
     "DryFold",
     "DryRun",
     "Evaluation",
     "Evaluator",
     "FoldFindings",
     "FoldResult",
+    "JobSettings",
     "MachineState",
     "Refit",
     "RefitModel",

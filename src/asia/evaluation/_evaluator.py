@@ -23,6 +23,7 @@ from asia.evaluation._metamorphic import (
     ROUNDING,
     dependences,
     objection_to,
+    sequential_objection,
     strangers,
     suspicions,
 )
@@ -38,9 +39,8 @@ from asia.evaluation._results import (
     derive_seed,
 )
 from asia.evaluation._workers import WorkerRunner
-from asia.evaluation.work.alone import objection_alone
-from asia.evaluation.work.asking import FoldAsker
-from asia.evaluation.work.behind import FoldBound
+from asia.evaluation.work.pruning import FoldPruner
+from asia.evaluation.work.remote import FoldFitter
 from asia.executor import Executor, carrier_of
 from asia.lowering import LoweredModel
 from asia.problem import Budget
@@ -91,7 +91,7 @@ class Evaluator(WorkerRunner):
         self._salt = salt
         self._problem = problem
         self._analysing = threading.Lock()
-        self._asker = FoldAsker(
+        self._fitter = FoldFitter(
             rule, self._context, isolation, carrier_of(executor), problem, self.one_by_one
         )  # fmt: skip
         if sum(r.u.nbytes + r.y.nbytes for r in records) > LARGE_RECORDS:
@@ -115,9 +115,9 @@ class Evaluator(WorkerRunner):
         fold counts."""
         if over is None:
             return self.evaluate(source)
-        return self._evaluate(source, 0, FoldBound(len(self.folds), over))
+        return self._evaluate(source, 0, FoldPruner(len(self.folds), over))
 
-    def _evaluate(self, source: str, start: int, bound: FoldBound | None) -> Evaluation:
+    def _evaluate(self, source: str, start: int, pruner: FoldPruner | None) -> Evaluation:
         try:
             check_source(source)
             source = executed_source(source)
@@ -125,17 +125,17 @@ class Evaluator(WorkerRunner):
             return Evaluation(Failure(error.reason, error.detail))
         jobs = [partial(self._fold_or_failure, source, fold, start) for fold in self.folds]
         try:
-            if bound is None:
+            if pruner is None:
                 ends = self._run(jobs)
             else:
-                stoppable = map(partial, repeat(self.stoppable), bound.stops, jobs)
-                begun = self._run([partial(bound.fit, i, job) for i, job in enumerate(stoppable)])
-                ends = [end for end in begun if end is not None]
+                cancellable = map(partial, repeat(self.cancellable), pruner.cancels, jobs)
+                fits = [partial(pruner.fit, i, job) for i, job in enumerate(cancellable)]
+                ends = [end for end in self._run(fits) if end is not None]
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
-        behind = None if bound is None else bound.failure()
-        if bound is not None and behind is not None:
-            return Evaluation(behind, output=ends[0].output, ended_folds=bound.ended)
+        behind = None if pruner is None else pruner.failure()
+        if pruner is not None and behind is not None:
+            return Evaluation(behind, output=ends[0].output, ended_folds=pruner.ended)
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.result, Failure):
@@ -170,14 +170,14 @@ class Evaluator(WorkerRunner):
         if SuspicionKind.CONSISTENCY in self._without:
             return None
 
-        def fit_alone(place: int) -> FoldResult | Failure:
+        def fit_sequentially(place: int) -> FoldResult | Failure:
             job = partial(self._fold_or_failure, source, self.folds[place])
             return self._run([job])[0].result
 
         random = np.random.default_rng(self._check_seed(source, "consistency"))
         try:
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
-                return objection_alone(folds, fit_alone, random)
+                return sequential_objection(folds, fit_sequentially, random)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
@@ -319,9 +319,9 @@ class Evaluator(WorkerRunner):
         opening = partial(self._worker_for, source, fitting=False)
         oracle = Oracle(opening, source, self._context, fold, self._rule)
         inner = self._rule.early_stopping == "inner"
-        found = self._asker.ask(
+        found = self._fitter.fit(
             source, fold, start, self._worker, None if inner else oracle, self.stopwatch,
-            self.asked.stop, self.limits_for(source),
+            self.settings.cancel, self.limits_for(source),
         )  # fmt: skip
         try:
             fitted = found.result
@@ -329,7 +329,7 @@ class Evaluator(WorkerRunner):
                 raise fitted
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._ask_strangers(source, fold, fitted.model, fitted.y_hat)
-            with self.stopwatch.activity(Activity.SCORE), self._turn(fold):
+            with self.stopwatch.activity(Activity.SCORE), self._analysis_lock(fold):
                 result = fold_result(
                     fold, fitted, self._rule, self._ranges, self._context, oracle.calls
                 )
@@ -340,7 +340,7 @@ class Evaluator(WorkerRunner):
             result = Failure(error.reason, error.detail, fold.index + 1)
         return FoldEnd(result, found.printed, oracle.calls)
 
-    def _turn(self, fold: Fold) -> AbstractContextManager[object]:
+    def _analysis_lock(self, fold: Fold) -> AbstractContextManager[object]:
         """Of long records one fold is analysed at a time, for the sake of memory."""
         long = sum(len(record) for record in fold.train) > _LONG
         return self._analysing if long else nullcontext()

@@ -8,7 +8,7 @@ answers need no threshold on how good a model may be (Chen et al., ACM Computing
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from itertools import cycle
 
@@ -32,10 +32,13 @@ from asia.evaluation._requests import (
     simulate_alone,
     simulate_requests,
 )
+from asia.evaluation._results import FAR_BELOW, FoldResult, consistency
 from asia.protocol import Block
 from asia.scoring import Failure
 
 ROUNDING = 1e-6
+# V of sequential fits over V, above which the folds told one another something.
+_UNLIKE = 1.5
 _BY_ITSELF = 24
 # Parts of a case that are asked alone: a short one, and two anywhere beyond.
 _SHORT, _FURTHER = (0.02, 0.25), (0.25, 1.0)
@@ -236,3 +239,28 @@ class _Inquiry:
             for lengths in [check.lengths(self.fractions)]
             if check.batch.followed and lengths is not None
         ]
+
+
+def sequential_objection(
+    folds: Sequence[FoldResult],
+    fit_sequentially: Callable[[int], FoldResult | Failure],
+    random: np.random.Generator,
+) -> Failure | None:
+    """Refit the folds sequentially, in another order, where V is far below the training error, so
+    that none can tell another one anything; None where V stays. fit_sequentially: of the fold at
+    that place."""
+    value = float(np.mean([fold.score.value for fold in folds]))
+    errors = [fold.diagnostics.train_error for fold in folds]
+    if consistency(value, errors) >= FAR_BELOW:
+        return None
+    again: list[float] = []
+    for place in random.permutation(len(folds)).tolist():
+        result = fit_sequentially(place)
+        if isinstance(result, Failure):
+            words = f"{SuspicionKind.CONSISTENCY}: fitted alone, a fold fails"
+            return Failure(Reason.SUSPECT, words, place + 1)
+        again.append(result.score.value)
+    if np.mean(again) <= _UNLIKE * value:
+        return None
+    words = "V is far below the training error, but not with the folds fitted one by one"
+    return Failure(Reason.SUSPECT, f"{SuspicionKind.CONSISTENCY}: {words}")

@@ -169,6 +169,11 @@ def mean_simulation(each: Sequence[tuple[Array, ...] | CandidateError]) -> tuple
     return tuple(np.mean(np.stack(parts), axis=0) for parts in zip(*simulations, strict=True))
 
 
+FAR_BELOW = 0.6
+"""V over the training error, below which it takes more evidence. Honest candidates lie above
+0.9."""
+
+
 def consistency(value: float, training_errors: Sequence[float]) -> float:
     """V over the mean training error of the folds, both normalised by the same standard
     deviations."""

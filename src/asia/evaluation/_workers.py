@@ -13,17 +13,8 @@ from typing import TypeVar
 from asia._stopwatch import Activity, Stopwatch
 from asia.candidate import imported_libraries, trains_network
 from asia.errors import CandidateError, Reason, SandboxError, UserError
-from asia.evaluation.work.beside import Asked, Beside, nothing
-from asia.evaluation.work.stopping import FitStop
-from asia.executor import (
-    Executor,
-    Gate,
-    SequentialExecutor,
-    Turn,
-    TurnedJob,
-    carrier_of,
-    local_cores,
-)
+from asia.evaluation.work.background import BackgroundJob, CancelFlag, JobSettings
+from asia.executor import Executor, SequentialExecutor, carrier_of, local_cores
 from asia.sandbox import Isolation, Limits, ReadyWorkers, Worker, WorkerKilledError, open_worker
 
 T = TypeVar("T")
@@ -58,29 +49,29 @@ class WorkerRunner:
         self._ready: ReadyWorkers | None = None
         self._here = threading.local()
         # Where folds go to other machines, what is left here is not held back by the executor.
-        cores = local_cores()
-        self._own = Gate(lambda: cores) if carrier_of(executor) is not None else None
+        remote = carrier_of(executor) is not None
+        self._own = threading.BoundedSemaphore(local_cores()) if remote else nullcontext()
         self.stopwatch = Stopwatch()
 
     @property
-    def asked(self) -> Asked:
-        """What this thread was asked for."""
-        found: Asked | None = getattr(self._here, "asked", None)
-        return Asked() if found is None else found
+    def settings(self) -> JobSettings:
+        """Settings of the jobs that this thread gives."""
+        found: JobSettings | None = getattr(self._here, "settings", None)
+        return JobSettings() if found is None else found
 
     @contextmanager
-    def asking(self, asked: Asked) -> Generator[None]:
-        """Ask this thread for it, until this is closed."""
-        before = self.asked
-        self._here.asked = asked
+    def with_settings(self, settings: JobSettings) -> Generator[None]:
+        """Use these settings in this thread until this is closed."""
+        before = self.settings
+        self._here.settings = settings
         try:
             yield
         finally:
-            self._here.asked = before
+            self._here.settings = before
 
-    def stoppable(self, stop: FitStop, job: Callable[[], T]) -> T:
-        """Do a job whose workers `stop` ends."""
-        with self.asking(replace(self.asked, stop=stop)):
+    def cancellable(self, cancel: CancelFlag, job: Callable[[], T]) -> T:
+        """Do a job whose workers `cancel` ends."""
+        with self.with_settings(replace(self.settings, cancel=cancel)):
             return job()
 
     @contextmanager
@@ -100,20 +91,19 @@ class WorkerRunner:
         return isinstance(self._executor, SequentialExecutor)
 
     @contextmanager
-    def beside(
-        self, job: Callable[[], T], turn: int = 0, on_begin: Callable[[], None] = nothing
-    ) -> Generator[Beside[T]]:
-        """`job`, whose workers run beside those of this thread until this is closed; then it is
-        dropped unless it has ended. turn, on_begin: as in `Asked`. Not where no two workers may run
-        at once."""
-        asked = Asked(Turn(turn), on_begin=on_begin)
+    def background(
+        self, job: Callable[[], T], settings: JobSettings | None = None
+    ) -> Generator[BackgroundJob[T]]:
+        """Run `job` in a background thread; it is cancelled when this is closed, unless it has
+        ended. Not where no two workers may run at once."""
+        chosen = settings or JobSettings()
 
-        def asked_for() -> T:
-            with self.asking(asked):
+        def with_settings() -> T:
+            with self.with_settings(chosen):
                 return job()
 
-        thread = ThreadPoolExecutor(1, "beside")
-        one = Beside(asked, self.stopwatch, thread, asked_for)
+        thread = ThreadPoolExecutor(1, "background")
+        one = BackgroundJob(chosen.cancel, self.stopwatch, thread, with_settings)
         try:
             yield one
         except BaseException as error:
@@ -121,27 +111,26 @@ class WorkerRunner:
                 self.abort()
             raise
         finally:
-            one.drop()
+            one.cancel()
             thread.shutdown(wait=False)
 
     def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results of the jobs; one whose worker fails for no fault of the candidate is tried once
         more. Raises CandidateError when somebody ended the worker both times. Several threads may
         run jobs; workers still open when the last of them ends are those of an interrupted run."""
-        asked = self.asked
+        settings = self.settings
 
-        def run(timed: Sequence[Callable[[], T]]) -> list[T]:
-            return self._executor.run([TurnedJob(asked.turn, job) for job in timed])
-
-        def asked_for(job: Callable[[], T]) -> T:
-            asked.on_begin()
-            with self.asking(asked):
+        def with_settings(job: Callable[[], T]) -> T:
+            settings.on_begin()
+            with self.with_settings(settings):
                 return self._with_one_retry(job)
 
         with self._counting:
             self._runs += 1
         try:
-            return self.stopwatch.run(run, [partial(asked_for, job) for job in jobs])
+            return self.stopwatch.run(
+                self._executor.run, [partial(with_settings, job) for job in jobs]
+            )
         except BaseException as error:
             if not isinstance(error, Exception):
                 self._cancel_elsewhere()
@@ -171,16 +160,16 @@ class WorkerRunner:
             worker.abort()
 
     def _with_one_retry(self, job: Callable[[], T]) -> T:
-        stop = self.asked.stop
+        cancel = self.settings.cancel
         try:
             return job()
         except SandboxError:
-            if self._interrupted or stop.stopped:
+            if self._interrupted or cancel.cancelled:
                 raise
         try:
             return job()
         except WorkerKilledError as error:
-            if self._interrupted or stop.stopped:
+            if self._interrupted or cancel.cancelled:
                 raise
             raise CandidateError(
                 Reason.MEMORY, f"{error}, twice, as a machine does whose memory has run out"
@@ -205,14 +194,14 @@ class WorkerRunner:
                 f"worker processes {pids} cannot be ended: restart the machine, and give the same "
                 "command again, which goes on from here"
             )
-        asked = self.asked
-        if asked.stop.stopped:
+        cancel = self.settings.cancel
+        if cancel.cancelled:
             raise SandboxError("the result of this fit is not wanted any more")
-        with self._own.entered(asked.turn) if self._own else nullcontext():
-            yield from self._opened(libraries, limits, asked.stop)
+        with self._own:
+            yield from self._opened(libraries, limits, cancel)
 
     def _opened(
-        self, libraries: frozenset[str], limits: Limits, stop: FitStop
+        self, libraries: frozenset[str], limits: Limits, cancel: CancelFlag
     ) -> Generator[Worker]:
         with self.stopwatch.activity(Activity.START):
             ready = self._ready if limits == self._limits else None
@@ -224,7 +213,7 @@ class WorkerRunner:
                 try:
                     if self._interrupted:
                         raise SandboxError("the search was interrupted")
-                    with stop.ending(worker.abort):
+                    with cancel.on_cancel(worker.abort):
                         yield worker
                     worker.count_compiling()
                 finally:

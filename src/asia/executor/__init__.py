@@ -11,17 +11,13 @@ from typing import Protocol, TypeVar, cast, runtime_checkable
 from asia._nearest import suggestion
 from asia._plugins import Part, parts_of
 from asia.errors import UserError
-from asia.executor._gate import Gate, Turn, TurnedJob, turn_of
 
 __all__ = [
     "EXECUTORS",
     "Carrier",
     "Executor",
-    "Gate",
     "LocalExecutor",
     "SequentialExecutor",
-    "Turn",
-    "TurnedJob",
     "carrier_of",
     "executor_names",
     "local_cores",
@@ -78,28 +74,21 @@ class Carrier(Protocol):
 
 
 class LocalExecutor:
-    """Jobs on the local cores, no more at once than there are workers, whoever gives them, and by
-    turn. Threads suffice: the work is done in sandboxed processes."""
+    """Jobs on the local cores, first come, first served, no more at once than there are workers.
+    Threads suffice: the work is done in sandboxed processes."""
 
     def __init__(self, workers: int | None = None) -> None:
-        self._workers = workers or local_cores()
-        self._gate = Gate(lambda: self._workers)
+        self._pool = ThreadPoolExecutor(workers or local_cores(), "evaluation")
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
-        if len(jobs) == 1:
-            return [self._when_free(jobs[0])]
-        pool = ThreadPoolExecutor(max_workers=self._workers)
+        futures = [self._pool.submit(job) for job in jobs]
         try:
-            futures = [pool.submit(self._when_free, job) for job in jobs]
             wait(futures)
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            for future in futures:
+                future.cancel()
         return [future.result() for future in futures]
-
-    def _when_free(self, job: Callable[[], T]) -> T:
-        with self._gate.entered(turn_of(job)):
-            return job()
 
 
 @dataclass(frozen=True)

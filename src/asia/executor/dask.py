@@ -9,13 +9,13 @@ import itertools
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 from asia.errors import SandboxError, UserError
-from asia.executor._gate import Gate, Turn, turn_of
 
 T = TypeVar("T")
 
@@ -53,9 +53,8 @@ class DaskExecutor:
         self._under_way: dict[Any, bytes] = {}
         self._forgotten: set[bytes] = set()
         self._cancelled = False
-        self._gate = Gate(self._room)
+        self._places, self._taken = threading.Condition(), 0
         self._threads, self._counted = 0, float("-inf")
-        self._here = threading.local()
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`, which wait here for what is fitted there."""
@@ -63,7 +62,7 @@ class DaskExecutor:
             return []
         pool = ThreadPoolExecutor(max_workers=len(jobs), thread_name_prefix="fold")
         try:
-            futures = [pool.submit(self._in_turn, job) for job in jobs]
+            futures = [pool.submit(job) for job in jobs]
             wait(futures)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -72,7 +71,7 @@ class DaskExecutor:
     def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
         """As `Carrier.carry`."""
         try:
-            with self._gate.entered(getattr(self._here, "turn", Turn())):
+            with self._place():
                 return self._carried(answer, request, digest, data)
         finally:
             with self._lock:
@@ -142,9 +141,20 @@ class DaskExecutor:
         if request in self._forgotten:
             raise SandboxError("the result of this fit is not wanted any more")
 
-    def _in_turn(self, job: Callable[[], T]) -> T:
-        self._here.turn = turn_of(job)
-        return job()
+    @contextmanager
+    def _place(self) -> Generator[None]:
+        """Wait for a free thread of the cluster, so that no fold waits for one machine while
+        another one is idle."""
+        with self._places:
+            while self._taken >= self._room():
+                self._places.wait(_COUNT_SECONDS)
+            self._taken += 1
+        try:
+            yield
+        finally:
+            with self._places:
+                self._taken -= 1
+                self._places.notify()
 
     def _room(self) -> int:
         """Threads of the cluster, counted anew now and then. All may enter where there are none:

@@ -4,7 +4,6 @@ from asia.search._agent_view import agent_view, problem_facts
 from asia.search._dry_run import dry_run
 from asia.search._environment import environment_changes
 from asia.search._excerpts import simulated_excerpts
-from asia.search._lessons import RunLessons, learn_from_run, learn_from_runs
 from asia.search._loop import OnEvent
 from asia.search._replay import Replayed, ReplayReport, replay_run
 from asia.search._run import (
@@ -40,7 +39,6 @@ __all__ = [
     "Prepared",
     "ReplayReport",
     "Replayed",
-    "RunLessons",
     "Sink",
     "Sinks",
     "Steering",
@@ -55,8 +53,6 @@ __all__ = [
     "final_members",
     "find_sink",
     "fold_models",
-    "learn_from_run",
-    "learn_from_runs",
     "make_evaluator",
     "needs_consent",
     "open_sinks",

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from asia.agents import AgentView, Effort, Facts, Running, Trial
-from asia.agents.lessons import decode_lessons
 from asia.candidate import source_digest
 from asia.errors import CandidateError
 from asia.evaluation import LINEAR_RUNG, MEAN_RUNG
@@ -75,7 +74,6 @@ def agent_view(
     """The search as its agent may see it now. known: of earlier views of this search."""
     known = known or KnownTrials(store)
     view = published(view)
-    lessons = view.started.lessons
     told = {e.number for e in (view.best, *view.finished[-1:]) if e is not None}
     settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
@@ -93,7 +91,6 @@ def agent_view(
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
         linear=_rung(view, LINEAR_RUNG),
-        lessons=() if lessons is None else decode_lessons(store.get(lessons), "the ledger"),
         leg=view.leg,
         mean=_rung(view, MEAN_RUNG),
         running=tuple(_running(e.proposed, store) for e in view.running),

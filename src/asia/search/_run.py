@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import get_args
 
 from asia.agents import Agent, check_relay_budget, relay_budget
-from asia.agents.lessons import Lesson, encode_lessons
 from asia.candidate import check_source
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.evaluation import LINEAR, Evaluator, SuspicionKind, derive_seed, search_context
@@ -67,8 +66,6 @@ class Prepared:
     """The first line of the ledger, as it would be written now."""
     resumes: bool
     """Whether the run is there already."""
-    lessons: bytes = b""
-    """The lessons for its agents, as they go into a new ledger; b"" for none."""
 
 
 def prepare(
@@ -81,7 +78,6 @@ def prepare(
     isolation: Isolation | None = None,
     isolation_strict: bool = False,
     agent_settings: Mapping[str, str] | None = None,
-    lessons: Sequence[Lesson] | None = None,
     legs: Sequence[Leg] = (),
     parallel: int = 1,
     stop_folds: bool = False,
@@ -90,11 +86,10 @@ def prepare(
     """Check everything a search needs and compare with what is on disk. Writes nothing.
 
     isolation_strict: the folds of a candidate run one after the other. agent_settings: what shapes
-    the agent's proposals beside its name. lessons: of earlier searches, None for a
-    search without; a run that exists keeps those that it began with.
-    legs: those of a relay, `legs_of` its agent. parallel: experiments in flight. stop_folds: the
-    folds of a candidate that is far behind the best already are passed over. device: `gpu` for
-    candidates that train networks on one, `auto` for one where there is one.
+    the agent's proposals beside its name. legs: those of a relay, `legs_of` its agent. parallel:
+    experiments in flight. stop_folds: the folds of a candidate that is far behind the best already
+    are passed over. device: `gpu` for candidates that train networks on one, `auto` for one where
+    there is one.
 
     Raises UserError when the folds cannot be made, the test does not fit, the legs do not fit into
     the budget, the run exists with other settings, several experiments are to be in flight while
@@ -104,7 +99,7 @@ def prepare(
     sealed = replace(seal(problem), guard=guard_digest(problem))
     directory = runs / (name or _default_name(problem, agent_name, seed))
     found = _probe(problem, directory, isolation)
-    lock, taught = lock_text(problem, sealed), _taught(lessons)
+    lock = lock_text(problem, sealed)
     started = Started(
         run=directory.name,
         problem=problem.name,
@@ -125,7 +120,6 @@ def prepare(
         ladder=problem.protocol.ladder,
         guard_digest=sealed.guard,
         isolation_strict=isolation_strict,
-        lessons=hashlib.sha256(taught).hexdigest() if taught else None,
         folds=fold_names(folds, problem.protocol),
         legs=_recorded_legs(legs),
         retests=_retests(problem),
@@ -133,7 +127,7 @@ def prepare(
         stop_folds=stop_folds,
     )
     resumes = _resumes(problem, sealed, directory)
-    return Prepared(problem, directory, lock, _on(device, started, found), resumes, taught)
+    return Prepared(problem, directory, lock, _on(device, started, found), resumes)
 
 
 def _on(device: str, started: Started, found: Probe) -> Started:
@@ -148,10 +142,6 @@ def _on(device: str, started: Started, found: Probe) -> Started:
         device="gpu" if gpu else "cpu",
         environment={**started.environment, **({"GPU": gpu} if gpu else {})},
     )
-
-
-def _taught(lessons: Sequence[Lesson] | None) -> bytes:
-    return b"" if lessons is None else encode_lessons(lessons)
 
 
 def _retests(problem: Problem) -> int:
@@ -183,8 +173,6 @@ def search(
     with Chain(directory / "ledger.jsonl") as chain:
         if not chain.lines:
             write_whole(directory / LOCK, prepared.lock.encode())
-            if prepared.lessons:
-                Store(directory / "artifacts").put(prepared.lessons)
             chain.append(prepared.started)
         view = chain.view
         check_lock(directory, view.started)
@@ -338,11 +326,15 @@ def _resumes(problem: Problem, sealed: Seal, directory: Path) -> bool:
 def check_same_search(view: SearchView, wanted: Started) -> None:
     """Raises UserError unless `wanted` asks for the same search, or for more of it."""
     start = view.started
+    if start.lessons is not None:
+        raise UserError(
+            f"run '{start.run}' was started with lessons, which this version does not support: "
+            "choose another --name"
+        )
     for what, there, now in (
         ("agent", start.agent, wanted.agent),
         ("seed", start.seed, wanted.seed),
         ("isolation", start.isolation_words, wanted.isolation_words),
-        ("lessons", *("on" if s.lessons else "off" for s in (start, wanted))),
         ("--parallel", start.parallel, wanted.parallel),
         ("--device", start.device, wanted.device),
         ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import zipfile
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -20,6 +23,7 @@ from asia.testing import check_source
 from tests.official_data import WRITERS
 
 SHAPES = {
+    "cascaded_tanks": (1, 1, 4.0),
     "ced": (2, 2, 0.02),
     "emps": (1, 1, 0.001),
     "silverbox": (8, 3, 1 / 610.35),
@@ -36,6 +40,8 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("ASIA_DATA_DIR", str(tmp_path))
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setattr(PublishedFile, "is_digest", lambda self, found: True)
+    tanks = replace(LAYOUTS["cascaded_tanks"], digests={})
+    monkeypatch.setitem(LAYOUTS, "cascaded_tanks", tanks)
     return tmp_path / "nonlinear_benchmarks"
 
 
@@ -199,6 +205,41 @@ def test_a_download_is_kept_only_with_its_digest(
     with pytest.raises(UserError, match="holds other bytes"):
         check_files("made_up", tmp_path / "cache", [wrong], "its page")
     assert [p.name for p in (tmp_path / "cache").iterdir()] == ["a.npy"]
+
+
+def test_a_file_in_an_archive_is_downloaded_and_its_records_are_checked(
+    files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tanks = LAYOUTS["cascaded_tanks"]
+    made, archive = files.parent / "made", files.parent / "served.zip"
+    WRITERS["cascaded_tanks"](made)
+    source = next(made.rglob("dataBenchmark.mat"))
+    with zipfile.ZipFile(archive, "w") as stream:
+        stream.write(source, tanks.train[0].path)
+    served = (replace(tanks.train[0], url=archive.as_uri()),)
+    monkeypatch.setitem(LAYOUTS, "cascaded_tanks", replace(tanks, train=served))
+    (record,) = records("cascaded_tanks", "train")
+    assert np.array_equal(record.u, loadmat(source)["uEst"])
+    checked = replace(LAYOUTS["cascaded_tanks"], digests={"train": "0" * 64})
+    monkeypatch.setitem(LAYOUTS, "cascaded_tanks", checked)
+    with pytest.raises(UserError, match="are not the published ones"):
+        records("cascaded_tanks", "train")
+    archive.write_bytes(b"no archive")
+    next((files.parent / "home").rglob("dataBenchmark.mat")).unlink()
+    with pytest.raises(UserError, match="the download failed"):
+        records("cascaded_tanks", "train")
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not os.environ.get("ASIA_DATA_DIR"), reason="ASIA_DATA_DIR is not set")
+@pytest.mark.parametrize(
+    "source", ["benchmark:cascaded_tanks", "nonlinear_benchmarks:Cascaded_Tanks"]
+)
+def test_the_published_tanks_are_known(source: str) -> None:
+    for subset in ("train", "test"):
+        found = OfficialBenchmark(source).records(subset, channels("cascaded_tanks"))
+        assert [len(t) for t in found.trajectories] == [1024]
+        assert found.warnings == ()
 
 
 @pytest.mark.parametrize("name", list(LAYOUTS))

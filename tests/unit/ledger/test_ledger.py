@@ -19,9 +19,11 @@ from asia.ledger import (
     verify,
 )
 from asia.ledger import TestedModel as Record
-from asia.ledger._events import adapter
+from asia.ledger._chain import read_lines
+from asia.ledger._events import Started, adapter
+from asia.search._run import check_same_search
 
-from .conftest import evaluated, proposed, score, started
+from .conftest import evaluated, finished_run, proposed, score, started
 
 
 def test_replay_tells_the_search(run: Path) -> None:
@@ -151,3 +153,24 @@ def test_no_text_of_an_agent_is_a_formula_in_the_table(tmp_path: Path) -> None:
         chain.append(replace(proposed(store, 1), title="=1+1", hypothesis="=1+1"))
         chain.append(evaluated(1, "keep", score(0.5)))
         assert results_table(chain.view).splitlines()[1].split("\t")[3] == "'=1+1"
+
+
+def test_a_run_with_lessons_of_an_older_version_verifies_and_shows_but_does_not_resume(
+    tmp_path: Path,
+) -> None:
+    directory = finished_run(tmp_path / "run")
+    ledger = directory / "ledger.jsonl"
+    events = [line.event for line in read_lines(ledger)]
+    digest = Store(directory / "artifacts").put(b"[]")
+    ledger.unlink()
+    with Chain(ledger) as chain:
+        for event in events:
+            chain.append(replace(event, lessons=digest) if isinstance(event, Started) else event)
+    verify(directory)
+    view = open_run(directory).view
+    assert view.started.lessons == digest
+    with pytest.raises(UserError, match="choose another --name"):
+        check_same_search(view, replace(view.started, lessons=None))
+    (directory / "artifacts" / digest).unlink()
+    with pytest.raises(UserError, match=digest[:8]):
+        verify(directory)

@@ -149,7 +149,7 @@ def test_missing_benchmark_says_which_file_to_put_where(
 
     monkeypatch.setattr("socket.socket.connect", no_network)
     monkeypatch.setattr("socket.getaddrinfo", no_network)
-    with pytest.raises(UserError, match=r"CascadedTanksFiles\.zip.*ASIA_DATA_DIR"):
+    with pytest.raises(UserError, match=r"dataBenchmark\.mat is missing.*ASIA_DATA_DIR"):
         load_problem("cascaded_tanks")
     assert not list((tmp_path / ".nonlinear_benchmarks").rglob("*.zip"))
 
@@ -198,9 +198,9 @@ def test_bad_file_gives_one_sentence(
 @pytest.mark.parametrize(
     ("source", "expected"),
     [
-        ('source = "nonlinear_benchmarks:Cascaded_Tank"', "did you mean 'Cascaded_Tanks'?"),
+        ('source = "nonlinear_benchmarks:Cascaded_Tank"', "did you mean 'cascaded_tanks'?"),
         ('source = "simulated:tanks"', "did you mean 'two_tanks'?"),
-        ('source = "web:x"', "expected 'benchmark:<name>', 'nonlinear_benchmarks:<name>'"),
+        ('source = "web:x"', "expected 'benchmark:<name>', 'nanodrone'"),
         ('source = "benchmark:silver_box"', "did you mean 'silverbox'?"),
         ('source = "simulated:two_tanks"\ntrain = ["a.csv"]', "keep one of them"),
         ('source = "nonlinear_benchmarks:CED"\nseed = 1', "data.seed belongs to a simulated"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from asia.data import Array, Signal, Trajectory
 from asia.data.sources import Source
-from asia.data.sources.benchmarks import NonlinearBenchmark
+from asia.data.sources.official import OfficialBenchmark
 from asia.data.sources.simulated import Simulated
 from asia.errors import Reason
 from asia.evaluation import FoldFindings
@@ -54,9 +54,7 @@ class Shape:
     data: Source = SIMULATED
 
 
-BENCHMARK = Shape(
-    name="cascaded_tanks", data=NonlinearBenchmark("nonlinear_benchmarks:Cascaded_Tanks")
-)
+BENCHMARK = Shape(name="cascaded_tanks", data=OfficialBenchmark("benchmark:cascaded_tanks"))
 
 
 def make_record(shape: Shape, samples: int, seed: int) -> Trajectory:

@@ -21,6 +21,7 @@ from asia.problem.load import Seal, load_problem, lock_text
 from asia.report import write_bundle, write_page
 from asia.report._page import LIMIT, page_of
 from asia.report._page.audit import audit
+from asia.report._page.code import python
 from asia.report._page.html import Html, fixed, join, said, table, tag
 from asia.report._page.section import Section
 from asia.report._page.subject import Subject
@@ -397,3 +398,14 @@ def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run
 def test_a_record_may_have_a_number_in_its_name(make_run: Callable[..., Run]) -> None:
     page = write(make_run(), lambda _: table(["of"], [["one"]], "Test error of 100mV [um]"))
     assert "Test error of 100mV [um]</span></caption>" in page
+
+
+def test_a_source_is_coloured_and_escaped() -> None:
+    shown = str(python('if a < 1:  # <b>\n    b = "<i>"\n', "source"))
+    for part in ('<span class="k">if</span>', '<span class="m">1</span>', "a &lt; "):
+        assert part in shown
+    assert '<span class="c"># &lt;b&gt;</span>' in shown
+    assert "<i>" not in shown
+    assert "not python (" in str(python("not python (", "source")).replace("</span>", "").replace(
+        '<span class="k">', ""
+    )

@@ -19,7 +19,6 @@ from asia.agents.expert.ending import reason_to_end
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
 from asia.agents.expert.titles import plain_title, title_of
-from asia.agents.lessons import FIRST_FIT, LessonWeights
 from asia.agents.library.evidence import overfit
 from asia.agents.library.family import Family
 from asia.agents.library.move import Move, Situation
@@ -36,8 +35,6 @@ NEAR = 0.25
 NEAR_EQUATIONS = 0.6
 PROMISING = 0.75
 PATIENCE = 0.85
-# With lessons, what is left of a family's weight with each place in the library's own order.
-OWN_ORDER = 0.85
 
 
 @dataclass(frozen=True)
@@ -67,9 +64,8 @@ class _Option:
 
 
 class ExpertAgent:
-    """Ladder of families, then refinement by moves chosen from training-side evidence. Where the
-    view has lessons of earlier searches, they are a prior over both. What runs counts as tried,
-    and its move as one that has not helped yet."""
+    """Ladder of families, then refinement by moves chosen from training-side evidence. What
+    runs counts as tried, and its move as one that has not helped yet."""
 
     name = "expert"
     proposes_ahead = True
@@ -109,10 +105,9 @@ class ExpertAgent:
         return proposal
 
     def _best_of(self, view: AgentView, unwanted: set[str]) -> Proposal | None:
-        taught = LessonWeights(view.lessons, view) if view.lessons else None
         moves, ladder = (
             [option for option in found if not {option.family, option.move} & unwanted]
-            for found in (_refinements(view, taught), _untried(view, taught))
+            for found in (_refinements(view), _untried(view))
         )
         usual, proposal = _usual_seconds(view), None
         paced = [option.paced(usual) for option in (*moves, *ladder)]
@@ -152,15 +147,13 @@ def _usual_seconds(view: AgentView) -> float:
     return max(sum(seconds) / len(seconds), 1e-3) if seconds else 1.0
 
 
-def _untried(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]:
+def _untried(view: AgentView) -> Iterator[_Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
-    untried = (row for row in families(view.facts) if row.name not in used)
-    for place, row in enumerate(untried):
-        weight = UNTRIED_LOST if lost else UNTRIED
-        if taught is not None:
-            own = OWN_ORDER**place if view.phase == "explore" else 1.0
-            weight *= own * taught.multiplier(row.name, FIRST_FIT)
+    weight = UNTRIED_LOST if lost else UNTRIED
+    for row in families(view.facts):
+        if row.name in used:
+            continue
         apt = row.aptness(view.facts) > 0
         seconds = row.seconds(view.facts, row.trial(view.facts))
         yield _Option(row.name, weight, partial(_first, view, row), seconds, apt)
@@ -186,7 +179,7 @@ def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
     """A candidate that a note asks for: a family's first or its best move, or the effect on the
     best trial that can have it, then in a new family."""
     if wish.effect == "family":
-        found = [*_refinements(view, None), *_untried(view, None)]
+        found = [*_refinements(view), *_untried(view)]
         return _heaviest([option for option in found if option.family == wish.name])
     for at in _situations(view):
         if at.row.name not in unwanted:
@@ -203,7 +196,7 @@ def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
     return None
 
 
-def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Option]:
+def _refinements(view: AgentView) -> Iterator[_Option]:
     """Every applicable move on the best trial of each family, on the last one of a family that
     only failed. A move that was made before and did not help counts less. A family that the
     records speak against is refined only while it leads; while nothing beats the mean, moves that
@@ -220,9 +213,6 @@ def _refinements(view: AgentView, taught: LessonWeights | None) -> Iterator[_Opt
             if weight > 0:
                 weight *= move.fade ** _failures(at, move)
                 sure = weight >= SURE
-                if taught is not None:
-                    # What this search's own residuals make near certain, lessons do not hold back.
-                    weight *= max(taught.multiplier(at.row.name, move.name), float(sure))
                 recipe = at.recipe if move.same_effort else move.change(at)
                 seconds = at.row.seconds(at.facts, recipe)
                 make = partial(_moved, at, move)

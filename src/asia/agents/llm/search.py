@@ -14,7 +14,6 @@ import numpy as np
 
 from asia._text import one_line
 from asia.agents._view import AgentView, Trial
-from asia.agents.lessons import summary_lines
 from asia.agents.llm.text import bounded, fenced, quoted
 from asia.ledger import Diagnostics, error_line
 
@@ -36,9 +35,6 @@ train_error: the metric on the training folds (far below V: overfitted; about V:
 bias, whiteness (autocorrelation), input_correlation, curvature of the training residuals: 0 is
 best, below 0.1 is little; top, bottom, start_error: error at high outputs, at low outputs, at the
 beginning, over the mean error: 1 is even."""
-
-
-_LESSONS = "Lessons: what moves brought in earlier searches on the most similar problems"
 
 
 @dataclass(frozen=True)
@@ -84,9 +80,6 @@ def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str
         parts.append("# The last experiment\n" + "\n".join((_line(last), *_evidence(last))))
     if task.kind == "repair" and task.parent is not None:
         parts.append("# To mend\n" + "\n".join(shown.failed(task.parent)))
-    lessons = summary_lines(view)
-    if lessons:
-        parts.append(f"# {_LESSONS}\n" + "\n".join(f"- {line}" for line in lessons))
     if view.notes:
         said = "\n".join(f"- {bounded(note, _NOTE)}" for note in view.notes[-_NOTES:])
         parts.append(f"# Notes of the person who runs this search\n{said}")

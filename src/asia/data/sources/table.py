@@ -8,7 +8,6 @@ from pathlib import Path
 from asia._nearest import suggestion
 from asia._plugins import parts_of
 from asia.data.intake.sheet import Wanted
-from asia.data.sources.benchmarks import NonlinearBenchmark
 from asia.data.sources.files import RecordFiles
 from asia.data.sources.nanodrone import Nanodrone
 from asia.data.sources.official import OfficialBenchmark
@@ -21,11 +20,12 @@ GROUP = "asia.sources"
 
 SOURCES: Mapping[str, type[Source]] = {
     "benchmark": OfficialBenchmark,
-    "nonlinear_benchmarks": NonlinearBenchmark,
+    "nonlinear_benchmarks": OfficialBenchmark,
     "nanodrone": Nanodrone,
     "simulated": Simulated,
 }
-"""ASIA's own sources, by what stands before the colon of `data.source`."""
+"""ASIA's own sources, by what stands before the colon of `data.source`. The second is an older name
+of the first."""
 
 
 def data_source(table: DataTable, root: Path) -> Source:
@@ -61,7 +61,7 @@ def source_class(text: str) -> type[Source]:
         return SOURCES[name]
     plugged = {part.name: part for part in parts_of(GROUP)}
     if name not in plugged:
-        forms = [source.usage or name for name, source in SOURCES.items()] + list(plugged)
+        forms = [*dict.fromkeys(s.usage or name for name, s in SOURCES.items()), *plugged]
         raise UserError(
             f"data.source is '{text}', expected {', '.join(map(repr, forms))}; files are named in "
             f"data.train and data.test{suggestion(name, [*SOURCES, *plugged])}"

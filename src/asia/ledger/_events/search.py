@@ -96,7 +96,7 @@ class Started:
     isolation_strict: bool = False
     """Whether the folds of a candidate ran one after the other, so that none could tell another."""
     lessons: str | None = None
-    """Artifact of the lessons that its agents were given; None for none."""
+    """Only in older ledgers: artifact of what earlier searches taught."""
     folds: tuple[str, ...] = ()
     """What each fold holds out, in words; () in older ledgers."""
     residuals: ShownResidual = "train"

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import difflib
-import io
-import keyword
-import tokenize
+
+from pygments.lexers.python import PythonLexer
+from pygments.token import Comment, Keyword, Number, Operator, String
 
 from asia._text import printable
 from asia.report._page.html import Html, join, tag
 
 _LONGEST = 40_000
+_CLASSES = (
+    (Comment, "c"),
+    (String, "s"),
+    (Number, "m"),
+    (Keyword, "k"),
+    (Operator.Word, "k"),
+)
 
 
 def python(source: str, label: str) -> Html:
@@ -40,34 +47,9 @@ def _block(inner: Html, label: str) -> Html:
 
 
 def _coloured(source: str) -> Html:
-    """As it stands where it is not Python."""
-    lines = source.splitlines(keepends=True)
-    offsets = [0]
-    for line in lines:
-        offsets.append(offsets[-1] + len(line))
-    parts: list[str] = []
-    done = 0
-    try:
-        for token in tokenize.generate_tokens(io.StringIO(source).readline):
-            name = _kind(token)
-            if name is None:
-                continue
-            start = offsets[token.start[0] - 1] + token.start[1]
-            end = offsets[token.end[0] - 1] + token.end[1]
-            parts += [source[done:start], tag("span", source[start:end], class_=name)]
-            done = end
-    except (tokenize.TokenError, SyntaxError, IndexError):
-        return join([source])
-    return join([*parts, source[done:]])
-
-
-def _kind(token: tokenize.TokenInfo) -> str | None:
-    if token.type == tokenize.COMMENT:
-        return "c"
-    if token.type == tokenize.STRING:
-        return "s"
-    if token.type == tokenize.NUMBER:
-        return "m"
-    if token.type == tokenize.NAME and keyword.iskeyword(token.string):
-        return "k"
-    return None
+    parts: list[Html | str] = []
+    lexer = PythonLexer(stripnl=False, ensurenl=False)
+    for token, text in lexer.get_tokens(source):
+        name = next((name for kind, name in _CLASSES if token in kind), None)
+        parts.append(text if name is None else tag("span", text, class_=name))
+    return join(parts)

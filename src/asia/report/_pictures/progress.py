@@ -16,7 +16,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 from matplotlib.transforms import blended_transform_factory
 from scipy.optimize import isotonic_regression
 
-from asia.data import Array
 from asia.ledger import Control, Experiment, SearchView
 from asia.report._drawing.style import (
     BLUE,
@@ -31,7 +30,7 @@ from asia.report._drawing.style import (
     quiet_grid,
     v_axis_label,
 )
-from asia.report._drawing.tags import Surroundings, Tag, place
+from asia.report._drawing.tags import Box, Tag, place
 from asia.scoring import Score
 
 _HEIGHT = 4.3
@@ -283,39 +282,39 @@ def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Points) -> None:
     chosen = _most_telling(search.kept)
     texts = [_balanced(plain(p.title, 66), 26) for p in chosen]
     weights = ["bold" if p is search.kept[-1] else "normal" for p in chosen]
-    to_pixels = axes.transData.transform
+    # Places are found in units of a page's picture, whose letters are 11 high, and y goes down.
+    unit = canvas.figure.dpi / 72.0 * _TAG_FONT / 11.0
+
+    def position(point: _Point) -> tuple[float, float]:
+        x, y = axes.transData.transform((point.number, point.value)) / unit
+        return float(x), -float(y)
+
     tags: list[Tag] = []
     for point, text, weight in zip(chosen, texts, weights, strict=True):
-        x, y = to_pixels((point.number, point.value))
         box = Text(0, 0, text, fontsize=_TAG_FONT, fontweight=weight, figure=canvas.figure)
         extent = box.get_window_extent(canvas.get_renderer())
-        tags.append(Tag((float(x), float(y)), (extent.width + 4.0, extent.height + 4.0)))
-    around = _surroundings(axes, search, canvas.figure.dpi)
-    points = 72.0 / canvas.figure.dpi
+        tags.append(Tag(position(point), (extent.width / unit + 4.0, extent.height / unit + 4.0)))
+    shown = [position(p) for p in (*search.kept, *search.discarded, *search.guard)]
+    edge = axes.get_window_extent()
+    frame = Box(edge.x0 / unit, -edge.y1 / unit, edge.x1 / unit, -edge.y0 / unit)
+    points = _TAG_FONT / 11.0
     for point, text, weight, tag, found in zip(
-        chosen, texts, weights, tags, place(tags, around), strict=True
+        chosen, texts, weights, tags, place(tags, shown, frame), strict=True
     ):
         if found is None:
             continue
-        (x, y), (w, h) = found.corner, tag.size
+        x, y = tag.anchor
         axes.annotate(
             text,
             xy=(point.number, point.value),
-            xytext=((x + 2.0 - tag.anchor[0]) * points, (y + 2.0 - tag.anchor[1]) * points),
+            xytext=((found.left + 2.0 - x) * points, (y - found.bottom + 2.0) * points),
             textcoords="offset points",
             ha="left",
             va="bottom",
             fontsize=_TAG_FONT,
             fontweight=weight,
             bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.85},
-            arrowprops={
-                "arrowstyle": "-",
-                "color": QUIET,
-                "lw": 0.7,
-                "shrinkA": 0,
-                "shrinkB": 3.5,
-                "relpos": ((found.leader[0] - x) / w, (found.leader[1] - y) / h),
-            },
+            arrowprops={"arrowstyle": "-", "color": QUIET, "lw": 0.7, "shrinkA": 0, "shrinkB": 3.5},
             zorder=7,
         )
 
@@ -333,24 +332,3 @@ def _most_telling(kept: Sequence[_Point]) -> list[_Point]:
     gains = {b.number: a.value - b.value for a, b in pairwise(kept)}
     middle = sorted(kept[1:-1], key=lambda p: -gains[p.number])
     return [kept[-1], kept[0], *middle][:_MOST_TAGS]
-
-
-def _surroundings(axes: Axes, search: _Points, dpi: float) -> Surroundings:
-    frame = axes.get_window_extent()
-    to_pixels = axes.transData.transform
-    shown = [(p.number, p.value) for p in (*search.kept, *search.discarded, *search.guard)]
-    left, right = axes.get_xlim()
-    lines: list[Array] = [to_pixels([(left, v), (right, v)]).ravel() for _, v in search.rungs]
-    for a, b in zip(search.kept, (*search.kept[1:], None), strict=True):
-        end = b.number if b else search.count
-        lines.append(to_pixels([(a.number, a.value), (end, a.value)]).ravel())
-        if b:
-            lines.append(to_pixels([(end, a.value), (end, b.value)]).ravel())
-    pad = 6.0
-    return Surroundings(
-        (frame.x0 + pad, frame.y0 + pad, frame.x1 - pad, frame.y1 - 2 * pad),
-        np.asarray(to_pixels(shown)).reshape(-1, 2),
-        8.0,
-        np.array(lines).reshape(-1, 4),
-        0.9 * dpi,
-    )

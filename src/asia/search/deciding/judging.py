@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from statistics import fmean
 
-from asia.evaluation import Beside, Evaluation, Evaluator, FoldResult, same_simulations
+from asia.evaluation import BackgroundJob, Evaluation, Evaluator, FoldResult, same_simulations
 from asia.ledger import Retest, SearchView, Status
 from asia.scoring import Failure, Score, least_significant_difference
 from asia.search.deciding.retesting import retest_fits
@@ -89,7 +89,7 @@ def judge(
         if lowest and not evaluator.one_by_one:
             # It is checked whatever the retests say.
             check = partial(evaluator.objection_to_answers, source, folds)
-            answers = opened.enter_context(evaluator.beside(check))
+            answers = opened.enter_context(evaluator.background(check))
         if view.started.retests:
             found = _Retesting(evaluator, source, evaluation, evaluation.outcome, view).decide()
         else:
@@ -112,7 +112,7 @@ def _objection(
     evaluator: Evaluator,
     source: str,
     folds: Sequence[FoldResult],
-    answers: Beside[Failure | None] | None,
+    answers: BackgroundJob[Failure | None] | None,
 ) -> Failure | None:
     """answers: the part of the checks that has been begun."""
     if answers is None:

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 
-from asia.evaluation import SPARE_TURN, Beside, Evaluation, Evaluator
+from asia.evaluation import BackgroundJob, Evaluation, Evaluator, JobSettings
 
 
 @contextmanager
@@ -14,8 +14,8 @@ def retest_fits(
     evaluator: Evaluator, fit: Callable[[int], Evaluation], most: int
 ) -> Generator[Callable[[int], Evaluation]]:
     """`fit`, called with 0, 1, ... in order. Once all folds of one fit are under way the next one
-    begins, behind all other work; one that nobody asks for is ended. What comes out does not depend
-    on that. most: how many there may be."""
+    begins; one that nobody asks for is ended. What comes out does not depend on that. most: how
+    many there may be."""
     if not evaluator.may_fit_ahead:
         yield fit
         return
@@ -33,14 +33,14 @@ class _RetestFits:
     ) -> None:
         self._evaluator, self._fit, self._most, self._opened = evaluator, fit, most, opened
         self._begun: list[_Begun] = []
-        self._fits: list[Beside[Evaluation]] = []
+        self._fits: list[BackgroundJob[Evaluation]] = []
 
     def take(self, number: int) -> Evaluation:
         for following in range(len(self._fits), min(number + 2, self._most)):
-            self._begin(following, 0 if following == number else SPARE_TURN)
+            self._begin(following)
         return self._fits[number].result()
 
-    def _begin(self, number: int, turn: int) -> None:
+    def _begin(self, number: int) -> None:
         before = self._begun[-1] if self._begun else None
         mine = _Begun(len(self._evaluator.folds))
         self._begun.append(mine)
@@ -53,8 +53,8 @@ class _RetestFits:
             finally:
                 mine.all.set()
 
-        beside = self._evaluator.beside(fit, turn, mine.one)
-        self._fits.append(self._opened.enter_context(beside))
+        job = self._evaluator.background(fit, JobSettings(on_begin=mine.one))
+        self._fits.append(self._opened.enter_context(job))
 
 
 class _Begun:

@@ -32,8 +32,8 @@ def refit_winner(
     with ExitStack() as opened:
         make = stacked
         if not evaluator.one_by_one:
-            # It does not depend on the refit, which takes longer and goes first.
-            make = opened.enter_context(evaluator.beside(stacked, 1)).result
+            # It does not depend on the refit.
+            make = opened.enter_context(evaluator.background(stacked)).result
         try:
             refit, checked = _refit(evaluator, best, store, metric, failed)
         except CandidateError as error:

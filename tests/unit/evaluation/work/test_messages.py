@@ -11,10 +11,10 @@ import pytest
 
 from asia.errors import Reason, SandboxError, UserError
 from asia.evaluation import Evaluator, derive_seed, search_context, survey_machines
-from asia.evaluation.work import elsewhere
-from asia.evaluation.work.elsewhere import answer
-from asia.evaluation.work.installation import check_installation, installation
-from asia.evaluation.work.message import (
+from asia.evaluation.work import remote
+from asia.evaluation.work.machines import check_installation, installation
+from asia.evaluation.work.remote import answer
+from asia.evaluation.work.transport import (
     FoldWork,
     decode_answer,
     decode_data,
@@ -149,8 +149,8 @@ def test_a_machine_that_isolates_less_is_refused(
     found = refusal(problem, *work(problem, layers=("rlimits", "landlock")))
     assert isinstance(found, UserError)
     assert "it lacks landlock" in str(found)
-    monkeypatch.setattr(elsewhere, "why_not", lambda level: "no such thing")
-    elsewhere._check_isolation.cache_clear()
+    monkeypatch.setattr(remote, "why_not", lambda level: "no such thing")
+    remote._check_isolation.cache_clear()
     assert "no such thing. Run asia doctor" in str(refusal(problem, *work(problem)))
 
 
@@ -164,7 +164,7 @@ def test_other_data_than_were_sent_are_refused(problem: Problem) -> None:
 def test_a_worker_that_was_killed_is_tried_again(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fit, calls = elsewhere.fit_fold, [0]
+    fit, calls = remote.fit_fold, [0]
 
     def fails_once(*given: object) -> object:
         calls[0] += 1
@@ -172,7 +172,7 @@ def test_a_worker_that_was_killed_is_tried_again(
             raise WorkerKilledError("the worker was ended from outside by signal 9")
         return fit(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(elsewhere, "fit_fold", fails_once)
+    monkeypatch.setattr(remote, "fit_fold", fails_once)
     found = evaluator(problem, Loopback()).evaluate(arx(1))
     assert len(found.folds) == 2
     assert calls[0] == 3

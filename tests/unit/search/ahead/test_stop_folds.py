@@ -13,7 +13,7 @@ from asia.agents import AgentView, Proposal
 from asia.errors import Reason, UserError
 from asia.evaluation import Evaluator
 from asia.evaluation._results import FoldEnd
-from asia.evaluation.work.behind import FoldBound
+from asia.evaluation.work.pruning import FoldPruner
 from asia.executor import make_executor
 from asia.ledger import Experiment, SearchView, folds_ended, folds_passed_over, open_run, verify
 from asia.problem.load import load_problem
@@ -176,7 +176,7 @@ def test_the_bound_does_not_depend_on_which_fold_ends_first(
 
 
 def fed(parts: list[float], over: float, order: object) -> Failure | None:
-    bound = FoldBound(len(parts), over)
+    bound = FoldPruner(len(parts), over)
     for place in order:  # type: ignore[attr-defined]
         bound._parts[place] = parts[place]  # pyright: ignore[reportPrivateUsage]
     return bound.failure()

@@ -41,7 +41,7 @@ class Runner(WorkerRunner):
         with self.changed:
             self.begun.append(place)
             self.changed.notify_all()
-        with self.asked.stop.ending(lambda: self._stop(place)):
+        with self.settings.cancel.on_cancel(lambda: self._stop(place)):
             assert over.wait(SECONDS)
         return place
 
@@ -104,31 +104,6 @@ def test_one_that_nobody_asks_for_is_ended() -> None:
         fit(0)
     thread.join()
     assert sorted(runner.stopped) == [(1, 1), (1, 2)]
-
-
-def test_without_a_free_place_it_waits_behind_all_other_work() -> None:
-    runner = Runner(LocalExecutor(2))
-
-    def course() -> None:
-        runner.await_begun((0, 1), (0, 2))
-        # A later experiment, which waits too.
-        other = later(lambda: runner.executor_order.extend(runner._run([lambda: "other"])))
-        while len(runner._executor._gate._waiting) < 2:  # type: ignore[attr-defined]
-            threading.Event().wait(0.001)
-        runner.end_of(0, 1).set()
-        other.join()
-        runner.end_of(0, 2).set()
-        runner.await_begun((1, 1), (1, 2))
-        runner.end_of(1, 1).set()
-        runner.end_of(1, 2).set()
-
-    runner.executor_order = []  # type: ignore[attr-defined]
-    thread = later(course)
-    with fits(runner, 2) as fit:
-        fit(0)
-        fit(1)
-    thread.join()
-    assert runner.executor_order == ["other"]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("most", [1, 2])

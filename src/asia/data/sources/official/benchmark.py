@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from asia._nearest import nearest
+from asia.data._digest import data_digest
 from asia.data.sources.official.files import PublishedFile, benchmark_folder, check_files
 from asia.data.sources.official.layouts import LAYOUTS, BenchmarkLayout
 from asia.data.sources.source import Channels, DataSet, SourceData, Subset
@@ -26,9 +27,14 @@ class OfficialBenchmark(DataSet):
 
     def __post_init__(self) -> None:
         if self.argument not in LAYOUTS:
-            raise UserError(
-                f"data.source: no benchmark '{self.argument}'{nearest(self.argument, LAYOUTS)}"
-            )
+            hint = nearest(self.argument, LAYOUTS)
+            raise UserError(f"data.source: no benchmark '{self.argument}'{hint}")
+
+    @property
+    def argument(self) -> str:
+        """Name of the benchmark. `nonlinear_benchmarks:Cascaded_Tanks` is an older form."""
+        name = super().argument
+        return name.lower() if self.source.startswith("nonlinear_benchmarks:") else name
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
         """As `DataSet.load`. Raises UserError when a file is missing or not the published one, and
@@ -45,7 +51,14 @@ class OfficialBenchmark(DataSet):
                 f"{self.argument} is published ({type(error).__name__}: {error}); get the files "
                 f"from {layout.page} again"
             ) from error
-        return SourceData(records, warnings=warnings)
+        expected = layout.digests.get(subset)
+        if expected is not None and data_digest(records) != expected:
+            raise UserError(
+                f"the {subset} records of {self.argument} in {self._folder} are not the published "
+                f"ones (sha256 {data_digest(records)[:12]}, expected {expected[:12]}): remove that "
+                f"folder and get the files from {layout.page} again"
+            )
+        return SourceData(records, warnings=() if expected else warnings)
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
         """As `Source.places`: the folder, for one file may hold all subsets, and the archive that

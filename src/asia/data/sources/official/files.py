@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shutil
 import tempfile
 import urllib.request
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,11 +32,12 @@ class PublishedFile:
     """Its digest, or the first and the last digits of it with `...` between them; "" where none is
     known."""
     url: str = ""
-    """Where it can be downloaded by itself; "" where it comes in an archive, or its digest is not
-    known in full."""
+    """Where it can be downloaded; "" where what arrives cannot be checked."""
+    zipped: bool = False
+    """Whether `url` is a zip archive that holds `path`; its records have a digest then."""
 
     def __post_init__(self) -> None:
-        assert not self.url or re.fullmatch("[0-9a-f]{64}", self.sha256)
+        assert not self.url or self.zipped or re.fullmatch("[0-9a-f]{64}", self.sha256)
 
     def is_digest(self, found: str) -> bool:
         """Whether `found` can be the digest of this file."""
@@ -58,7 +61,7 @@ def check_files(
 ) -> tuple[str, ...]:
     """What to say of files that may not be the published ones.
 
-    A missing file is downloaded where its digest is known in full. Raises UserError for a file that
+    A missing file is downloaded where what arrives can be checked. Raises UserError for a file that
     is missing, that git-lfs has not fetched, or that has another digest than the published one.
     """
     missing = [file for file in files if not (folder / file.path).is_file()]
@@ -113,8 +116,7 @@ def _sha256_of(path: Path, changed: int, size: int) -> str:
 
 
 def _download(file: PublishedFile, path: Path) -> str:
-    """Puts the file at `path` when what arrives has its digest; else says why not."""
-    digest = hashlib.sha256()
+    """Put the file at `path` if what arrives has its digest; else return why not."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with (
@@ -123,13 +125,14 @@ def _download(file: PublishedFile, path: Path) -> str:
         ):
             arrived = Path(folder) / path.name
             with arrived.open("wb") as target:
-                while block := answer.read(_CHUNK):
-                    digest.update(block)
-                    target.write(block)
-            if digest.hexdigest() != file.sha256:
+                shutil.copyfileobj(answer, target, _CHUNK)
+            if file.zipped:
+                with zipfile.ZipFile(arrived) as archive:
+                    arrived = Path(archive.extract(file.path, folder))
+            elif _sha256(arrived) != file.sha256:
                 return f"{file.url} holds other bytes than those published"
             arrived.replace(path)
-    except OSError as error:
+    except (OSError, KeyError, zipfile.BadZipFile) as error:
         return f"the download failed ({error})"
     return ""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,12 @@ from asia.data.sources.official.files import PublishedFile
 _Subset = Literal["train", "test"]
 
 _SITE = "https://www.nonlinearbenchmark.org"
+_TANKS = PublishedFile(
+    "CascadedTanksFiles/dataBenchmark.mat",
+    url="https://data.4tu.nl/file/d4810b78-6cdd-48fe-8950-9bd601e5f47f/"
+    "3b697e42-01a4-4979-a370-813a456c36f5",
+    zipped=True,
+)
 _FSM_RAW = (
     "https://raw.githubusercontent.com/merijnfloren/fsm-benchmark-data/"
     "c7b0e2c832e438d70e50df35b2db221618a1ec90/data"
@@ -60,6 +66,9 @@ class BenchmarkLayout:
     """The records of a subset, from the folder."""
     page: str
     """Where a person gets the files."""
+    digests: Mapping[_Subset, str] = field(default_factory=dict["_Subset", str])
+    """Digest of the records of a subset, as `data_digest` gives it, where that of the file is not
+    known."""
 
 
 def _mat(path: Path) -> dict[str, Any]:
@@ -78,6 +87,12 @@ def _ced(folder: Path, subset: _Subset) -> Iterator[Trajectory]:
     part = slice(None, 400) if subset == "train" else slice(400, None)
     for level, u, y in (("low", "u11", "z11"), ("high", "u12", "z12")):
         yield _record(found[u].ravel()[part], found[y].ravel()[part], 0.02, level)
+
+
+def _cascaded_tanks(folder: Path, subset: _Subset) -> Iterator[Trajectory]:
+    found = _mat(folder / _TANKS.path)
+    u, y = (found[f"{signal}{'Est' if subset == 'train' else 'Val'}"][:, :1] for signal in "uy")
+    yield _record(u, y, found["Ts"].item(), f"{subset} Cascaded_Tanks")
 
 
 def _emps(folder: Path, subset: _Subset) -> Iterator[Trajectory]:
@@ -179,6 +194,17 @@ def _one_file(
 
 
 LAYOUTS: dict[str, BenchmarkLayout] = {
+    "cascaded_tanks": BenchmarkLayout(
+        "Cascaded_Tanks",
+        (_TANKS,),
+        (_TANKS,),
+        _cascaded_tanks,
+        _SITE,
+        {
+            "train": "a60c8ed462f90fc924dad58aed81fb0023c9601f0e490f55e45867a7e77bccef",
+            "test": "93249423ff86424c734f80c9edea447aeb2bb046cba752815c019d5148e840ee",
+        },
+    ),
     "ced": _one_file("CED", PublishedFile("DATAUNIF.MAT"), _ced),
     "emps": BenchmarkLayout(
         "EMPS",

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from asia.report._page.html import Html, join, said, tag
-from asia.report._page.svg.progress import Size, draw_grid
-from asia.report._page.svg.scales import Scale, rounded
+from asia.report._page.svg.progress import Size, draw_grid, step_path
+from asia.report._page.svg.scales import Scale
 
 _LOG_FROM = 6.0
 LINES = ("best", "best second")
@@ -36,9 +36,13 @@ def draw_best(searches: Sequence[BestSoFar], axis: str, alt: str, size: Size) ->
     up = Scale(low / 1.35 if log else 0.0, high * 1.15 or 1.0, bottom, 26.0, log=log)
     drawn = [draw_grid(across, up, size, axis)]
     drawn += [
-        tag("path", d=path, class_=name)
+        tag(
+            "path",
+            d=step_path(one.kept, across, up, across.at(one.experiments + 0.5)),
+            class_=name,
+        )
         for one, name in zip(searches, LINES, strict=False)
-        if (path := _path(one, across, up))
+        if one.kept
     ]
     box = f"0 0 {size.width:g} {size.height:g}"
     keys = [
@@ -47,13 +51,3 @@ def draw_best(searches: Sequence[BestSoFar], axis: str, alt: str, size: Size) ->
     ]
     picture = tag("svg", *drawn, viewBox=box, role="img", aria_label=alt, class_="progress")
     return join((picture, tag("p", *keys, class_="legend")))
-
-
-def _path(search: BestSoFar, across: Scale, up: Scale) -> str:
-    if not search.kept:
-        return ""
-    first, value = search.kept[0]
-    path = f"M{rounded(across.at(first))} {rounded(up.at(value))}"
-    for number, better in search.kept[1:]:
-        path += f"H{rounded(across.at(number))}V{rounded(up.at(better))}"
-    return f"{path}H{rounded(across.at(search.experiments + 0.5))}"

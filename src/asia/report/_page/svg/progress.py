@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from asia._text import one_line
+from asia.report._drawing.tags import LINE, Box, Tag, place
 from asia.report._page.html import Html, join, tag
 from asia.report._page.svg.scales import Scale, rounded, written
 
 _LOG_FROM = 6.0
 _CHARACTER = 6.3
-_LINE = 15.0
 _MOST_TAGS = 14
 # From so many experiments on, those that were not kept are drawn as one path.
 _MANY = 400
@@ -45,21 +45,6 @@ class RungLevel:
     """Name of the rung."""
     value: float
     """Its V."""
-
-
-@dataclass(frozen=True)
-class Box:
-    """A rectangle that a text or a marker takes up."""
-
-    left: float
-    top: float
-    right: float
-    bottom: float
-
-    def meets(self, other: Box) -> bool:
-        """Whether the two overlap."""
-        apart = self.right < other.left or other.right < self.left
-        return not (apart or self.bottom < other.top or other.bottom < self.top)
 
 
 @dataclass(frozen=True)
@@ -139,7 +124,7 @@ def _levels(levels: Sequence[RungLevel], across: Scale, up: Scale, size: Size) -
         line = f"M{rounded(across.start)} {rounded(y)}H{rounded(across.end)}"
         parts.append(tag("path", d=line, class_="level"))
         place = y + 4 if beside else y - 4
-        while any(abs(place - other) < _LINE for other in taken):
+        while any(abs(place - other) < LINE for other in taken):
             place += 1
         taken.append(place)
         x, anchor = (across.end + 8, "start") if beside else (across.end, "end")
@@ -149,13 +134,16 @@ def _levels(levels: Sequence[RungLevel], across: Scale, up: Scale, size: Size) -
 
 def _steps(points: Sequence[Point], across: Scale, up: Scale) -> Html | None:
     bests = [(p.number, p.value) for p in points if p.best and p.value is not None]
-    if not bests:
-        return None
+    return tag("path", d=step_path(bests, across, up, across.end), class_="best") if bests else None
+
+
+def step_path(bests: Sequence[tuple[int, float]], across: Scale, up: Scale, end: float) -> str:
+    """The best so far as a step line; bests: number and V of each; end: where it ends."""
     first, value = bests[0]
     path = f"M{rounded(across.at(first))} {rounded(up.at(value))}"
     for number, better in bests[1:]:
         path += f"H{rounded(across.at(number))}V{rounded(up.at(better))}"
-    return tag("path", d=f"{path}H{rounded(across.end)}", class_="best")
+    return f"{path}H{rounded(end)}"
 
 
 def _crowd(points: Sequence[Point], across: Scale, up: Scale) -> list[Html]:
@@ -195,43 +183,20 @@ def _marker(point: Point, across: Scale, up: Scale) -> Html:
 
 def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html:
     """Names at the improvements, where there is room: the last one first, then the largest."""
-    placed = [_around(p, across, up) for p in points if p.value is not None]
-    parts: list[Html] = []
-    bests = [p for p in points if p.best and p.value is not None]
-    for point in [*bests[-1:], *bests[:-1]][:_MOST_TAGS]:
-        words = f"#{point.number:02d}"
-        if size.tag > len(words):
-            words = one_line(f"{words} {point.title}", size.tag)
-        found = next(
-            (b for b in _candidates(point, words, across, up) if _fits(b, placed, across, up)), None
-        )
-        if found is None:
-            continue
-        placed.append(found)
-        parts.append(_label(found.left, found.bottom - 4, words, "start", "tag"))
-    return join(parts)
-
-
-def _around(point: Point, across: Scale, up: Scale) -> Box:
-    assert point.value is not None
-    x, y = across.at(point.number), up.at(point.value)
-    return Box(x - 5, y - 5, x + 5, y + 5)
-
-
-def _candidates(point: Point, words: str, across: Scale, up: Scale) -> list[Box]:
-    """Places for a tag: above, below, to the right and to the left of its point."""
-    assert point.value is not None
-    x, y, width = across.at(point.number), up.at(point.value), len(words) * _CHARACTER
-    found: list[Box] = []
-    for rise in (8.0, 22.0, -22.0, 36.0, -36.0, 52.0, -52.0):
-        for left in (x + 2, x - width / 2, x - width - 2, x - 24):
-            top = y - rise - _LINE if rise > 0 else y - rise - _LINE + 2
-            found.append(Box(left, top, left + width, top + _LINE))
-    return found
-
-
-def _fits(box: Box, placed: Sequence[Box], across: Scale, up: Scale) -> bool:
-    inside = box.left >= across.start and box.right <= across.end + 4
-    return (
-        inside and box.top >= up.end and box.bottom <= up.start and not any(map(box.meets, placed))
+    scored = [(p, across.at(p.number), up.at(p.value)) for p in points if p.value is not None]
+    bests = [one for one in scored if one[0].best]
+    chosen = [*bests[-1:], *bests[:-1]][:_MOST_TAGS]
+    texts = [f"#{point.number:02d}" for point, _, _ in chosen]
+    if size.tag > 3:
+        texts = [one_line(f"#{p.number:02d} {p.title}", size.tag) for p, _, _ in chosen]
+    tags = [
+        Tag((x, y), (len(text) * _CHARACTER, LINE))
+        for text, (_, x, y) in zip(texts, chosen, strict=True)
+    ]
+    frame = Box(across.start, up.end, across.end + 4, up.start)
+    places = place(tags, [(x, y) for _, x, y in scored], frame)
+    return join(
+        _label(box.left, box.bottom - 4, text, "start", "tag")
+        for text, box in zip(texts, places, strict=True)
+        if box is not None
     )

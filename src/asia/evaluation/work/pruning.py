@@ -1,4 +1,4 @@
-"""Folds that can change no decision any more, since V is too high without them."""
+"""Early pruning: folds that can change no decision, since V is too high without them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 from asia.errors import Reason, SandboxError
 from asia.evaluation._results import FoldEnd, FoldResult
-from asia.evaluation.work.stopping import FitStop
+from asia.evaluation.work.background import CancelFlag
 from asia.scoring import Failure
 
 
-class FoldBound:
+class FoldPruner:
     """A lower bound on V from the first folds of a fit, while others run in other threads.
 
     The parts of V are never negative. So V is at least the sum of those that are known, over the
@@ -24,19 +24,19 @@ class FoldBound:
         self._over = over
         self._parts: list[float | None] = [None] * folds
         self._lock = threading.Lock()
-        self.stops = tuple(FitStop() for _ in range(folds))
+        self.cancels = tuple(CancelFlag() for _ in range(folds))
         self.ended = 0
         """How many folds were ended while they ran."""
 
     def fit(self, index: int, job: Callable[[], FoldEnd]) -> FoldEnd | None:
         """What the fold gives; None where it does not count any more: then nothing is fitted, or
-        the fit was ended by its stop."""
+        the fit was cancelled."""
         if self.failure() is not None:
             return None
         try:
             end = job()
         except SandboxError:
-            if not self.stops[index].stopped:
+            if not self.cancels[index].cancelled:
                 raise
             with self._lock:
                 self.ended += 1
@@ -44,14 +44,14 @@ class FoldBound:
         if isinstance(end.result, FoldResult):
             with self._lock:
                 self._parts[index] = end.result.score.value
-            self._end_what_does_not_count()
+            self._cancel_pruned()
         return end
 
-    def _end_what_does_not_count(self) -> None:
+    def _cancel_pruned(self) -> None:
         failure = self.failure()
         if failure is not None:
-            for stop in self.stops[failure.fold :]:
-                stop.stop()
+            for flag in self.cancels[failure.fold :]:
+                flag.cancel()
 
     def failure(self) -> Failure | None:
         """Why the candidate has no V: its last fold that counts, and the bound there; None as long

@@ -7,29 +7,29 @@ import pytest
 
 from asia.errors import Reason, SandboxError
 from asia.evaluation._results import FoldEnd, FoldResult
-from asia.evaluation.work.behind import FoldBound
-from asia.evaluation.work.stopping import FitStop
+from asia.evaluation.work.background import CancelFlag
+from asia.evaluation.work.pruning import FoldPruner
 from asia.scoring import Failure
 
 
 class Fold:
     """In place of a fit: the test ends it, or its stop does."""
 
-    def __init__(self, bound: FoldBound, index: int, value: float | Failure) -> None:
-        self._bound, self._index, self._value = bound, index, value
+    def __init__(self, pruner: FoldPruner, index: int, value: float | Failure) -> None:
+        self._pruner, self._index, self._value = pruner, index, value
         self.begun, self.over, self.ended = threading.Event(), threading.Event(), False
         self.given: list[FoldEnd | None] = []
         self.thread = threading.Thread(target=self._run)
 
     def _run(self) -> None:
-        self.given.append(self._bound.fit(self._index, self._fit))
+        self.given.append(self._pruner.fit(self._index, self._fit))
 
     def _fit(self) -> FoldEnd:
         def end() -> None:
             self.ended = True
             self.over.set()
 
-        with self._bound.stops[self._index].ending(end):
+        with self._pruner.cancels[self._index].on_cancel(end):
             self.begun.set()
             assert self.over.wait(20.0)
             if self.ended:
@@ -46,8 +46,8 @@ class Fold:
         self.thread.join()
 
 
-def started(bound: FoldBound, *values: float | Failure) -> list[Fold]:
-    folds = [Fold(bound, index, value) for index, value in enumerate(values)]
+def started(pruner: FoldPruner, *values: float | Failure) -> list[Fold]:
+    folds = [Fold(pruner, index, value) for index, value in enumerate(values)]
     for fold in folds:
         fold.thread.start()
         assert fold.begun.wait(20.0)
@@ -55,41 +55,41 @@ def started(bound: FoldBound, *values: float | Failure) -> list[Fold]:
 
 
 def test_folds_behind_the_last_one_that_counts_are_ended_at_once() -> None:
-    bound = FoldBound(4, 1.0)
-    first, second, third, fourth = started(bound, 2.5, 2.0, 9.0, 9.0)
+    pruner = FoldPruner(4, 1.0)
+    first, second, third, fourth = started(pruner, 2.5, 2.0, 9.0, 9.0)
     first.finish()
-    assert bound.failure() is None
+    assert pruner.failure() is None
     second.finish()
     for fold in (third, fourth):
         fold.thread.join()
         assert fold.ended
         assert fold.given == [None]
-    assert bound.ended == 2
-    assert bound.failure() == Failure(Reason.BEHIND, "V is at least 1.125 by 2 of 4 folds", 2)
+    assert pruner.ended == 2
+    assert pruner.failure() == Failure(Reason.BEHIND, "V is at least 1.125 by 2 of 4 folds", 2)
 
 
 def test_an_earlier_fold_is_never_ended_by_a_later_one() -> None:
-    bound = FoldBound(3, 1.0)
-    first, second, third = started(bound, 0.5, 20.0, 0.5)
+    pruner = FoldPruner(3, 1.0)
+    first, second, third = started(pruner, 0.5, 20.0, 0.5)
     second.finish()
     third.finish()
     assert not first.ended
-    assert bound.failure() is None
+    assert pruner.failure() is None
     first.finish()
     assert first.given[0] is not None
     # The same as in any other order.
-    assert bound.failure() == Failure(Reason.BEHIND, "V is at least 6.833 by 2 of 3 folds", 2)
-    assert bound.ended == 0
+    assert pruner.failure() == Failure(Reason.BEHIND, "V is at least 6.833 by 2 of 3 folds", 2)
+    assert pruner.ended == 0
 
 
 def test_a_fold_that_failed_ends_no_other() -> None:
-    bound = FoldBound(2, 1.0)
-    first, second = started(bound, Failure(Reason.CRASH), 0.1)
+    pruner = FoldPruner(2, 1.0)
+    first, second = started(pruner, Failure(Reason.CRASH), 0.1)
     first.finish()
     assert not second.ended
     second.finish()
     assert second.given[0] is not None
-    assert bound.failure() is None
+    assert pruner.failure() is None
 
 
 def test_trouble_with_a_worker_that_was_not_ended_is_raised() -> None:
@@ -97,15 +97,15 @@ def test_trouble_with_a_worker_that_was_not_ended_is_raised() -> None:
         raise SandboxError("out of luck")
 
     with pytest.raises(SandboxError, match="out of luck"):
-        FoldBound(2, 1.0).fit(0, fit)
+        FoldPruner(2, 1.0).fit(0, fit)
 
 
 def test_nothing_begins_after_a_stop_and_what_has_ended_is_left_alone() -> None:
-    stop, calls = FitStop(), list[int]()
-    with stop.ending(lambda: calls.append(1)):
+    flag, calls = CancelFlag(), list[int]()
+    with flag.on_cancel(lambda: calls.append(1)):
         pass
-    with stop.ending(lambda: calls.append(2)):
-        stop.stop()
+    with flag.on_cancel(lambda: calls.append(2)):
+        flag.cancel()
     assert calls == [2]
-    with pytest.raises(SandboxError, match="not wanted any more"), stop.ending(lambda: None):
+    with pytest.raises(SandboxError, match="not wanted any more"), flag.on_cancel(lambda: None):
         pass
