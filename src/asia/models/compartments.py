@@ -23,7 +23,7 @@ from asia.models import greybox
 from asia.models._config import check_at_least, demand
 from asia.models._data.records import check
 from asia.models._equations.config import Sensor
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics
 
 Outflow = Literal["linear", "root", "power"]

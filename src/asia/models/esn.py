@@ -32,7 +32,7 @@ from asia.models._data.records import (
 )
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import Stretches, segments
-from asia.models._solvers.least_squares import LeastSquares
+from asia.models.methods import LeastSquares
 
 _MOST_SAMPLES = 40_000
 

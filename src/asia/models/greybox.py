@@ -26,7 +26,7 @@ from asia.models._equations.initial_state import simulate_cases
 from asia.models._equations.ode import Equations, equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, Physics
 
 __all__ = ["Config", "GreyBox", "build", "train"]

@@ -47,7 +47,7 @@ from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowPredictor, window_error
 
 if TYPE_CHECKING:
-    from asia.models._solvers.least_squares import LevenbergMarquardt
+    from asia.models._least_squares import LevenbergMarquardt
 
 # Choosing order and delay takes dozens of fits; this many samples tell candidates apart.
 _SELECTION_SAMPLES = 3000

@@ -70,33 +70,3 @@ def median(values: Sequence[AnyArray]) -> AnyArray:
             ranked[i], ranked[i + 1] = jnp.minimum(a, b), jnp.maximum(a, b)
     middle = len(ranked) // 2
     return ranked[middle] if len(ranked) % 2 else 0.5 * (ranked[middle - 1] + ranked[middle])
-
-
-def solved(matrix: AnyArray, right: AnyArray) -> AnyArray:
-    """x (..., n) with matrix x = right: symmetric positive definite matrices (..., n, n), right
-    (..., n), by Cholesky's decomposition written out, which every target can compute."""
-    import jax.numpy as jnp
-
-    n = right.shape[-1]
-    lower: list[list[AnyArray]] = []
-    for i in range(n):
-        row: list[AnyArray] = []
-        for j in range(i + 1):
-            rest = matrix[..., i, j]
-            for k in range(j):
-                rest = rest - (row[k] * lower[j][k] if j < i else row[k] * row[k])
-            row.append(jnp.sqrt(rest) if i == j else rest / lower[j][j])
-        lower.append(row)
-    down: list[AnyArray] = []
-    for i in range(n):
-        rest = right[..., i]
-        for k in range(i):
-            rest = rest - lower[i][k] * down[k]
-        down.append(rest / lower[i][i])
-    up: list[AnyArray] = [None] * n
-    for i in range(n - 1, -1, -1):
-        rest = down[i]
-        for k in range(i + 1, n):
-            rest = rest - lower[k][i] * up[k]
-        up[i] = rest / lower[i][i]
-    return jnp.stack(up, axis=-1)
