@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from asia.data import Array
 from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.simulate import Scales, WindowPrior, simulate
+from asia.models._equations.simulate import (
+    Effects,
+    Scales,
+    WindowPrior,
+    effects,
+    outputs,
+    sample_by_sample,
+    simulate,
+)
 from asia.models._least_squares import (
     LevenbergMarquardt,
     NormalEquations,
@@ -37,6 +48,69 @@ def simulate_cases(
         inputs = np.concatenate([before, u.transpose(1, 2, 0)])
         y, _ = simulate(structure, scales, z, x0[:, None], inputs)
     return y[structure.n_fit :, :, 0].transpose(2, 0, 1)
+
+
+@dataclass(frozen=True)
+class CaseSteps:
+    """The same one sample at a time, for a batch of cases."""
+
+    structure: GreyBoxStructure
+    scales: Scales
+    prior: WindowPrior
+    z: AnyArray
+    """(size, 1)."""
+    effect: Effects
+    late: Array
+    """Delays of the inputs (nu,), in samples."""
+
+    @classmethod
+    def of(
+        cls,
+        structure: GreyBoxStructure,
+        scales: Scales,
+        prior: WindowPrior,
+        z: AnyArray,
+        u: AnyArray,
+    ) -> CaseSteps:
+        """With arrays of the library that the inputs u are of."""
+        scales, z, late = scales.for_rows(), z[:, None], np.zeros(structure.nu)
+        if structure.config.input_delay:
+            late = np.asarray(effects(structure, scales, z).delay)[:, 0]
+        if namespace(u) is not np:
+            import jax.numpy as jnp
+
+            scales, z = Scales(*(jnp.asarray(a) for a in scales)), jnp.asarray(z)
+        return cls(structure, scales, prior, z, effects(structure, scales, z), late)
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """States (B, nx) at the first sample, and the inputs (B, held, nu) in the delay."""
+        x, inputs = case_start(self.structure, self.scales, self.prior, self.z, past_u, past_y, u)
+        inputs = inputs.transpose(0, 2, 1)
+        first = inputs[0] if len(inputs) else u
+        confine, _ = sample_by_sample(self.structure, self.scales, self.effect)
+        held = int(np.ceil(self.late).max(initial=0))
+        line = namespace(u).repeat(first[:, None], held, axis=1)
+        state = confine(x[:, None])[:, 0].T, line
+        for past in inputs:
+            state, _ = self.step(state, past)
+        return state
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """One sample: the output is read before the states move."""
+        x, line = state
+        known = namespace(line, u).concatenate([line, u[:, None]], axis=1)
+        channel, last = np.arange(u.shape[1]), known.shape[1] - 1
+        older = last - np.ceil(self.late).astype(int)
+        newer = np.minimum(older + 1, last)
+        # Between two samples where a delay ends there.
+        later = np.ceil(self.late) - self.late
+        acting = (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
+        held, now = acting.T[:, None], x.T[:, None]
+        with np.errstate(all="ignore"):
+            _, advance = sample_by_sample(self.structure, self.scales, self.effect)
+            after = advance(now, held)
+            y = outputs(self.structure, self.effect, now[None], held[None])
+        return (after[:, 0].T, known[:, 1:]), y[0, :, 0].T
 
 
 def case_start(

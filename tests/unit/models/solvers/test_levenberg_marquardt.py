@@ -229,5 +229,5 @@ def test_the_traced_loop_is_the_same(schedule: DampingSchedule) -> None:
     with jax.enable_x64(True):
         traced = jax.jit(lambda t: traced_minimum(costs, linearise, t, method, schedule))(start)
     expected = minimise(costs, linearise, start, method, schedule)
-    assert expected.history[0, 0] > 100 * expected.history[0, 10]
+    assert expected.history[0, -1] < 0.2 * expected.history[0, 0]
     np.testing.assert_allclose(np.asarray(traced), expected.theta, rtol=1e-9, atol=1e-12)
