@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from asia.candidate import StepModel
 from asia.data import Array
 from asia.lowering import rules, wire
 from asia.lowering.building import CannotLowerError, Values, number
@@ -24,7 +23,7 @@ def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int)
 
     # Before the model makes arrays of its numbers.
     jax.config.update("jax_enable_x64", True)
-    if not isinstance(model, StepModel):
+    if not all(callable(getattr(model, name, None)) for name in ("initial", "step")):
         return wire.pack_refusal(
             f"{type(model).__name__} has no initial() and step(): give the model both methods of "
             "asia.candidate.StepModel"
@@ -39,9 +38,9 @@ def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int)
         return wire.pack_refusal(f"tracing the steps raised {type(error).__name__}: {error}")
 
 
-def lowered(model: StepModel, n_past_u: int, n_past_y: int, nu: int, ny: int) -> LoweredModel:
-    """Program of the model for one case; jax_enable_x64 must be on. Raises CannotLowerError, which
-    names what is in the way."""
+def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> LoweredModel:
+    """Programs for one case of an `asia.candidate.StepModel`; jax_enable_x64 must be on. Raises
+    CannotLowerError, which names what is in the way."""
     import jax
 
     def begin(*signals: Any) -> Any:
