@@ -113,7 +113,7 @@ Linearise: TypeAlias = Callable[[Any], NormalEquations]
 """The normal equations at theta (R, n)."""
 
 
-class _Search(NamedTuple):
+class _RowStates(NamedTuple):
     """Where the rows stand between two iterations."""
 
     theta: AnyArray
@@ -146,7 +146,7 @@ def minimise(
     """
     theta = np.array(theta0, dtype=np.float64)
     rows = len(theta)
-    search = _Search(theta, np.full(rows, method.damping), np.zeros(rows), np.zeros(rows, bool))
+    search = _RowStates(theta, np.full(rows, method.damping), np.zeros(rows), np.zeros(rows, bool))
     history = np.empty((rows, method.iterations + 1))
     if not method.iterations:
         history[:] = _finite(cost(theta[:, None])[:, 0])[:, None]
@@ -179,9 +179,9 @@ def traced_minimum(
 
     rows = len(theta0)
     damping = jnp.full(rows, method.damping)
-    search = _Search(theta0, damping, jnp.zeros(rows), jnp.zeros(rows, bool))
+    search = _RowStates(theta0, damping, jnp.zeros(rows), jnp.zeros(rows, bool))
 
-    def advance(search: _Search, _: None) -> tuple[_Search, None]:
+    def advance(search: _RowStates, _: None) -> tuple[_RowStates, None]:
         return _iterate(cost, linearise, search, schedule, method.tolerance, 1)[0], None
 
     return jax.lax.scan(advance, search, None, method.iterations)[0].theta
@@ -190,11 +190,11 @@ def traced_minimum(
 def _iterate(
     cost: Cost,
     linearise: Linearise,
-    search: _Search,
+    search: _RowStates,
     schedule: DampingSchedule,
     tolerance: float,
     patience: int,
-) -> tuple[_Search, AnyArray, AnyArray]:
+) -> tuple[_RowStates, AnyArray, AnyArray]:
     """One Jacobian, with the costs before and after it; NumPy or JAX."""
     theta, damping, slow, done = search
     xp, n, seeking = namespace(theta), theta.shape[1], ~done
@@ -232,7 +232,7 @@ def _iterate(
     small = known & (old - new <= tolerance * old)
     slow = xp.where(small, slow + 1.0, xp.where(lower, 0.0, slow))
     done = done | (slow >= patience) | (damping > schedule.greatest) | (reached == 0.0)
-    return _Search(theta, damping, slow, done), before, reached
+    return _RowStates(theta, damping, slow, done), before, reached
 
 
 def _finite(costs: AnyArray) -> AnyArray:
