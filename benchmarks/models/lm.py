@@ -34,8 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.minimise import NormalEquations, minimise
+from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise
 
 Array = NDArray[np.float64]
 SAMPLES, STEP, SUBSTEPS = 510, 4.0, 2

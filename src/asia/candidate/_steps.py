@@ -1,23 +1,40 @@
-"""A fitted model one sample at a time, in the form that `asia export` can read."""
+"""A fitted model one sample at a time: simulation and `asia export` derive from this contract."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from asia.data import Array
 
 
-@dataclass(frozen=True)
-class Steps:
-    """What `as_steps()` of a model returns: the same simulation as `simulate`, for one case.
+@runtime_checkable
+class StepModel(Protocol):
+    """A fitted sequential model, in physical units, for a batch of B cases.
 
-    Both functions are traced by JAX: they compute with jax.numpy, in physical units, and choose
-    nothing by the values of signals. A state is any tree (tuples, lists, dicts) of arrays whose
-    shapes stay the same; NumPy constants of float64 keep their precision.
+    Both methods compute with NumPy arrays, and with JAX arrays where they are traced (`asia
+    export`): they choose nothing by the values of signals. A state is any tree (tuples, lists,
+    dicts) of arrays (B, ...) whose shapes stay the same; constants of float64 keep their precision.
+    A row's answer depends on this row alone.
     """
 
-    initial: Callable[[Any, Any, Any], Any]
-    """initial(past_u (n_past_u, nu), past_y (n_past_y, ny), u (nu,)) -> the state at the first
-    sample; u is the input of that sample, for models that continue it into the past."""
-    step: Callable[[Any, Any], tuple[Any, Any]]
-    """step(state, u (nu,)) -> the state at the next sample, and the output (ny,) of this one."""
+    def initial(self, past_u: Any, past_y: Any, u: Any) -> Any:
+        """State at the first sample, from past_u (B, n_past_u, nu), past_y (B, n_past_y, ny) and
+        the input u (B, nu) of that sample, for models that continue it into the past."""
+        ...
+
+    def step(self, state: Any, u: Any) -> tuple[Any, Any]:
+        """State at the next sample, and the output (B, ny) of this one, whose input is u
+        (B, nu)."""
+        ...
+
+
+def simulate_steps(model: StepModel, past_u: Array, past_y: Array, u: Array) -> Array:
+    """Simulate step by step: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) ->
+    (B, H, ny), with H of 1 or more. The `simulate` of a model that has no faster one."""
+    state, outputs = model.initial(past_u, past_y, u[:, 0]), list[Array]()
+    for k in range(u.shape[1]):
+        state, y = model.step(state, u[:, k])
+        outputs.append(y)
+    return np.stack(outputs, axis=1)

@@ -1,6 +1,6 @@
 """Fitted models as small programs of a closed set of operations, from which other forms are made.
 
-model = lowered(steps, n_past_u, n_past_y, nu, ny)
+model = lowered(step_model, n_past_u, n_past_y, nu, ny)
 y_hat = simulate(model, past_u, past_y, u)
 """
 

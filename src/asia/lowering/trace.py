@@ -23,29 +23,31 @@ def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int)
 
     # Before the model makes arrays of its numbers.
     jax.config.update("jax_enable_x64", True)
-    offered = getattr(model, "as_steps", None)
-    if not callable(offered):
+    if not all(callable(getattr(model, name, None)) for name in ("initial", "step")):
         return wire.pack_refusal(
-            f"{type(model).__name__} has no as_steps(): give the model a method that returns "
-            "asia.candidate.Steps"
+            f"{type(model).__name__} has no initial() and step(): give the model both methods of "
+            "asia.candidate.StepModel"
         )
     try:
-        return wire.pack(lowered(offered(), n_past_u, n_past_y, nu, ny))
+        return wire.pack(lowered(model, n_past_u, n_past_y, nu, ny))
     except CannotLowerError as error:
         return wire.pack_refusal(str(error))
     except ShapeError as error:
         return wire.pack_refusal(f"the steps do not fit together: {error}")
     except Exception as error:  # noqa: BLE001 - the border to candidate code
-        return wire.pack_refusal(f"tracing as_steps() raised {type(error).__name__}: {error}")
+        return wire.pack_refusal(f"tracing the steps raised {type(error).__name__}: {error}")
 
 
-def lowered(steps: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> LoweredModel:
-    """steps: an `asia.candidate.Steps`; jax_enable_x64 must be on. Raises CannotLowerError, which
-    names what is in the way."""
+def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> LoweredModel:
+    """Programs for one case of an `asia.candidate.StepModel`; jax_enable_x64 must be on. Raises
+    CannotLowerError, which names what is in the way."""
     import jax
 
+    def begin(*signals: Any) -> Any:
+        return jax.tree.map(_row, model.initial(*(signal[None] for signal in signals)))
+
     window = [_like((n_past_u, nu)), _like((n_past_y, ny)), _like((nu,))]
-    start, state = _traced(lambda *a: steps.initial(*a), window)
+    start, state = _traced(begin, window)
     leaves, tree = jax.tree.flatten(state)
     # Arrays of no numbers are no states.
     kept = [i for i, leaf in enumerate(leaves) if leaf.size]
@@ -54,16 +56,29 @@ def lowered(steps: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
         given = [jax.numpy.zeros(leaf.shape, leaf.dtype) for leaf in leaves]
         for place, signal in zip(kept, signals[:-1], strict=True):
             given[place] = signal
-        after, y = steps.step(jax.tree.unflatten(tree, given), signals[-1])
+        state = jax.tree.unflatten(tree, [leaf[None] for leaf in given])
+        after, y = model.step(state, signals[-1][None])
         found, shape = jax.tree.flatten(after)
         if shape != tree:
             raise CannotLowerError("step gives a state of another structure than it takes")
-        return [y, *(found[i] for i in kept)]
+        return [_row(y), *(_row(found[i]) for i in kept)]
 
     one, _ = _traced(step, [*(leaves[i] for i in kept), _like((nu,))])
     programs = [_program(start, kept), _program(one)]
     single = any(rules.in_single_precision(p.jaxpr) for p in (start, one))
     return LoweredModel(n_past_u, n_past_y, nu, ny, single, *programs)
+
+
+def _row(batch: Any) -> Any:
+    """The only row of a batch."""
+    import jax
+
+    batch = jax.numpy.asarray(batch)
+    if batch.shape[:1] != (1,):
+        raise CannotLowerError(
+            f"an output or a state has shape {batch.shape} for a batch of 1: the batch comes first"
+        )
+    return batch.reshape(batch.shape[1:])
 
 
 def _like(shape: Shape) -> Any:

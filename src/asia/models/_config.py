@@ -1,10 +1,14 @@
-"""Checks that every `Config` and every training method makes of its own settings."""
+"""Settings that every `Config` and every training method checks, and the progress of a fit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 from asia.errors import UserError
+
+Progress: TypeAlias = Callable[[float, float], None]
+"""Takes the number of steps or iterations done and the loss, as `Context.log` does."""
 
 
 def demand(settings: object, name: str, holds: bool, expected: str) -> None:

@@ -22,6 +22,7 @@ from asia.models._data.lags import History, Lags, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import segments, simulation_error
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._noise.choice import refuse_noise
 from asia.models._one_step.free_model import (
     FreeRunModel,
@@ -33,7 +34,7 @@ from asia.models._one_step.free_model import (
     usable,
 )
 from asia.models._one_step.polynomial import PolynomialRun, refine, refinement_samples
-from asia.models._solvers.least_squares import LeastSquares, LevenbergMarquardt
+from asia.models.methods import LeastSquares
 
 # An unstable model is held within so many times the width of the training range.
 _MARGIN = 10.0

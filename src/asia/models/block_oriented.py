@@ -22,8 +22,7 @@ from asia.models._config import check_choice
 from asia.models._data.records import check, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import window_pieces
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.progress import silent
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._state_space.fitted import FittedStateSpace
 from asia.models._state_space.structure import Basis, Nonlinearity
 from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
@@ -153,7 +152,7 @@ def _searched(
         weights = dict.fromkeys(params, config.linear_ridge) | {"f": config.ridge}
         weights["x0"] = _INITIAL_RIDGE
         samples, time = of_records(late, fit.x0), context.sampling_time
-        fit = fit_states(structure, [params], samples, weights, method, silent, time)[0]
+        fit = fit_states(structure, [params], samples, weights, method, lambda *_: None, time)[0]
         params = fit.params
     encoder = state_encoder(structure, fit, late, context, config.encoder)
     return FittedStateSpace(structure, ((params, encoder),), found.delay, scaling)
@@ -184,7 +183,7 @@ def _wiener_hammerstein(
             "x0": ridge,
         }
         one = fit_states(
-            start.structure, [start.params], of_records(late, x0), weights, method, silent,
+            start.structure, [start.params], of_records(late, x0), weights, method, lambda *_: None,
             context.sampling_time,
         )[0]  # fmt: skip
         fits.append((start.structure, one))

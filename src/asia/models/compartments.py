@@ -12,18 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from asia.candidate import Context, Steps
+from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import greybox
+from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least, demand
 from asia.models._data.records import check
 from asia.models._equations.config import Sensor
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics
 
 Outflow = Literal["linear", "root", "power"]
@@ -83,9 +84,13 @@ class Compartments:
         (B, H, ny). Raises UserError before training."""
         return self._trained().simulate(past_u, past_y, u)
 
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises UserError before training."""
-        return self._trained().as_steps()
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self._trained().initial(past_u, past_y, u)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self._trained().step(state, u)
 
     def parameters(self) -> dict[str, float]:
         """Run-offs, gains and zeros."""

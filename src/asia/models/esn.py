@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from asia.candidate import Context, Steps
+from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import (
@@ -32,7 +34,8 @@ from asia.models._data.records import (
 )
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import Stretches, segments
-from asia.models._solvers.least_squares import LeastSquares
+from asia.models._steps import mean
+from asia.models.methods import LeastSquares
 
 _MOST_SAMPLES = 40_000
 
@@ -82,12 +85,14 @@ class Reservoir:
 
     def run(self, state: Array, u: Array) -> Array:
         """state (B, n), u (B, T, nu) -> states after each input (B, T, n)."""
-        states = np.empty((*u.shape[:2], len(self.leak)))
-        drive = u @ self.drive + self.bias
-        for k in range(u.shape[1]):
-            state = state + self.leak * (np.tanh(state @ self.recurrent + drive[:, k]) - state)
-            states[:, k] = state
-        return states
+        drive = (u @ self.drive + self.bias).swapaxes(0, 1)
+        return scan(self.advanced, state, drive)[1].swapaxes(0, 1)
+
+    def advanced(self, state: AnyArray, drive: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """The state (B, n) after a sample with this drive (B, n), as `scan` takes it."""
+        tanh = namespace(state, drive).tanh
+        state = state + self.leak * (tanh(state @ self.recurrent + drive) - state)
+        return state, state
 
 
 @dataclass(frozen=True)
@@ -108,6 +113,23 @@ class Member:
         features = _features(self.reservoir.run(self.start(past), u), u, past, self.span)
         batch, length = u.shape[:2]
         return self.readout(features.reshape(batch * length, -1)).reshape(batch, length, -1)
+
+    def initial(self, past: AnyArray) -> tuple[AnyArray, ...]:
+        """Its state before the first sample; with a span also the window and the samples so far."""
+        x = self.start(past)
+        return (x,) if self.span is None else (x, past, 0.0 * x[:, :1])
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """State after a z-scored input u (B, nu), and the output."""
+        r, (x, *held) = self.reservoir, state
+        x, _ = r.advanced(x, u @ r.drive + r.bias)
+        seen = [x, u]
+        if self.span is not None:
+            past, count = held
+            count = count + 1.0
+            seen += [past, past * (count / np.float64(self.span))]
+            held = [past, count]
+        return (x, *held), self.readout(namespace(u).concatenate(seen, axis=1))
 
 
 @dataclass(frozen=True)
@@ -130,20 +152,29 @@ class EchoState:
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
         (B, H, ny). Raises UserError before training."""
-        if self.fitted is None:
-            raise UserError("echo state network: not trained yet; call train before simulate")
-        f = self.fitted
+        f = self._trained()
         past = window(f.scaling.inputs(past_u), f.scaling.outputs(past_y))
         inputs = f.scaling.inputs(u)
         return f.scaling.physical(np.mean([m(past, inputs) for m in f.members], axis=0))
 
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises UserError before training."""
-        from asia.models._steps.free_run import reservoir_steps
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        del u
+        f = self._trained()
+        past = window(f.scaling.inputs(past_u), f.scaling.outputs(past_y))
+        return [member.initial(past) for member in f.members]
 
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """The mean over the reservoirs."""
+        f = self._trained()
+        v = f.scaling.inputs(u)
+        pairs = [m.step(s, v) for m, s in zip(f.members, state, strict=True)]
+        return [s for s, _ in pairs], f.scaling.physical(mean([y for _, y in pairs]))
+
+    def _trained(self) -> FittedReservoirs:
         if self.fitted is None:
-            raise UserError("echo state network: not trained yet; call train before as_steps")
-        return reservoir_steps(self.fitted)
+            raise UserError("echo state network: not trained yet; call train first")
+        return self.fitted
 
 
 def build(config: Config, context: Context) -> EchoState:

@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
-from asia.models._config import check_at_least, check_choice
+from asia.models._config import Progress, check_at_least, check_choice
 from asia.models._data.cuts import spread
 from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history, regressors
 from asia.models._data.records import ScaledData, check, past_length, scaled
@@ -36,8 +36,7 @@ from asia.models._one_step.free_model import (
     selection,
     usable,
 )
-from asia.models._solvers.least_squares import MarginalLikelihood
-from asia.models._solvers.progress import Progress, silent
+from asia.models.methods import MarginalLikelihood
 
 _JITTER = 1e-8
 _MEAN_RIDGE = 1e-6
@@ -151,7 +150,7 @@ def _choose(
     errors = left_out_error(
         part,
         context,
-        lambda kept: [_fit(kept, item, context, quick, brief, silent) for item in lags],
+        lambda kept: [_fit(kept, item, context, quick, brief, lambda *_: None) for item in lags],
         2 * past_length(context) + 4 * lags[-1].memory,
     )
     return lags[int(np.argmax(errors <= errors.min() + 2 * np.log(1.02)))]

@@ -10,23 +10,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from asia.candidate import Context, ParameterEstimates, Steps
+from asia.candidate import Context, ParameterEstimates
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray
 from asia.models._data.records import refuse_gaps
 from asia.models._equations.added.extend import extended
 from asia.models._equations.added.priors import NO_PRIORS, ParameterPriors, parameter_priors
 from asia.models._equations.config import Config, GreyBoxStructure, Range
 from asia.models._equations.fit import FittedEquations, fit
 from asia.models._equations.identified.printed import equation_lines
-from asia.models._equations.initial_state import simulate_cases
+from asia.models._equations.initial_state import CaseSteps, simulate_cases
 from asia.models._equations.ode import Equations, equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, Physics
 
 __all__ = ["Config", "GreyBox", "build", "train"]
@@ -57,11 +59,18 @@ class GreyBox:
         cases = past_u, past_y, u
         return simulate_cases(self.structure, fitted.scales, fitted.prior, fitted.z, cases)
 
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises ValueError before training."""
-        from asia.models._steps.greybox import greybox_steps
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """State of the equations, and the inputs that a delay still holds back; see
+        `asia.candidate.StepModel`. Raises ValueError before training."""
+        return self._cases(u).initial(past_u, past_y, u)
 
-        return greybox_steps(self.structure, self._trained())
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """See `asia.candidate.StepModel`. Raises ValueError before training."""
+        return self._cases(u).step(state, u)
+
+    def _cases(self, like: AnyArray) -> CaseSteps:
+        fitted = self._trained()
+        return CaseSteps.of(self.structure, fitted.scales, fitted.prior, fitted.z, like)
 
     def parameters(self) -> dict[str, float]:
         """Physical parameters, and those of the additions that have a physical meaning: limits

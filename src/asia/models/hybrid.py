@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from asia.candidate import Context
 from asia.data import Trajectory
 from asia.models import greybox
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models.greybox import GreyBox
 
 __all__ = ["Config", "build", "train"]

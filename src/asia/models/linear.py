@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asia.candidate import Context, ParameterEstimate, ParameterEstimates, Steps
+from asia.candidate import Context, ParameterEstimate, ParameterEstimates
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import Encoder
 from asia.models._data.records import (
@@ -45,9 +46,10 @@ from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_o
 from asia.models._linear.periodic.fit import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowPredictor, window_error
+from asia.models._steps import first_of_line, through_line
 
 if TYPE_CHECKING:
-    from asia.models._solvers.least_squares import LevenbergMarquardt
+    from asia.models._least_squares import LevenbergMarquardt
 
 # Choosing order and delay takes dozens of fits; this many samples tell candidates apart.
 _SELECTION_SAMPLES = 3000
@@ -107,6 +109,19 @@ class FittedLinear:
     scaling: Scaling
     """From physical units to z-scores."""
 
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """States, and the inputs that the delay holds back."""
+        past, first = self.scaling.inputs(past_u), self.scaling.inputs(u)
+        x = self.encoder(window(past, self.scaling.outputs(past_y)))
+        return x, first_of_line(past, first, self.delay)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """x' = A x + B u, y = C x + D u + offset."""
+        s, (x, line) = self.system, state
+        line, v = through_line(line, self.scaling.inputs(u))
+        y = x @ s.c.T + v @ s.d.T + s.offset
+        return (x @ s.a.T + v @ s.b.T, line), self.scaling.physical(y)
+
 
 @dataclass(frozen=True)
 class FittedLevels:
@@ -118,6 +133,26 @@ class FittedLevels:
     """Root mean squares of the scaled inputs (L,), rising."""
     memory: int
     """Samples of the inputs that tell the level."""
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """State of each system, the power of the last `memory` inputs, and how many there were."""
+        xp, memory = namespace(past_u, past_y, u), self.memory
+        power = (self.systems[0].scaling.inputs(past_u)[:, -memory:] ** 2).mean(axis=2)
+        batch, length = power.shape
+        held = xp.concatenate([xp.zeros((batch, memory - length)), power], axis=1)
+        states = [one.initial(past_u, past_y, u) for one in self.systems]
+        return states, held, xp.full((batch,), float(length))
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """Outputs of the systems, weighted by the running level of the inputs."""
+        xp, (states, held, count) = namespace(u), state
+        power = (self.systems[0].scaling.inputs(u) ** 2).mean(axis=1)
+        held = xp.concatenate([held[:, 1:], power[:, None]], axis=1)
+        count = xp.minimum(count + 1.0, float(self.memory))
+        weights = levels.shares(self.levels, xp.sqrt(xp.maximum(held.sum(axis=1), 0.0) / count))
+        pairs = [one.step(x, u) for one, x in zip(self.systems, states, strict=True)]
+        total = sum(weights[:, i, None] * y for i, (_, y) in enumerate(pairs))
+        return ([x for x, _ in pairs], held, count), total
 
 
 @dataclass(frozen=True)
@@ -131,22 +166,27 @@ class LinearStateSpace:
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
         (B, H, ny). The input before a past window that is shorter than the delay is taken to be
-        the window's first. Raises UserError before training."""
+        the window's first. What the steps give, block by block. Raises UserError before
+        training."""
         if self.by_level is not None:
             return _by_level(self.by_level, past_u, past_y, u)
         if self.fitted is None:
             raise UserError("linear model: not trained yet; call linear.train before simulate")
         return _simulated(self.fitted, past_u, past_y, u)
 
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises UserError before training."""
-        from asia.models._steps.linear import level_steps, linear_steps
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self._trained().initial(past_u, past_y, u)
 
-        if self.by_level is not None:
-            return level_steps(self.by_level)
-        if self.fitted is None:
-            raise UserError("linear model: not trained yet; call linear.train before as_steps")
-        return linear_steps(self.fitted)
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self._trained().step(state, u)
+
+    def _trained(self) -> FittedLinear | FittedLevels:
+        found = self.by_level or self.fitted
+        if found is None:
+            raise UserError("linear model: not trained yet; call linear.train first")
+        return found
 
     def parameters(self) -> dict[str, float]:
         """Static gains in physical units, delay and slowest time constants in samples: what folds

@@ -12,12 +12,8 @@ from typing import Literal, TypeAlias, get_args
 
 from asia.errors import UserError
 from asia.models._config import check_at_least, check_choice, demand, owner
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._noise.choice import NoiseChoice, NoiseKind, check_noise
-from asia.models._solvers.least_squares import (
-    LeastSquares,
-    LevenbergMarquardt,
-    MarginalLikelihood,
-)
 
 __all__ = [
     "LBFGS",
@@ -31,6 +27,36 @@ __all__ = [
 
 Loss = Literal["mse", "mae", "huber"]
 Schedule = Literal["cosine", "constant", "plateau"]
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Linear least squares, for families that are linear in their parameters."""
+
+    ridge: float | None = None
+    """Weight of the squared parameters against the mean squared error in z-scores; None chooses it
+    inside the training data by the simulation error on stretches left out."""
+
+    def __post_init__(self) -> None:
+        check_at_least(0, self, "ridge")
+
+
+@dataclass(frozen=True)
+class MarginalLikelihood:
+    """Hyper-parameters of a Gaussian process by the evidence of its training data, with L-BFGS.
+
+    Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, section 5.4.
+    """
+
+    iterations: int = 60
+    """Greatest number of steps for each output."""
+    points: int = 400
+    """Training points, spread over the records, that the evidence is computed on; its cost grows
+    with their cube."""
+
+    def __post_init__(self) -> None:
+        check_at_least(0, self, "iterations")
+        check_at_least(2, self, "points")
 
 
 @dataclass(frozen=True, kw_only=True)

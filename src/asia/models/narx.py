@@ -27,6 +27,7 @@ from asia.models._data.lags import Lags, OutputRange, fit_history
 from asia.models._data.records import ScaledData, check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.stretches import left_out_error, segments, simulation_error
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._noise.choice import refuse_noise
 from asia.models._one_step.free_model import (
     RIDGES,
@@ -46,7 +47,7 @@ from asia.models._one_step.polynomial import (
     refinement_samples,
     solve,
 )
-from asia.models._solvers.least_squares import LeastSquares, LevenbergMarquardt
+from asia.models.methods import LeastSquares
 
 # The Gram matrix of so many products is still cheap; beyond it the degree is lowered.
 _MOST_PRODUCTS = 1000

@@ -12,14 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from asia.candidate import Context, Steps
+from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._arrays import tree_size
+from asia.models._arrays import AnyArray, tree_size
 from asia.models._config import check_at_least, demand
 from asia.models._data.encoder import affine
 from asia.models._data.records import (
@@ -118,17 +119,20 @@ class NeuralStateSpace:
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
         (B, H, ny). Raises UserError before training."""
+        return self._trained().simulate(past_u, past_y, u)
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self._trained().initial(past_u, past_y, u)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self._trained().step(state, u)
+
+    def _trained(self) -> FittedStateSpace:
         if self.fitted is None:
             raise UserError("neural state-space model: not trained yet; call train first")
-        return self.fitted.simulate(past_u, past_y, u)
-
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises UserError before training."""
-        from asia.models._steps.state_space import state_space_steps
-
-        if self.fitted is None:
-            raise UserError("neural state-space model: not trained yet; call train first")
-        return state_space_steps(self.fitted)
+        return self.fitted
 
 
 def build(config: Config, context: Context) -> NeuralStateSpace:

@@ -13,11 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-from asia.candidate import Context, Steps
+from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
+from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least
 from asia.models._data.records import check, scaled
 from asia.models._data.stretches import window_pieces
@@ -78,11 +80,13 @@ class NonlinearLfr:
         (B, H, ny). Raises UserError before training."""
         return self._trained().simulate(past_u, past_y, u)
 
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises UserError before training."""
-        from asia.models._steps.state_space import state_space_steps
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self._trained().initial(past_u, past_y, u)
 
-        return state_space_steps(self._trained())
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self._trained().step(state, u)
 
     def _trained(self) -> FittedStateSpace:
         if self.fitted is None:

@@ -20,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from asia.candidate import VALIDATION_SCORES, Context, Steps
+from asia.candidate import VALIDATION_SCORES, Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
+from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least, check_choice, demand
 from asia.models._data.records import check, past_length, scaled
 from asia.models._data.scaling import Scaling
@@ -119,9 +120,13 @@ class PhysicsNet:
         (B, H, ny) float64. Raises UserError before training."""
         return self.network.simulate(past_u, past_y, u)
 
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises UserError before training."""
-        return self.network.as_steps()
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self.network.initial(past_u, past_y, u)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        return self.network.step(state, u)
 
     def parameters(self) -> dict[str, float]:
         """Those of the equations in their physical units, of the first member where there are

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from asia.candidate import Steps
 from asia.lowering import LoweredModel, simulate, unpack
 from asia.lowering.trace import lowered, lowered_bytes
 
@@ -20,8 +19,22 @@ def double() -> Iterator[None]:
     jax.config.update("jax_enable_x64", before)
 
 
+class Model:
+    """One case; the step is that of its only row."""
+
+    def __init__(self, step) -> None:
+        self._step = step
+
+    def initial(self, past_u, past_y, u):
+        return past_y[:, -1]
+
+    def step(self, state, u):
+        after, y = self._step(state[0], u[0])
+        return jax.tree.map(lambda leaf: leaf[None], after), y[None]
+
+
 def of(step) -> LoweredModel:
-    return lowered(Steps(lambda past_u, past_y, u: past_y[-1], step), 1, 2, 2, 2)
+    return lowered(Model(step), 1, 2, 2, 2)
 
 
 W = np.array([[0.3, -0.2], [0.1, 0.5]])
@@ -58,14 +71,6 @@ def test_a_lowered_step_computes_what_the_function_does(name: str) -> None:
     assert not model.single
 
 
-class Model:
-    def __init__(self, step) -> None:
-        self.step = step
-
-    def as_steps(self) -> Steps:
-        return Steps(lambda past_u, past_y, u: past_y[-1], self.step)
-
-
 @pytest.mark.parametrize(
     ("step", "words"),
     [
@@ -86,7 +91,16 @@ def test_what_cannot_be_lowered_is_named(step, words: str) -> None:
 
 def test_a_model_without_steps_is_told_what_to_add() -> None:
     found = unpack(lowered_bytes(object(), 1, 1, 1, 1))
-    assert "as_steps()" in str(found)
+    assert "initial() and step()" in str(found)
+
+
+def test_a_state_without_a_batch_is_named() -> None:
+    class Unbatched(Model):
+        def initial(self, past_u, past_y, u):
+            return past_y[0]
+
+    found = unpack(lowered_bytes(Unbatched(lambda x, u: (x, u)), 1, 2, 2, 2))
+    assert "batch comes first" in str(found)
 
 
 def test_a_model_that_computes_in_single_precision_is_marked() -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
-from asia.models._arrays import AnyArray, namespace
+from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._data.cuts import Indices
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import (
@@ -190,14 +190,26 @@ class FreeRun:
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H, ny)."""
-        old_u, old_y = self.history(past_u, past_y, u)
+        old_u, past = self.initial(past_u, past_y, u[:, 0])
         drive = lagged_inputs(np.concatenate([old_u, u], axis=1), self.history.lags)
-        batch, ny = len(u), past_y.shape[2]
-        past = old_y[:, ::-1].reshape(batch, -1)
-        result = np.empty((*u.shape[:2], ny))
-        for k in range(u.shape[1]):
-            y = self.one_step(np.concatenate([past, drive[:, k]], axis=1))
-            y = np.clip(y, self.limits.low, self.limits.high)
-            result[:, k] = y
-            past = np.concatenate([y, past], axis=1)[:, : past.shape[1]]
-        return result
+        return scan(self._advanced, past, drive.swapaxes(0, 1))[1].swapaxes(0, 1)
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Lagged inputs (B, past_inputs, nu), the oldest first, and lagged outputs (B, outputs *
+        ny), the newest first, before the first input u (B, nu)."""
+        old_u, old_y = self.history(past_u, past_y, u[:, None])
+        return old_u, old_y[:, ::-1].reshape(len(u), -1)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """Both after a sample with the input u (B, nu), and its output (B, ny)."""
+        old_u, past = state
+        known = namespace(old_u, u).concatenate([old_u, u[:, None]], axis=1)
+        past, y = self._advanced(past, lagged_inputs(known, self.history.lags)[:, 0])
+        return (known[:, 1:], past), y
+
+    def _advanced(self, past: AnyArray, drive: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Lagged outputs after a sample with lagged inputs (B, inputs * nu), and its output."""
+        xp = namespace(past, drive)
+        y = self.one_step(xp.concatenate([past, drive], axis=1))
+        y = bounded(y, self.limits.low, self.limits.high)
+        return xp.concatenate([y, past], axis=1)[:, : past.shape[1]], y

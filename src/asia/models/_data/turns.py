@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from asia.candidate import Context
+from asia.candidate import Context, StepModel
 from asia.data import Array, Mask, Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray
 from asia.models._data.records import ScaledData, ScaledTrajectory, scaled
 from asia.models._data.scaling import Scaling
+from asia.models._steps import mean
 from asia.problem.symmetry import group, of_signals
 
 SimulateWindows = Callable[[Array, Array, Array], Array]
@@ -78,6 +81,22 @@ class SignalTurns:
         )
         found = simulate(*turned).reshape(len(self), count, u.shape[1], -1)
         return np.mean([y @ turn for y, turn in zip(found, self.outputs, strict=True)], axis=0)
+
+    def initial(self, model: StepModel, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """States of `averaged`, one for each element."""
+        return [
+            model.initial(past_u @ turn_u.T, past_y @ turn_y.T, u @ turn_u.T)
+            for turn_u, turn_y in self._elements()
+        ]
+
+    def step(self, model: StepModel, states: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """One sample of `averaged`."""
+        after, outputs = list[Any](), list[AnyArray]()
+        for state, (turn_u, turn_y) in zip(states, self._elements(), strict=True):
+            state, y = model.step(state, u @ turn_u.T)
+            after.append(state)
+            outputs.append(y @ turn_y)
+        return after, mean(outputs)
 
 
 def _turned(missing: Mask | None, turn: Array) -> Mask | None:

@@ -22,10 +22,9 @@ from asia.models._equations.starts import (
     initial_states,
     screen,
 )
+from asia.models._least_squares import TRIALS, LevenbergMarquardt, Minimum, minimise
 from asia.models._noise.estimate import NOISE_ROUNDS
 from asia.models._noise.whitening import ResidualNoise
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.minimise import TRIALS, Minimum, minimise
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator

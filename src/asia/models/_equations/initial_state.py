@@ -1,19 +1,35 @@
-"""Simulation of cases: where a trained grey-box starts, and what follows. NumPy alone."""
+"""Simulation of cases: where a trained grey-box starts, and what follows. NumPy or JAX."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from asia.data import Array
+from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.simulate import Scales, WindowPrior, simulate
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.minimise import NormalEquations, minimise
+from asia.models._equations.simulate import (
+    Effects,
+    Scales,
+    WindowPrior,
+    effects,
+    outputs,
+    sample_by_sample,
+    simulate,
+)
+from asia.models._least_squares import (
+    LevenbergMarquardt,
+    NormalEquations,
+    minimise,
+    traced_minimum,
+)
 
-METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
+_METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
 # Differences of fourth order, in units of the initial state's deviation.
-STEP = 1e-3
-WEIGHTS = {1: 8.0, -1: -8.0, 2: -1.0, -2: 1.0}
+_STEP = 1e-3
+_WEIGHTS = {1: 8.0, -1: -8.0, 2: -1.0, -2: 1.0}
 
 
 def simulate_cases(
@@ -24,77 +40,151 @@ def simulate_cases(
     cases: tuple[Array, Array, Array],
 ) -> Array:
     """Outputs (B, H, ny) of cases past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu)
-    with coordinates z (size,).
-
-    Without past inputs the first future one is held back.
-    """
+    with coordinates z (size,)."""
     past_u, past_y, u = cases
-    n_fit = structure.n_fit
-    before = past_u[:, -1:] if structure.measured else past_u
-    held_back = np.repeat(u[:, :1], n_fit - before.shape[1], axis=1)
-    inputs = np.concatenate([held_back, before, u], axis=1).transpose(1, 2, 0)
-    scales = scales.for_rows()
+    scales, z = scales.for_rows(), z[:, None]
     with np.errstate(all="ignore"):
-        if structure.measured:
-            x0 = past_y[:, -1, [structure.measured_states[i] for i in range(structure.nx)]].T
-        else:
-            x0 = _estimated(structure, scales, prior, z[:, None], past_u, past_y, inputs)
-        y, _ = simulate(structure, scales, z[:, None], x0[:, None], inputs)
-    return y[n_fit:, :, 0].transpose(2, 0, 1)
+        x0, before = case_start(structure, scales, prior, z, past_u, past_y, u[:, 0])
+        inputs = np.concatenate([before, u.transpose(1, 2, 0)])
+        y, _ = simulate(structure, scales, z, x0[:, None], inputs)
+    return y[structure.n_fit :, :, 0].transpose(2, 0, 1)
+
+
+@dataclass(frozen=True)
+class CaseSteps:
+    """The same one sample at a time, for a batch of cases."""
+
+    structure: GreyBoxStructure
+    scales: Scales
+    prior: WindowPrior
+    z: AnyArray
+    """(size, 1)."""
+    effect: Effects
+    late: Array
+    """Delays of the inputs (nu,), in samples."""
+
+    @classmethod
+    def of(
+        cls,
+        structure: GreyBoxStructure,
+        scales: Scales,
+        prior: WindowPrior,
+        z: AnyArray,
+        u: AnyArray,
+    ) -> CaseSteps:
+        """With arrays of the library that the inputs u are of."""
+        scales, z, late = scales.for_rows(), z[:, None], np.zeros(structure.nu)
+        if structure.config.input_delay:
+            late = np.asarray(effects(structure, scales, z).delay)[:, 0]
+        if namespace(u) is not np:
+            import jax.numpy as jnp
+
+            scales, z = Scales(*(jnp.asarray(a) for a in scales)), jnp.asarray(z)
+        return cls(structure, scales, prior, z, effects(structure, scales, z), late)
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """States (B, nx) at the first sample, and the inputs (B, held, nu) in the delay."""
+        x, inputs = case_start(self.structure, self.scales, self.prior, self.z, past_u, past_y, u)
+        inputs = inputs.transpose(0, 2, 1)
+        first = inputs[0] if len(inputs) else u
+        confine, _ = sample_by_sample(self.structure, self.scales, self.effect)
+        held = int(np.ceil(self.late).max(initial=0))
+        line = namespace(u).repeat(first[:, None], held, axis=1)
+        state = confine(x[:, None])[:, 0].T, line
+        for past in inputs:
+            state, _ = self.step(state, past)
+        return state
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """One sample: the output is read before the states move."""
+        x, line = state
+        known = namespace(line, u).concatenate([line, u[:, None]], axis=1)
+        channel, last = np.arange(u.shape[1]), known.shape[1] - 1
+        older = last - np.ceil(self.late).astype(int)
+        newer = np.minimum(older + 1, last)
+        # Between two samples where a delay ends there.
+        later = np.ceil(self.late) - self.late
+        acting = (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
+        held, now = acting.T[:, None], x.T[:, None]
+        with np.errstate(all="ignore"):
+            _, advance = sample_by_sample(self.structure, self.scales, self.effect)
+            after = advance(now, held)
+            y = outputs(self.structure, self.effect, now[None], held[None])
+        return (after[:, 0].T, known[:, 1:]), y[0, :, 0].T
+
+
+def case_start(
+    structure: GreyBoxStructure,
+    scales: Scales,
+    prior: WindowPrior,
+    z: AnyArray,
+    past_u: AnyArray,
+    past_y: AnyArray,
+    u: AnyArray,
+) -> tuple[AnyArray, AnyArray]:
+    """States (nx, B) `n_fit` samples before the first simulated one, and the inputs (n_fit, nu, B)
+    from there on, given z (size, 1) and the first simulated input u (B, nu), which is held back
+    where the past window has too few inputs."""
+    xp, n_fit = namespace(past_u, past_y, u), structure.n_fit
+    before = past_u[:, -1:] if structure.measured else past_u
+    held_back = xp.repeat(u[:, None], n_fit - before.shape[1], axis=1)
+    inputs = xp.concatenate([held_back, before], axis=1).transpose(1, 2, 0)
+    if structure.measured:
+        order = np.array([structure.measured_states[i] for i in range(structure.nx)])
+        return past_y[:, -1][:, order].T, inputs
+    return _estimated(structure, scales, prior, z, past_u, past_y, inputs), inputs
 
 
 def _estimated(
     structure: GreyBoxStructure,
     scales: Scales,
     prior: WindowPrior,
-    z: Array,
-    past_u: Array,
-    past_y: Array,
-    inputs: Array,
-) -> Array:
+    z: AnyArray,
+    past_u: AnyArray,
+    past_y: AnyArray,
+    inputs: AnyArray,
+) -> AnyArray:
     """States (nx, B) `n_fit` samples before the first simulated one: the most probable ones given
     the outputs from there on, weighted by the model's simulation error, and the prior from
     training, which has seen the whole past window."""
-    expected = prior.mean @ _features(scales, prior, past_u, past_y)
-    if not structure.n_past_y:
-        return expected
-    nx, n_fit = structure.nx, structure.n_fit
-    recent = past_y[:, max(structure.n_past_y - n_fit, 0) :].transpose(1, 2, 0)[:, :, None]
-    inputs, deviation = inputs[:n_fit], prior.x_deviation[:, None, None]
-
-    def errors(shift: Array) -> Array:
-        """(E, K, B) at shifts (B, K, nx) of the expected state, in deviations."""
-        x0 = expected[:, None] + deviation * shift.transpose(2, 1, 0)
-        y, _ = simulate(structure, scales, z, x0, inputs)
-        found = (y[n_fit - len(recent) :] - recent) / prior.y_deviation[:, None, None]
-        return found.reshape(-1, *found.shape[2:])
-
-    def cost(shift: Array) -> Array:
-        return (errors(shift) ** 2).sum(axis=0).T + (shift**2).sum(axis=-1)
-
-    def linearise(shift: Array) -> NormalEquations:
-        ways = [way * STEP * np.eye(nx) for way in WEIGHTS]
-        found = errors(shift[:, None] + np.concatenate([np.zeros((1, nx)), *ways]))
-        error, around = found[:, 0], found[:, 1:].reshape(len(found), len(ways), nx, -1)
-        weights = np.array(list(WEIGHTS.values())) / (12.0 * STEP)
-        jacobian = np.einsum("w,ewnb->ben", weights, around)
-        turned = jacobian.transpose(0, 2, 1)
-        return NormalEquations(
-            (error**2).sum(axis=0) + (shift**2).sum(axis=1),
-            turned @ jacobian + np.eye(nx),
-            (turned @ error.T[..., None])[..., 0] + shift,
-        )
-
-    shift = minimise(cost, linearise, np.zeros((len(past_y), nx)), METHOD).theta
-    return expected + prior.x_deviation[:, None] * shift.T
-
-
-def _features(scales: Scales, prior: WindowPrior, past_u: Array, past_y: Array) -> Array:
-    """1 and the normalised samples of each past window, (1 + n_past_u nu + n_past_y ny, B)."""
-    count = len(past_y)
-    parts = (
+    xp, count = namespace(past_u, past_y, inputs), len(past_y)
+    features = (
         np.ones((count, 1)),
         ((past_u - scales.u_center[:, 0]) / scales.u_scale[:, 0]).reshape(count, -1),
         ((past_y - prior.y_center) / scales.y_scale[:, 0]).reshape(count, -1),
     )
-    return np.concatenate(parts, axis=1).T
+    expected = np.asarray(prior.mean) @ xp.concatenate(features, axis=1).T
+    if not structure.n_past_y:
+        return expected
+    nx, n_fit = structure.nx, structure.n_fit
+    recent = past_y[:, max(structure.n_past_y - n_fit, 0) :].transpose(1, 2, 0)[:, :, None]
+    deviation = np.asarray(prior.x_deviation)
+    ways = np.concatenate([np.zeros((1, nx)), *(way * _STEP * np.eye(nx) for way in _WEIGHTS)])
+    weights = np.array(list(_WEIGHTS.values())) / (12.0 * _STEP)
+
+    def errors(shift: AnyArray) -> AnyArray:
+        """(B, K, E) at shifts (B, K, nx) of the expected state, in deviations."""
+        x0 = expected[:, None] + deviation[:, None, None] * shift.transpose(2, 1, 0)
+        y, _ = simulate(structure, scales, z, x0, inputs)
+        found = (y[n_fit - len(recent) :] - recent) / prior.y_deviation[:, None, None]
+        return found.reshape(-1, *found.shape[2:]).transpose(2, 1, 0)
+
+    def cost(shift: AnyArray) -> AnyArray:
+        return (errors(shift) ** 2).sum(axis=-1) + (shift**2).sum(axis=-1)
+
+    def linearise(shift: AnyArray) -> NormalEquations:
+        found = errors(shift[:, None] + ways)
+        error, around = found[:, 0], found[:, 1:].reshape(count, len(weights), nx, -1)
+        slope = (weights[:, None, None] * around).sum(axis=1)
+        return NormalEquations(
+            (error**2).sum(axis=1) + (shift**2).sum(axis=1),
+            slope @ slope.swapaxes(1, 2) + np.eye(nx),
+            (slope @ error[..., None])[..., 0] + shift,
+        )
+
+    start = xp.zeros((count, nx))
+    if xp is np:
+        shift = minimise(cost, linearise, start, _METHOD).theta
+    else:
+        shift = traced_minimum(cost, linearise, start, _METHOD)
+    return expected + deviation[:, None] * shift.T

@@ -9,30 +9,32 @@ Nagarajan, NeurIPS 2007).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from typing import Any
 
 import jax
 import numpy as np
 
 from asia.data import Array
+from asia.models._arrays import Packing, packed
+from asia.models._config import Progress
 from asia.models._data.windows import HorizonWindows
 from asia.models._equations.measured_cell import MeasuredCell
+from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._networks.structure import Params, rollout
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.packing import Packing, packed
-from asia.models._solvers.progress import Progress
 
 Judge = Callable[[Params], float]
 
 _ROUNDS = 3
-_TRIES = 8
+_SCHEDULE = replace(SEQUENTIAL, success=1.0 / 3.0, failure=4.0)
 # Of so many windows the first round, which is far from the end, takes a quarter.
 _MANY = 400
 _SMALL = 1e-3
 _EVERY = 5
-_LEAST_GAIN = 2e-3
+# A round ends after so many iterations in a row with less than this relative gain.
+_PATIENCE, _LEAST_GAIN = 2, 2e-3
 # Of learned terms, in effects of the size of the signals they act on.
 _LEARNED = ("linear", "offset")
 # Not fitted by Levenberg-Marquardt.
@@ -49,17 +51,6 @@ class TermPenalties:
     """Weight of squared learned effects in the first round."""
     sparsity: float
     """The same in the later ones."""
-
-
-@dataclass
-class _EquationSearch:
-    """Where the search stands, and the best parameters by the judge."""
-
-    theta: Array
-    cost: float
-    damping: float
-    best: Array | None = None
-    best_score: float = float("inf")
 
 
 def fit_equations(
@@ -83,47 +74,32 @@ def fit_equations(
     if rounds > 1 and len(windows.u) >= _MANY:
         quarter = windows.each(lambda a: a[::4])
         few = _WindowErrors(cell, kept, packing, quarter, settings)
-    state = _EquationSearch(theta0, float("inf"), method.damping)
-    ridge = np.where(learned, settings.ridge, _SMALL * settings.ridge + 1e-6)
-    step = 0
+    theta, best, best_score = theta0, theta0, float("inf")
+    method = replace(method, tolerance=_LEAST_GAIN)
+    steps, ridge = count(1), np.where(learned, settings.ridge, _SMALL * settings.ridge + 1e-6)
+
+    def after(theta: Array, cost: Array) -> None:
+        nonlocal best, best_score
+        log(float(next(steps)), float(np.sqrt(max(cost[0], 0.0))))
+        score = float("inf") if judge is None else judge(every.params(theta[0]))
+        if score < best_score:
+            best, best_score = theta[0], score
+
     for number in range(rounds):
         errors = few if number == 0 else every
         if number > 0:
-            sparse = settings.sparsity / ((state.theta - theta0) ** 2 + _SMALL)
+            sparse = settings.sparsity / ((theta - theta0) ** 2 + _SMALL)
             ridge = np.where(learned, sparse, ridge)
-        state.cost, state.damping = errors.cost(state.theta, theta0, ridge), method.damping
-        slow = 0
-        for _ in range(method.iterations):
-            slow = slow + 1 if _iterate(errors, state, theta0, ridge) < _LEAST_GAIN else 0
-            step += 1
-            log(float(step), float(np.sqrt(max(state.cost, 0.0))))
-            if judge is not None:
-                _ask(judge, errors, state)
-            if slow == 2:
-                break
-    theta = state.theta if state.best is None else state.best
-    return {**params, **packing.unpack(theta)}
-
-
-def _iterate(errors: _WindowErrors, state: _EquationSearch, theta0: Array, ridge: Array) -> float:
-    """One accepted step; its relative gain, 0 when no damping gives one."""
-    gram, gradient = errors.normal(state.theta, theta0, ridge)
-    size = np.diag(np.diag(gram) + 1e-12)
-    for _ in range(_TRIES):
-        moved = state.theta - np.linalg.solve(gram + state.damping * size, gradient)
-        cost = errors.cost(moved, theta0, ridge)
-        if np.isfinite(cost) and cost < state.cost:
-            gained = (state.cost - cost) / state.cost if np.isfinite(state.cost) else 1.0
-            state.theta, state.cost, state.damping = moved, cost, max(state.damping / 3, 1e-9)
-            return gained
-        state.damping *= 4.0
-    return 0.0
-
-
-def _ask(judge: Judge, errors: _WindowErrors, state: _EquationSearch) -> None:
-    score = judge(errors.params(state.theta))
-    if score < state.best_score:
-        state.best, state.best_score = state.theta, score
+        theta = minimise(
+            partial(errors.cost, theta0, ridge),
+            partial(errors.normal, theta0, ridge),
+            theta[None],
+            method,
+            _SCHEDULE,
+            patience=_PATIENCE,
+            after=after,
+        ).theta[0]
+    return {**params, **packing.unpack(theta if best_score == float("inf") else best)}
 
 
 class _WindowErrors:
@@ -148,21 +124,26 @@ class _WindowErrors:
         """All parameters."""
         return {**self._kept, **self._packing.unpack(theta)}
 
-    def cost(self, theta: Array, theta0: Array, ridge: Array) -> float:
-        """The penalised loss."""
-        e, t = _double(self._program(theta.astype(np.float32))), self._threshold
+    def cost(self, theta0: Array, ridge: Array, points: Array) -> Array:
+        """The penalised loss (1, 1) at points (1, 1, n)."""
+        theta, t = points[0, 0], self._threshold
+        e = _double(self._program(theta.astype(np.float32)))
         with np.errstate(all="ignore"):
             loss = e**2 if t is None else 2.0 * t**2 * (np.sqrt(1.0 + (e / t) ** 2) - 1.0)
-            return float(loss.mean() + (ridge * (theta - theta0) ** 2).sum())
+            return np.array([[loss.mean() + (ridge * (theta - theta0) ** 2).sum()]])
 
-    def normal(self, theta: Array, theta0: Array, ridge: Array) -> tuple[Array, Array]:
-        """Half its Hessian (n, n), after Gauss and Newton, and half its gradient (n,)."""
+    def normal(self, theta0: Array, ridge: Array, thetas: Array) -> NormalEquations:
+        """Its normal equations at (1, n)."""
+        theta = thetas[0]
         e, jacobian = (_double(a) for a in self._linearised(theta.astype(np.float32)))
         weighted = jacobian
         if self._threshold is not None:
             weighted = jacobian / np.sqrt(1.0 + (e / self._threshold) ** 2)
         gram = weighted @ jacobian.T / e.size + np.diag(ridge)
-        return gram, weighted @ e / e.size + ridge * (theta - theta0)
+        gradient = weighted @ e / e.size + ridge * (theta - theta0)
+        return NormalEquations(
+            self.cost(theta0, ridge, thetas[:, None])[:, 0], gram[None], gradient[None]
+        )
 
 
 def _double(values: jax.Array) -> Array:

@@ -7,12 +7,11 @@ import numpy as np
 from asia.errors import UserError
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.starts import RecordPieces, SegmentSimulator, Starts, initial_states
+from asia.models._least_squares import LevenbergMarquardt, Minimum
 from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import LEAST_DEVIATION, estimate_noise, settled
 from asia.models._noise.weighting import ErrorWeighting
 from asia.models._noise.whitening import ResidualNoise
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.minimise import Minimum
 
 
 class NoiseRounds:

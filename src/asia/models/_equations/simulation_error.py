@@ -11,9 +11,9 @@ from asia.models._data.cuts import Indices
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import physical_parameters
 from asia.models._equations.starts import RecordPieces, Starts
+from asia.models._least_squares import NormalEquations
 from asia.models._noise.weighting import ErrorWeighting
 from asia.models._noise.whitening import huber_root
-from asia.models._solvers.minimise import NormalEquations
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator

@@ -13,7 +13,7 @@ from asia.models._data.cuts import side_by_side, spread
 from asia.models._data.records import measured_samples
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales
-from asia.models._solvers.minimise import Minimum
+from asia.models._least_squares import Minimum
 
 # Where an addition has no effect: a limit far above any state, a fraction of zero.
 _NO_LIMIT = 20.0

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from itertools import count
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
+from asia.models._config import Progress
 from asia.models._data.cuts import side_by_side
 from asia.models._data.encoder import BlockedRidge, Encoder
 from asia.models._data.records import (
@@ -20,6 +21,13 @@ from asia.models._data.records import (
     windows,
 )
 from asia.models._data.window_encoder import window_encoder
+from asia.models._least_squares import (
+    SEQUENTIAL,
+    LevenbergMarquardt,
+    NormalEquations,
+    damped_step,
+    minimise,
+)
 from asia.models._linear.integrators import free_entries, integrating_starts
 from asia.models._linear.long import LongResponse
 from asia.models._linear.response import DrivenRecords, Response
@@ -28,10 +36,6 @@ from asia.models._linear.system import LinearSystem
 from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
 from asia.models._noise.weighting import ErrorWeighting
-from asia.models._solvers.progress import Progress
-
-if TYPE_CHECKING:
-    from asia.models._solvers.least_squares import LevenbergMarquardt
 
 # A system this close to the unit circle or beyond grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
@@ -87,9 +91,10 @@ def fit(
         pairs.append(spread_poles(order, records[0].y.shape[1]))
     solved = [solve_linear_part(records, *pair) for pair in pairs if pair is not None]
     solved.sort(key=lambda s: s.error)
-    count, best = refinement.iterations, solved[0]
+    best = solved[0]
     for i, start in enumerate(solved[:2]):
-        other = refine(records, start, refinement, _offset(log, i * count, best.error))
+        begun = i * refinement.iterations
+        other = refine(records, start, refinement, _offset(log, begun, best.error))
         best = min(best, other, key=lambda s: s.error)
     return best
 
@@ -161,7 +166,7 @@ def solve_linear_part(records: ScaledData, a: Array, c: Array) -> LinearFit:
     driven = DrivenRecords(records)
     at_zero = driven.summed(zero, np.zeros((len(records), n)))
     normal, gradient = at_zero.normal_equations(poles=False)
-    theta = _damped_step(normal, gradient, 1e-8)
+    theta = damped_step(normal, -gradient, 1e-8)
     b, d, offset, x0 = np.split(theta, np.cumsum([n * nu, ny * nu, ny]))
     system = LinearSystem(a, b.reshape(n, nu), c, d.reshape(ny, nu), offset)
     return normalised(driven.summed(system, x0.reshape(-1, n)))
@@ -217,67 +222,52 @@ def refine(
     step unique. A step to an unstable system is refused.
     """
     prior = refinement.initial_ridge * start.error if np.isfinite(start.error) else 0.0
-    driven, damping = DrivenRecords(records, weightings), refinement.damping
-    current, held = driven.summed(start.system, start.x0), refinement.integrators
+    driven, held = DrivenRecords(records, weightings), refinement.integrators
     free = free_entries(start.system.order, held).ravel()
-    for iteration in range(refinement.iterations):
+    s, steps = start.system, count()
+    arrays = [s.a, s.b, s.c, s.d, s.offset, start.x0]
+    shapes, ends = [p.shape for p in arrays], np.cumsum([p.size for p in arrays])[:-1]
+    theta0 = np.concatenate([p.ravel() for p in arrays])
+    # The simulation at the parameters that were asked about last.
+    known = theta0, driven.summed(s, start.x0)
+
+    def response(theta: Array) -> Response | LongResponse:
+        nonlocal known
+        if not np.array_equal(theta, known[0]):
+            parts = zip(np.split(theta, ends), shapes, strict=True)
+            *system, x0 = (part.reshape(shape) for part, shape in parts)
+            known = theta, driven.summed(LinearSystem(*system), x0)
+        return known[1]
+
+    def cost(points: Array) -> Array:
+        a = points[0, 0, : s.a.size].reshape(s.a.shape)
+        own = a[: len(a) - held, : len(a) - held]
+        unstable = not np.isfinite(a).all() or (
+            abs(np.linalg.eigvals(own)).max(initial=0.0) > _LARGEST_RADIUS
+        )
+        if unstable:
+            return np.array([[np.inf]])
+        found = response(points[0, 0])
+        weighted = found.error * max(found.samples, 1.0)
+        return np.array([[weighted + prior * (found.x0**2).sum()]])
+
+    def linearise(theta: Array) -> NormalEquations:
+        current = response(theta[0])
         if log is not None:
-            log(iteration, float(np.sqrt(current.error)))
-        normal, gradient = _normal_equations(current, prior, free)
-        cost = current.square + prior * float((current.x0**2).sum())
-        proposal, proposed = current, cost
-        while damping < 1e8:
-            proposal = _moved(driven, current, _damped_step(normal, gradient, damping))
-            proposed = _penalised(proposal, prior, held)
-            if proposed < cost:
-                break
-            damping *= 8.0
-        if not proposed < cost:
-            break
-        current, damping = proposal, max(damping * 0.2, 1e-9)
-        if 1 - proposed / cost < refinement.tolerance:
-            break
-    return LinearFit(current.system, current.x0, current.error)
+            log(next(steps), float(np.sqrt(current.error)))
+        normal, gradient = current.normal_equations()
+        last = current.x0.size
+        normal[-last:, -last:] += prior * np.eye(last)
+        gradient[-last:] -= prior * current.x0.ravel()
+        # Entries of A that are held.
+        normal[: free.size] *= free[:, None]
+        normal[:, : free.size] *= free
+        gradient[: free.size] *= free
+        square = current.square + prior * (current.x0**2).sum()
+        return NormalEquations(np.array([square]), normal[None], -gradient[None])
 
-
-def _penalised(response: Response | LongResponse, prior: float, integrators: int) -> float:
-    a = response.system.a
-    own = a[: len(a) - integrators, : len(a) - integrators]
-    if not np.isfinite(a).all() or abs(np.linalg.eigvals(own)).max(initial=0.0) > _LARGEST_RADIUS:
-        return float("inf")
-    weighted = response.error * max(response.samples, 1.0)
-    return weighted + prior * float((response.x0**2).sum())
-
-
-def _normal_equations(
-    current: Response | LongResponse, prior: float, free: Array
-) -> tuple[Array, Array]:
-    """With the prior on initial states, and zeros for entries of A that are held."""
-    normal, gradient = current.normal_equations()
-    last = current.x0.size
-    normal[-last:, -last:] += prior * np.eye(last)
-    gradient[-last:] -= prior * current.x0.ravel()
-    normal[: free.size] *= free[:, None]
-    normal[:, : free.size] *= free
-    gradient[: free.size] *= free
-    return normal, gradient
-
-
-def _moved(
-    driven: DrivenRecords, current: Response | LongResponse, step: Array
-) -> Response | LongResponse:
-    s = current.system
-    shapes = [s.a, s.b, s.c, s.d, s.offset, current.x0]
-    parts = np.split(step, np.cumsum([p.size for p in shapes])[:-1])
-    a, b, c, d, offset, x0 = (
-        old + part.reshape(old.shape) for old, part in zip(shapes, parts, strict=True)
+    method = LevenbergMarquardt(
+        refinement.iterations, damping=refinement.damping, tolerance=refinement.tolerance
     )
-    return driven.summed(LinearSystem(a, b, c, d, offset), x0)
-
-
-def _damped_step(normal: Array, gradient: Array, damping: float) -> Array:
-    """Of the scaled normal equations."""
-    scale = np.sqrt(np.diagonal(normal))
-    scale = np.where(scale > 0, scale, 1.0)
-    scaled = normal / (scale[:, None] * scale) + damping * np.eye(len(normal))
-    return np.linalg.solve(scaled, gradient / scale) / scale
+    found = response(minimise(cost, linearise, theta0[None], method, SEQUENTIAL).theta[0])
+    return LinearFit(found.system, found.x0, found.error)

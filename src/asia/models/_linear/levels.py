@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from asia.data import Array
+from asia.models._arrays import AnyArray, namespace
 
 # Records whose inputs are further apart than this ratio are of different levels.
 _APART = 1.2
@@ -40,11 +41,20 @@ def running_levels(past_u: Array, u: Array, memory: int) -> Array:
     return np.sqrt(np.maximum(sums[:, last] - sums[:, first], 0.0) / (last - first))
 
 
-def shares(levels: Array, at: Array) -> Array:
-    """Weights (B, H, L) of systems at `levels` (L,), rising, by linear interpolation between the
-    two that lie around each level `at` (B, H); the outermost beyond."""
-    eye = np.eye(len(levels))
-    return np.stack([np.interp(at, levels, row) for row in eye], axis=-1)
+def shares(levels: Array, at: AnyArray) -> AnyArray:
+    """Weights (..., L) of systems at `levels` (L,), rising, by linear interpolation between the two
+    that lie around each level `at` (...); the outermost beyond. NumPy or JAX."""
+    xp, weights = namespace(at), list[AnyArray]()
+    for place, level in enumerate(levels):
+        weight = xp.ones_like(at)
+        if place > 0:
+            low = levels[place - 1]
+            weight = xp.minimum(weight, (at - low) / (level - low))
+        if place + 1 < len(levels):
+            high = levels[place + 1]
+            weight = xp.minimum(weight, (high - at) / (high - level))
+        weights.append(xp.maximum(weight, 0.0))
+    return xp.stack(weights, axis=-1)
 
 
 def interpolated(levels: Array, each: Array, past: Array, future: Array, memory: int) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from asia.data import Array
 from asia.models._data.encoder import Encoder, affine
 from asia.models._data.windows import HorizonWindows, mean_square
+from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._linear.system import LinearSystem
 
 # Beyond this size one-step least squares is kept: the refinement's cost grows with the square.
@@ -154,26 +155,24 @@ def refined(
     def objective(model: WindowPredictor) -> float:
         return model.error(windows) + ridge * float(((model.theta - rest) ** 2).sum())
 
-    current, cost, damping = start, objective(start), 1e-3
-    for _ in range(iterations if np.isfinite(cost) else 0):
+    def model(theta: Array) -> WindowPredictor:
+        return WindowPredictor(start.lags, theta.reshape(rest.shape), ridge)
+
+    def cost(points: Array) -> Array:
+        return np.array([[objective(model(points[0, 0]))]])
+
+    def linearise(theta: Array) -> NormalEquations:
+        current = model(theta[0])
         gram, gradient = _normal_equations(current, windows)
         gram = gram / samples + ridge * np.eye(len(gram))
-        gradient = gradient / samples - ridge * (current.theta - rest).ravel()
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-30))
-        scaled, right = gram / np.outer(scale, scale), gradient / scale
-        before = cost
-        while damping < 1e8:
-            step = np.linalg.solve(scaled + damping * np.eye(len(scaled)), right) / scale
-            theta = current.theta + step.reshape(current.theta.shape)
-            moved = WindowPredictor(start.lags, theta, ridge)
-            cost = objective(moved)
-            if cost < before:
-                current, damping = moved, max(damping * 0.2, 1e-9)
-                break
-            damping *= 8.0
-        if not cost < before * (1.0 - tolerance):
-            break
-    return current
+        gradient = ridge * (current.theta - rest).ravel() - gradient / samples
+        return NormalEquations(np.array([objective(current)]), gram[None], gradient[None])
+
+    if not np.isfinite(objective(start)):
+        return start
+    method = LevenbergMarquardt(iterations, damping=1e-3, tolerance=tolerance)
+    found = minimise(cost, linearise, start.theta.reshape(1, -1), method, SEQUENTIAL)
+    return model(found.theta[0])
 
 
 def window_error(system: LinearSystem, encoder: Encoder, windows: HorizonWindows) -> float:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from asia.models._arrays import AnyArray
+from asia.models._arrays import AnyArray, Packing, packed
 from asia.models._data.chunks import (
     Places,
     Simulations,
@@ -26,7 +26,6 @@ from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import NoiseWeighting, check_structure, forward, objective
 from asia.models._networks.program import AdamNumbers, AdamProgram, all_finite, either, started
 from asia.models._networks.structure import Cell, NetworkStructure, Params, Penalised
-from asia.models._solvers.packing import Packing, packed
 from asia.models.methods import Adam
 
 

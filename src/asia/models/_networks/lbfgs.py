@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 
+from asia.models._arrays import Packing, packed
 from asia.models._data.chunks import Simulations, laid, whole
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import joined, merged, split
@@ -20,7 +21,6 @@ from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import NoiseWeighting, objective
 from asia.models._networks.program import Number
 from asia.models._networks.structure import NetworkStructure, Params, rollout
-from asia.models._solvers.packing import Packing, packed
 from asia.models.methods import LBFGS, Loss
 
 

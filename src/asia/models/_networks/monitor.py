@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asia.candidate import VALIDATION_SCORES
+from asia.models._config import Progress
 from asia.models._networks.structure import Params
-from asia.models._solvers.progress import Progress
 from asia.models.methods import LBFGS, Adam, MultipleShooting, NetworkMethod
 
 _REPORTS = 25

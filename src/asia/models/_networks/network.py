@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from asia.candidate import Context, Steps
+from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace
 from asia.models._data.chunks import laid, whole
 from asia.models._data.records import ScaledData, batch, check, window
 from asia.models._data.scaling import Scaling
@@ -18,10 +20,12 @@ from asia.models._networks.simulation import features_of, outputs_of
 from asia.models._networks.structure import (
     Cell,
     NetworkStructure,
+    OneSample,
     Params,
     Restartable,
     SequenceMap,
 )
+from asia.models._steps import mean
 from asia.models.methods import NetworkMethod
 
 Prepare = Callable[[Params, ScaledData, Scaling], Params]
@@ -50,20 +54,56 @@ class NetworkModel:
             return self._simulated(past_u, past_y, u)
         return self.turns.averaged(self._simulated, past_u, past_y, u)
 
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises UserError before training."""
-        from asia.models._steps.network import network_steps
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """See `asia.candidate.StepModel`. Raises UserError before training, and for a structure
+        that cannot go sample by sample."""
+        if self.turns is not None:
+            return self.turns.initial(replace(self, turns=None), past_u, past_y, u)
+        scaling, cell = self._scaling(), self._sequential()
+        past = window(scaling.inputs(past_u), scaling.outputs(past_y)).astype(np.float32)
+        begin = cell.initial if isinstance(cell, Cell) else cell.begin
+        return [begin(params, past) for params in self._members(past)]
 
-        return network_steps(self)
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """The mean over the members, each in single precision as the network computes."""
+        if self.turns is not None:
+            return self.turns.step(replace(self, turns=None), state, u)
+        scaling, cell = self._scaling(), self._sequential()
+        advance = cell.step if isinstance(cell, Cell) else cell.advance
+        v = scaling.inputs(u).astype(np.float32)
+        after, outputs = list[Any](), list[AnyArray]()
+        for params, member in zip(self._members(v), state, strict=True):
+            member, features = advance(params, member, v)
+            after.append(member)
+            outputs.append(cell.output(params, features, v).astype(np.float64))
+        return after, scaling.physical(mean(outputs))
+
+    def _sequential(self) -> Cell | OneSample:
+        if not isinstance(self.cell, Cell | OneSample):
+            raise UserError(f"{type(self.cell).__name__} has no form that goes sample by sample")
+        return self.cell
+
+    def _members(self, like: AnyArray) -> list[Params]:
+        members = [self.params, *self.others]
+        if namespace(like) is np:
+            return members
+        import jax
+
+        # What depends on parameters alone is then found by the same functions.
+        return [jax.tree.map(jax.numpy.asarray, params) for params in members]
+
+    def _scaling(self) -> Scaling:
+        if self.scaling is None:
+            raise UserError("network model: not trained yet; call train first")
+        return self.scaling
 
     def _simulated(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        if self.scaling is None:
-            raise UserError("network model: not trained yet; call train before simulate")
-        past = window(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
-        arrays = past.astype(np.float32), self.scaling.inputs(u).astype(np.float32)
+        scaling = self._scaling()
+        past = window(scaling.inputs(past_u), scaling.outputs(past_y))
+        arrays = past.astype(np.float32), scaling.inputs(u).astype(np.float32)
         members = (self.params, *self.others)
         outputs = [np.asarray(outputs_of(self.cell, p, *arrays), np.float64) for p in members]
-        return self.scaling.physical(sum(outputs[1:], outputs[0]) / len(outputs))
+        return scaling.physical(mean(outputs))
 
 
 def train_network(

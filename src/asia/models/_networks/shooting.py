@@ -12,7 +12,7 @@ import optax
 from numpy.typing import NDArray
 
 from asia.errors import UserError
-from asia.models._arrays import AnyArray
+from asia.models._arrays import AnyArray, Packing, packed
 from asia.models._data.chunks import Simulations, laid
 from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import joined, merged, split
@@ -27,7 +27,6 @@ from asia.models._networks.program import (
     started,
 )
 from asia.models._networks.structure import Cell, NetworkStructure, Params, SequenceMap
-from asia.models._solvers.packing import Packing, packed
 from asia.models.methods import MultipleShooting
 
 _MEMORY = 0.98

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from asia.candidate import Context, Model
+from asia.models._config import Progress
 from asia.models._data.chunks import laid, whole
 from asia.models._data.records import (
     PaddedBatch,
@@ -27,7 +28,6 @@ from asia.models._networks.objective import NoiseWeighting, error_of
 from asia.models._networks.structure import NetworkStructure, Params, rollout
 from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import LEAST_DEVIATION, estimate_noise
-from asia.models._solvers.progress import Progress
 from asia.models.methods import LBFGS, Adam, NetworkMethod
 
 _error = jax.jit(error_of, static_argnums=(0, 1))

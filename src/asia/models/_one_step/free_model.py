@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from asia.candidate import Context, Steps
+from asia.candidate import Context
 from asia.data import Array
 from asia.errors import UserError
+from asia.models._arrays import AnyArray
 from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history
 from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, shortened
 from asia.models._data.scaling import Scaling
@@ -39,18 +40,24 @@ class FreeRunModel(Generic[C]):
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
         (B, H, ny). Raises UserError before training."""
-        if self.run is None or self.scaling is None:
-            raise UserError("input-output model: not trained yet; call train before simulate")
-        s = self.scaling
-        return s.physical(self.run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
+        run, s = self._trained()
+        return s.physical(run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
 
-    def as_steps(self) -> Steps:
-        """The same one sample at a time, for `asia export`. Raises UserError before training."""
-        from asia.models._steps.free_run import free_run_steps
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        run, s = self._trained()
+        return run.initial(s.inputs(past_u), s.outputs(past_y), s.inputs(u))
 
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        run, s = self._trained()
+        state, y = run.step(state, s.inputs(u))
+        return state, s.physical(y)
+
+    def _trained(self) -> tuple[FreeRun, Scaling]:
         if self.run is None or self.scaling is None:
-            raise UserError("input-output model: not trained yet; call train before as_steps")
-        return free_run_steps(self.run, self.scaling)
+            raise UserError("input-output model: not trained yet; call train first")
+        return self.run, self.scaling
 
 
 @dataclass(frozen=True)

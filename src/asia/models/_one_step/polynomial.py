@@ -17,7 +17,7 @@ from asia.models._arrays import AnyArray, namespace
 from asia.models._data.lags import FreeRun, Lags, lagged_inputs, regressors
 from asia.models._data.records import ScaledData
 from asia.models._data.stretches import Stretches, simulation_error
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 
 Terms = NDArray[np.intp]
 
@@ -94,47 +94,37 @@ def refine(
     (Narendra and Parthasarathy, IEEE Trans. Neural Networks 1(1), 1990).
     """
     model = start.one_step
-    current, damping, origin = model, method.damping, model.theta[model.used]
+    origin = model.theta[model.used]
 
-    def cost_of(candidate: Polynomial) -> float:
-        moved = candidate.theta[model.used] - origin
-        run = replace(start, one_step=candidate)
-        return simulation_error(run, data) + ridge * float(moved @ moved)
+    def polynomial(coefficients: Array) -> Polynomial:
+        theta = model.theta.copy()
+        theta[model.used] = coefficients
+        return replace(model, theta=theta)
 
-    cost = cost_of(model)
-    history = [cost]
-    for _ in range(method.iterations):
-        normal, gradient = _normal(start, current, data)
+    def cost(points: Array) -> Array:
+        coefficients = points[0, 0]
+        run = replace(start, one_step=polynomial(coefficients))
+        moved = coefficients - origin
+        return np.array([[simulation_error(run, data) + ridge * float(moved @ moved)]])
+
+    def linearise(theta: Array) -> NormalEquations:
+        normal, gradient = _normal(start, polynomial(theta[0]), data)
         normal += ridge * np.eye(len(normal))
-        gradient += ridge * (current.theta[model.used] - origin)
-        proposal, proposed = current, np.inf
-        while damping < 1e8 and not proposed < cost:
-            theta = current.theta.copy()
-            theta[model.used] -= _step(normal, gradient, damping)
-            proposal = replace(model, theta=theta)
-            proposed = cost_of(proposal)
-            damping *= 0.2 if proposed < cost else 8.0
-        if not proposed < cost:
-            break
-        small = cost - proposed <= max(method.tolerance, 1e-9) * cost
-        current, cost, damping = proposal, proposed, max(damping, 1e-9)
-        history.append(cost)
-        if small:
-            break
-    return replace(start, one_step=current), [float(np.sqrt(c)) for c in history]
+        gradient += ridge * (theta[0] - origin)
+        return NormalEquations(cost(theta[:, None])[:, 0], normal[None], gradient[None])
+
+    method = replace(method, tolerance=max(method.tolerance, 1e-9))
+    found = minimise(cost, linearise, origin[None], method, SEQUENTIAL)
+    history = found.history[0]
+    return replace(start, one_step=polynomial(found.theta[0])), [
+        float(np.sqrt(c)) for c in history[np.r_[True, np.diff(history) < 0]]
+    ]
 
 
 def refinement_samples(run: PolynomialRun) -> int:
     """Samples whose Gauss-Newton matrix is still cheap to make."""
     used = run.one_step.used
     return int(np.clip(_WORK / (used.shape[1] * used.sum() ** 2), *_SAMPLES))
-
-
-def _step(normal: Array, gradient: Array, damping: float) -> Array:
-    """Damped step with Marquardt's scaling."""
-    scale = np.sqrt(np.where(np.diag(normal) > 0, np.diag(normal), 1.0))
-    scaled = normal / np.outer(scale, scale) + damping * np.eye(len(scale))
-    return np.linalg.solve(scaled, gradient / scale) / scale
 
 
 def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[Array, Array]:

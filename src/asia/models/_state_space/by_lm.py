@@ -13,8 +13,8 @@ from asia.candidate import Context
 from asia.models._data.encoder import Encoder
 from asia.models._data.records import ScaledData
 from asia.models._data.scaling import Scaling
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import LinearFit
-from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.past_fit import PastFit, past_fit, window_samples
 from asia.models._state_space.pieces import fit_pieces

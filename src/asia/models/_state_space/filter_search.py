@@ -18,12 +18,11 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array
 from asia.models import linear
+from asia.models._config import Progress
 from asia.models._data.records import ScaledData, ScaledTrajectory, holdout_masks
+from asia.models._least_squares import LevenbergMarquardt, minimise
 from asia.models._linear.fit import Refinement
 from asia.models._linear.system import LinearSystem
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.minimise import minimise
-from asia.models._solvers.progress import Progress
 from asia.models._state_space.filters import (
     FilterEquations,
     FilterRidge,

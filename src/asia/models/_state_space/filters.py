@@ -18,7 +18,7 @@ from scipy import signal
 
 from asia.data import Array
 from asia.models._data.records import ScaledData, ScaledTrajectory
-from asia.models._solvers.minimise import NormalEquations
+from asia.models._least_squares import NormalEquations
 from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
 
 # Samples of a chunk. Derivatives by initial states are taken in the first one only: they have

@@ -13,14 +13,15 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.data._transport import Transport, find_transport
 from asia.errors import UserError
-from asia.models._arrays import AnyArray, namespace
-from asia.models._data.encoder import Encoder, affine
+from asia.models._arrays import AnyArray, bounded, namespace, scan
+from asia.models._data.encoder import Encoder
 from asia.models._data.records import delayed, window
 from asia.models._data.scaling import Scaling
 from asia.models._data.turns import SignalTurns
 from asia.models._networks.simulation import outputs_of
 from asia.models._state_space.past_fit import PastFit, fitted_state
 from asia.models._state_space.structure import StateSpaceStructure
+from asia.models._steps import first_of_line, median, through_line
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,67 @@ class FittedStateSpace:
         (B, H, ny)."""
         if self.transport is not None:
             past_u, u = carried_windows(self.transport, past_u, u)
-        simulate = partial(_simulated, self)
         if self.turns is None:
-            return simulate(past_u, past_y, u)
-        return self.turns.averaged(simulate, past_u, past_y, u)
+            return self._simulated(past_u, past_y, u)
+        return self.turns.averaged(self._simulated, past_u, past_y, u)
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """States of the members and the inputs that the delay holds back; before them what is in
+        the pipe, where there is one."""
+        if self.transport is not None:
+            pipe, leaving, acting = _entered(self.transport, past_u, u)
+            return pipe, replace(self, transport=None).initial(leaving, past_y, acting)
+        if self.turns is not None:
+            return self.turns.initial(replace(self, turns=None), past_u, past_y, u)
+        past, first = self.scaling.inputs(past_u), self.scaling.inputs(u)
+        starts = self._starts(past, self.scaling.outputs(past_y), first)
+        return starts, first_of_line(past, first, self.delay)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """The median over the members."""
+        if self.transport is not None:
+            pipe, inner = state
+            pipe, acting = _through(self.transport, pipe, u)
+            inner, y = replace(self, transport=None).step(inner, acting)
+            return (pipe, inner), y
+        if self.turns is not None:
+            return self.turns.step(replace(self, turns=None), state, u)
+        structure, (states, line) = self.structure, state
+        line, acting = through_line(line, self.scaling.inputs(u))
+        after, outputs = list[AnyArray](), list[AnyArray]()
+        for x, (params, _) in zip(states, self.members, strict=True):
+            x, w = structure.split(params, x, structure.input(params, acting))
+            after.append(x)
+            outputs.append(structure.output(params, w))
+        return (after, line), self.scaling.physical(median(outputs))
+
+    def _starts(self, past: AnyArray, y: AnyArray, u: AnyArray) -> list[AnyArray]:
+        """State of each member (B, n) at the first sample, from z-scored past inputs (B, n_past_u,
+        nu), past outputs (B, n_past_y, ny) and the first input (B, nu)."""
+        features = window(past, y)
+        if self.structure.lags is not None:
+            return [features @ self.structure.lags.selection()] * len(self.members)
+        known = namespace(past, u).concatenate([past, u[:, None]], axis=1)
+        states: list[AnyArray] = []
+        for i, (params, encoder) in enumerate(self.members):
+            x = encoder(features)
+            if i < len(self.starts):
+                how = self.starts[i]
+                rows = np.arange(past.shape[1] - how.samples, past.shape[1] + 1) - self.delay
+                held = known[:, np.maximum(rows, 0)]
+                x = fitted_state(self.structure, params, how, x, held, y[:, -how.samples :])
+            states.append(x)
+        return states
+
+    def _simulated(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        past, future = self.scaling.inputs(past_u), self.scaling.inputs(u)
+        starts = self._starts(past, self.scaling.outputs(past_y), future[:, 0])
+        inputs, cell = delayed(past, future, self.delay), _StartedCell(self.structure)
+        outputs = [
+            outputs_of(cell, params, x, inputs)
+            for (params, _), x in zip(self.members, starts, strict=True)
+        ]
+        return self.scaling.physical(median(outputs))
 
 
 @dataclass(frozen=True)
@@ -81,28 +139,14 @@ class StateCell:
         return self.structure.output(params, features)
 
 
-def _simulated(f: FittedStateSpace, past_u: Array, past_y: Array, u: Array) -> Array:
-    past, future = f.scaling.inputs(past_u), f.scaling.inputs(u)
-    features = window(past, f.scaling.outputs(past_y))
-    inputs = delayed(past, future, f.delay)
-    cell = StateCell(f.structure)
-    outputs = [
-        outputs_of(cell, {**params, "encoder": vars(encoder)}, features, inputs)
-        for params, encoder in f.members[len(f.starts) :]
-    ]
-    known = np.concatenate([past, future[:, :1]], axis=1)
-    for (params, encoder), how in zip(f.members, f.starts, strict=False):
-        rows = np.arange(past.shape[1] - how.samples, past.shape[1] + 1) - f.delay
-        u, y = known[:, np.maximum(rows, 0)], f.scaling.outputs(past_y)[:, -how.samples :]
-        x = fitted_state(f.structure, params, how, encoder(features), u, y)
-        outputs.append(
-            outputs_of(cell, {**params, "encoder": vars(_identity(x.shape[1]))}, x, inputs)
-        )
-    return f.scaling.physical(np.median(outputs, axis=0))
+@dataclass(frozen=True)
+class _StartedCell(StateCell):
+    """The model from known states, which are given in place of the past window."""
 
-
-def _identity(states: int) -> Encoder:
-    return affine(np.eye(states), np.zeros(states))
+    def initial(self, params: Any, window: AnyArray) -> AnyArray:
+        """The states."""
+        del params
+        return window
 
 
 def carried_windows(transport: Transport, past_u: Array, u: Array) -> tuple[Array, Array]:
@@ -126,3 +170,38 @@ def carried_records(
     inputs = (*context.inputs, Signal(f"{name.name}, not carried", name.unit))
     behind = [replace(r, u=transport.carried(r.u)) for r in records]
     return transport, behind, replace(context, inputs=inputs)
+
+
+def _entered(transport: Transport, past_u: AnyArray, u: AnyArray) -> tuple[Any, AnyArray, AnyArray]:
+    """What is in the pipe at the first sample, what has left it during the past window (B,
+    n_past_u, nu + 1), and what acts at the first sample (B, nu + 1). The pipe holds the inputs of
+    the samples in which its content entered (B, length, nu), the oldest first, and the amounts
+    (B, length) that have passed since these began."""
+    xp, length = namespace(past_u, u), transport.longest + 1
+    first = past_u[:, 0] if past_u.shape[1] else u
+    pace = xp.maximum(first[:, transport.pace], transport.least_pace)
+    pipe = xp.repeat(first[:, None], length, axis=1), pace[:, None] * np.arange(length, 0.0, -1.0)
+    leaving: AnyArray = xp.zeros((len(u), 0, u.shape[1] + 1))
+    if past_u.shape[1]:
+        pipe, leaving = scan(partial(_through, transport), pipe, past_u.swapaxes(0, 1))
+        leaving = leaving.swapaxes(0, 1)
+    return pipe, leaving, _through(transport, pipe, u)[1]
+
+
+def _through(transport: Transport, pipe: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+    """The pipe after inputs u (B, nu), and what leaves it during this sample (B, nu + 1): one
+    sample of `Transport.carried`."""
+    xp, (held, since) = namespace(u), pipe
+    pace = xp.maximum(u[:, transport.pace], transport.least_pace)[:, None]
+    known = xp.concatenate([held, u[:, None]], axis=1)
+    began = xp.concatenate([since, xp.zeros_like(pace)], axis=1)
+    amount = xp.concatenate([since[:, :-1] - since[:, 1:], since[:, -1:], pace], axis=1)
+
+    def left(most: AnyArray) -> AnyArray:
+        """Share of each sample's amount that lies further back than so much."""
+        return bounded((began - most) / amount, 0.0, 1.0)
+
+    share = left(transport.volume - pace) - left(np.asarray(transport.volume))
+    mixed = (share[:, :, None] * known).sum(axis=1) / share.sum(axis=1)[:, None]
+    acting = xp.concatenate([mixed, u[:, transport.pace, None]], axis=1)
+    return (known[:, 1:], began[:, 1:] + pace), acting

@@ -16,17 +16,26 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
+from asia.models._arrays import AnyArray, namespace
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, past_length, window_rows, windows
+from asia.models._least_squares import (
+    DampingSchedule,
+    LevenbergMarquardt,
+    NormalEquations,
+    minimise,
+    traced_minimum,
+)
 from asia.models._state_space.structure import StateSpaceStructure
 
 if TYPE_CHECKING:
     from asia.models._state_space.fit import StateFit
 
-STEPS, DIFFERENCE = 8, 1e-5
+_DIFFERENCE = 1e-5
 # Least deviations, of a state relative to its spread and of an output in z-scores.
 _LEAST_STATE, _LEAST_OUTPUT = 1e-3, 1e-4
-DAMPING, LESS, MORE = 1e-3, 0.2, 10.0
+_METHOD = LevenbergMarquardt(iterations=8, damping=1e-3, tolerance=0.0)
+_SCHEDULE = DampingSchedule((1.0,), 0.2, 10.0, 0.0, float("inf"), retries=False)
 
 
 @dataclass(frozen=True)
@@ -78,55 +87,40 @@ def fitted_state(
     structure: StateSpaceStructure,
     params: Mapping[str, Any],
     how: PastFit,
-    guess: Array,
-    u: Array,
-    y: Array,
-) -> Array:
+    guess: AnyArray,
+    u: AnyArray,
+    y: AnyArray,
+) -> AnyArray:
     """guess (B, n) of the state at the first of `how.samples` samples, u (B, samples + 1, nu) and
-    y (B, samples, ny), z-scored -> the state (B, n) after them. Each window for itself."""
-    window = _Window(structure, params, how, guess, u, y)
-    x, damping = guess, np.full(len(guess), DAMPING)
+    y (B, samples, ny), z-scored -> the state (B, n) after them. Each window for itself; NumPy or
+    JAX."""
+    xp, (batch, n) = namespace(guess, u, y), guess.shape
+    ways = _DIFFERENCE * np.concatenate([np.zeros((1, n)), np.diag(how.x_deviation)])
+
+    def residuals(x: AnyArray) -> AnyArray:
+        """Weighted residuals (B, K, samples ny + n) at states (B, K, n)."""
+        points = x.shape[1]
+        held, measured = xp.repeat(u[:, :-1], points, axis=0), xp.repeat(y, points, axis=0)
+        found = structure.simulate(params, x.reshape(batch * points, n), held)[1]
+        error = ((found - measured) / how.y_deviation).reshape(batch, points, -1)
+        return xp.concatenate([error, (x - guess[:, None]) / how.x_deviation], axis=2)
+
+    def cost(x: AnyArray) -> AnyArray:
+        return (residuals(x) ** 2).sum(axis=2)
+
+    def linearise(x: AnyArray) -> NormalEquations:
+        found = residuals(x[:, None] + ways)
+        slope = (found[:, 1:] - found[:, :1]) / (_DIFFERENCE * how.x_deviation[:, None])
+        slope, residual = (xp.where(xp.isfinite(a), a, 0.0) for a in (slope, found[:, 0]))
+        return NormalEquations(
+            (found[:, 0] ** 2).sum(axis=1),
+            slope @ slope.swapaxes(1, 2) + 1e-12 * np.eye(n),
+            (slope @ residual[:, :, None])[:, :, 0],
+        )
+
     with np.errstate(all="ignore"):
-        residual, cost = window.residual(x)
-        for _ in range(STEPS):
-            moved = x + window.step(x, residual, damping)
-            after, costs = window.residual(moved)
-            better = costs < cost
-            x = np.where(better[:, None], moved, x)
-            residual = np.where(better[:, None], after, residual)
-            cost = np.where(better, costs, cost)
-            damping = np.where(better, damping * LESS, damping * MORE)
+        if xp is np:
+            x = minimise(cost, linearise, guess, _METHOD, _SCHEDULE).theta
+        else:
+            x = traced_minimum(cost, linearise, guess, _METHOD, _SCHEDULE)
         return structure.simulate(params, x, u)[0][:, -1]
-
-
-@dataclass(frozen=True)
-class _Window:
-    structure: StateSpaceStructure
-    params: Mapping[str, Any]
-    how: PastFit
-    guess: Array
-    u: Array
-    y: Array
-
-    def residual(self, x: Array) -> tuple[Array, Array]:
-        """x (B, n) -> weighted residuals (B, samples ny + n) and their sums of squares (B,),
-        infinite where the simulation diverges."""
-        _, y = self.structure.simulate(self.params, x, self.u[:, :-1])
-        error = ((y - self.y) / self.how.y_deviation).reshape(len(x), -1)
-        both = np.concatenate([error, (x - self.guess) / self.how.x_deviation], axis=1)
-        cost = (both**2).sum(axis=1)
-        return both, np.where(np.isfinite(cost), cost, np.inf)
-
-    def step(self, x: Array, residual: Array, damping: Array) -> Array:
-        """Gauss-Newton steps (B, n), zero where one cannot be computed."""
-        n = x.shape[1]
-        width = DIFFERENCE * self.how.x_deviation
-        columns = [
-            (self.residual(x + np.eye(n)[j] * width[j])[0] - residual) / width[j] for j in range(n)
-        ]
-        slope = np.nan_to_num(np.stack(columns, axis=2), posinf=0.0, neginf=0.0)
-        gram = np.einsum("bri,brj->bij", slope, slope)
-        diagonal = np.einsum("bii->bi", gram)[:, :, None] * np.eye(n)
-        gradient = np.einsum("bri,br->bi", slope, np.nan_to_num(residual, posinf=0.0, neginf=0.0))
-        held = gram + damping[:, None, None] * diagonal + 1e-12 * np.eye(n)
-        return -np.linalg.solve(held, gradient[:, :, None])[:, :, 0]

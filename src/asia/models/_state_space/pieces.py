@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asia.data import Array
+from asia.models._config import Progress
 from asia.models._data.cuts import side_by_side, spread
 from asia.models._data.records import ScaledData
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.system import LinearSystem
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.progress import Progress
 from asia.models._state_space.fit import StateFit, fit_states
 from asia.models._state_space.programs import StateSamples
 from asia.models._state_space.structure import StateSpaceStructure

@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.data import Array
+from asia.models._arrays import Packing
 from asia.models._data.cuts import padded
+from asia.models._least_squares import NormalEquations
 from asia.models._noise.weighting import ErrorWeighting
 from asia.models._noise.whitening import InnovationFilter, huber_root
-from asia.models._solvers.minimise import NormalEquations
-from asia.models._solvers.packing import Packing
 from asia.models._state_space.structure import StateSpaceStructure
 
 # Numbers in the derivatives of one chunk of samples, and of each chunk where one is not enough.

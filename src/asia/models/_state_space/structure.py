@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data import Array
-from asia.models._arrays import bounded, namespace
+from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._linear.integrators import free_entries, held_entries
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowLags, WindowPredictor
@@ -186,16 +186,15 @@ class StateSpaceStructure:
             "w2": np.zeros((self.hidden, outputs)),
         }
 
-    def simulate(self, p: Coefficients, x0: NDArray[Any], u: NDArray[Any]) -> tuple[Any, Any]:
-        """x0 (B, n), u (B, T, nu) -> states (B, T, n) and outputs (B, T, ny), in NumPy."""
-        v = self.input(p, u)
-        states = np.empty((*u.shape[:2], self.size))
-        outputs = np.empty((*u.shape[:2], self.ny))
-        x: Any = x0
-        for k in range(u.shape[1]):
-            states[:, k] = x
-            x, outputs[:, k] = self.split(p, x, v[:, k])
-        return states, self.output(p, outputs)
+    def simulate(self, p: Coefficients, x0: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """x0 (B, n), u (B, T, nu) -> states (B, T, n) and outputs (B, T, ny), NumPy or JAX."""
+
+        def step(x: AnyArray, v: AnyArray) -> tuple[AnyArray, tuple[AnyArray, AnyArray]]:
+            after, output = self.split(p, x, v)
+            return after, (x, output)
+
+        _, (states, outputs) = scan(step, x0, self.input(p, u).swapaxes(0, 1))
+        return states.swapaxes(0, 1), self.output(p, outputs.swapaxes(0, 1))
 
 
 # Asked for at every sample of a simulation.

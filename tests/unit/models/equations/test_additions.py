@@ -17,7 +17,7 @@ from asia.models._equations.added.extend import extended
 from asia.models._equations.config import GreyBoxStructure, Sensor
 from asia.models._equations.simulate import Scales, simulate
 from asia.models._equations.starts import cut_segments
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics, Prior
 from tests.unit.models.systems.equations import TANKS, context_for, held_steps, simulated
 

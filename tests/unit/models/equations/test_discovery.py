@@ -8,7 +8,7 @@ import pytest
 
 from asia.data import Array, Trajectory
 from asia.models import greybox
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import ParameterRange, Physics
 from tests.unit.models.systems.equations import context_for, held_steps
 from tests.unit.models.systems.friction import DRIVE, Slope, stepped

@@ -12,7 +12,7 @@ from asia.candidate import ParameterEstimates
 from asia.data import Trajectory
 from asia.models import greybox
 from asia.models._equations.identified.printed import text
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics
 from asia.problem.physics.expressions import parse_expression
 from tests.unit.models.systems.equations import context_for, held_steps, simulated

@@ -9,7 +9,7 @@ import pytest
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import greybox, hybrid
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import ParameterRange, Physics
 from tests.unit.models.systems.equations import context_for
 from tests.unit.models.systems.friction import (

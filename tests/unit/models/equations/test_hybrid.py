@@ -9,7 +9,7 @@ import pytest
 
 from asia.data import Trajectory
 from asia.models import greybox, hybrid
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from tests.unit.models.systems.equations import DUFFING, context_for, duffing_record
 
 METHOD = LevenbergMarquardt(iterations=40, starts=4)

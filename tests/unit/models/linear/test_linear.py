@@ -15,6 +15,7 @@ from asia.models import linear
 from asia.models._data.encoder import BlockedRidge, fit_encoder
 from asia.models._data.records import ScaledTrajectory, scaled
 from asia.models._data.scaling import Scaling
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import (
     Refinement,
     encoder_of,
@@ -25,7 +26,6 @@ from asia.models._linear.fit import (
 from asia.models._linear.response import DrivenRecords
 from asia.models._linear.subspace import spread_poles
 from asia.models._linear.system import LinearSystem
-from asia.models._solvers.least_squares import LevenbergMarquardt
 from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two
 
 

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.models import linear
-from asia.models._solvers.least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 
 CONTEXT = Context((Signal("u", "V"),), (Signal("y", "m"),), 0.5, 5, 5)
 METHOD = LevenbergMarquardt(iterations=40, tolerance=1e-10)

@@ -14,7 +14,6 @@ from asia.models._data.records import scaled
 from asia.models._data.scaling import Scaling
 from asia.models._linear.levels import groups_by_level, running_levels, shares
 from asia.models._linear.periodic.least_squares import (
-    LineRefinement,
     error,
     refined,
     with_inputs,
@@ -124,7 +123,7 @@ def test_refinement_of_lines_reaches_the_truth_from_a_disturbed_start() -> None:
     assert pair is not None
     start = with_inputs(lines, 0.99 * pair[0], pair[1])
     assert error(lines, start) > 1e-3 * float((abs(lines.y) ** 2).sum())
-    end = refined(lines, start, LineRefinement(40, tolerance=0.0))
+    end = refined(lines, start, LevenbergMarquardt(40, damping=1e-3, tolerance=0.0))
     assert error(lines, end) < 1e-12 * float((abs(lines.y) ** 2).sum())
 
 

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 from asia.errors import UserError
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.minimise import Minimum, NormalEquations, minimise
+from asia.models._arrays import namespace
+from asia.models._least_squares import (
+    SEQUENTIAL,
+    SIDE_BY_SIDE,
+    DampingSchedule,
+    LevenbergMarquardt,
+    Minimum,
+    NormalEquations,
+    minimise,
+    traced_minimum,
+)
 
 Function = Callable[[Any], Any]
 
@@ -139,3 +150,84 @@ def test_a_row_that_is_not_finite_leaves_the_others_alone(lost: float) -> None:
     found = minimise(costs, linearise, np.zeros((2, 2)), LevenbergMarquardt())
     np.testing.assert_allclose(found.theta, [[2.0, 2.0], [0.0, 0.0]], atol=1e-9)
     assert found.cost[1] == np.inf
+
+
+def bowl(asked: list[float] | None = None) -> tuple[Function, Function]:
+    """Costs and normal equations of rows whose Jacobian is a tenth of the right one, so that every
+    undamped step is ten times too long."""
+
+    def costs(points: Any) -> Any:
+        if asked is not None:
+            asked.append(float(points[0, 0, 0]))
+        return ((points - 2.0) ** 2).sum(axis=2)
+
+    def linearise(theta: Any) -> NormalEquations:
+        gram = 0.1 * np.broadcast_to(np.eye(2), (len(theta), 2, 2))
+        return NormalEquations(((theta - 2.0) ** 2).sum(axis=1), gram, theta - 2.0)
+
+    return costs, linearise
+
+
+def test_a_sequential_search_raises_the_damping_until_a_step_is_taken() -> None:
+    asked = list[float]()
+    costs, linearise = bowl(asked)
+    one = LevenbergMarquardt(iterations=1, damping=1e-2)
+    found = minimise(costs, linearise, np.zeros((1, 2)), one, SEQUENTIAL)
+    # Steps of 20 / (1 + damping), for dampings of 0.01, 0.08, 0.64, 5.12: the fourth lowers it.
+    np.testing.assert_allclose(asked, [20 / (1 + 0.01 * 8**k) for k in range(4)])
+    assert found.cost[0] < 8.0
+
+
+def test_a_schedule_without_retries_asks_once_for_each_jacobian() -> None:
+    asked = list[float]()
+    costs, linearise = bowl(asked)
+    schedule = DampingSchedule((1.0,), 0.2, 10.0, 0.0, float("inf"), retries=False)
+    method = LevenbergMarquardt(iterations=3, damping=1e-2)
+    found = minimise(costs, linearise, np.zeros((1, 2)), method, schedule)
+    np.testing.assert_allclose(asked, [20 / (1 + 0.01 * 10**k) for k in range(3)])
+    np.testing.assert_array_equal(found.history, np.full((1, 4), 8.0))
+
+
+def test_patience_counts_iterations_of_little_gain_in_a_row() -> None:
+    costs, linearise = bowl()
+    # Of a cost of 1000, which no step can lower by more than 8.
+    big = (
+        (lambda p: costs(p) + 992.0),
+        (lambda t: linearise(t)._replace(cost=linearise(t).cost + 992.0)),
+    )
+    method = LevenbergMarquardt(iterations=20, damping=10.0, tolerance=0.05)
+    counts = list[int]()
+    for patience in (1, 2, 3):
+        calls = list[float]()
+        minimise(
+            *big, np.zeros((1, 2)), method, SEQUENTIAL, patience=patience,
+            after=lambda theta, cost, calls=calls: calls.append(float(cost[0])),
+        )  # fmt: skip
+        counts.append(len(calls))
+    assert counts == [1, 2, 3]
+
+
+@pytest.mark.parametrize("schedule", [SIDE_BY_SIDE, replace(SEQUENTIAL, retries=False)])
+def test_the_traced_loop_is_the_same(schedule: DampingSchedule) -> None:
+    """One row, whose loop JAX compiles."""
+
+    def costs(points: Any) -> Any:
+        return residuals(points).__pow__(2).sum(axis=2)
+
+    def residuals(t: Any) -> Any:
+        xp = namespace(t)
+        return xp.stack([10.0 * (t[..., 1] - t[..., 0] ** 2), 1.0 - t[..., 0]], axis=-1)
+
+    def linearise(t: Any) -> NormalEquations:
+        e, xp = residuals(t), namespace(t)
+        zero, one = xp.zeros(len(t)), xp.ones(len(t))
+        j = xp.stack([-20.0 * t[:, 0], 10.0 * one, -one, zero], axis=1).reshape(-1, 2, 2)
+        turned = j.swapaxes(1, 2)
+        return NormalEquations((e**2).sum(axis=1), turned @ j, (turned @ e[..., None])[..., 0])
+
+    method, start = LevenbergMarquardt(iterations=25), np.array([[-1.2, 1.0], [0.3, 0.1]])
+    with jax.enable_x64(True):
+        traced = jax.jit(lambda t: traced_minimum(costs, linearise, t, method, schedule))(start)
+    expected = minimise(costs, linearise, start, method, schedule)
+    assert expected.history[0, -1] < 0.2 * expected.history[0, 0]
+    np.testing.assert_allclose(np.asarray(traced), expected.theta, rtol=1e-9, atol=1e-12)

@@ -13,9 +13,9 @@ from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.models import arx, narx, neural_ss
+from asia.models._arrays import Packing, packed
 from asia.models._noise.weighting import ErrorWeighting
 from asia.models._noise.whitening import ResidualNoise
-from asia.models._solvers.packing import Packing, packed
 from asia.models._state_space import programs
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import LevenbergMarquardt

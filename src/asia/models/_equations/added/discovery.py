@@ -22,8 +22,7 @@ from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.fit import FittedEquations, refit
 from asia.models._equations.simulation_error import SimulationError
 from asia.models._equations.starts import RecordPieces, Starts, opened
-from asia.models._solvers.least_squares import LevenbergMarquardt
-from asia.models._solvers.minimise import minimise
+from asia.models._least_squares import LevenbergMarquardt, minimise
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator

@@ -16,8 +16,8 @@ from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.fit import FittedEquations
 from asia.models._equations.simulation_error import SimulationError
 from asia.models._equations.starts import RecordPieces, Starts
+from asia.models._least_squares import TRIALS
 from asia.models._noise.weighting import ErrorWeighting
-from asia.models._solvers.minimise import TRIALS
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator

@@ -9,15 +9,12 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
+from asia.models._config import Progress
 from asia.models._data.cuts import Indices, spread
 from asia.models._data.encoder import Encoder, fit_encoder
 from asia.models._data.records import ScaledData, past_length, windows_before
-from asia.models._linear.periodic.least_squares import (
-    LineRefinement,
-    error,
-    refined,
-    with_inputs,
-)
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models._linear.periodic.least_squares import error, refined, with_inputs
 from asia.models._linear.periodic.lines import (
     FEWEST_LINES,
     ExcitedLines,
@@ -28,7 +25,6 @@ from asia.models._linear.periodic.lines import (
 from asia.models._linear.periodic.modes import in_blocks, resolvent
 from asia.models._linear.periodic.subspace import observability
 from asia.models._linear.system import LinearSystem
-from asia.models._solvers.progress import Progress
 
 # Every third line is left out while the order is chosen.
 _EVERY = 3
@@ -69,7 +65,8 @@ def fit_periodic(
     found = None if order is None else _started(lines, [order]).get(order)
     if found is None:
         return None
-    found = refined(lines, found, LineRefinement(iterations), log)
+    method = LevenbergMarquardt(iterations, damping=1e-3, tolerance=3e-4)
+    found = refined(lines, found, method, log)
     found = _with_offset(found, steady)
     states = [_steady_states(found, r) for r in steady]
     size = np.sqrt((np.concatenate(states) ** 2).mean(axis=0))

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
 from asia.data import Array
+from asia.models._config import Progress
+from asia.models._least_squares import (
+    SEQUENTIAL,
+    LevenbergMarquardt,
+    NormalEquations,
+    damped_step,
+    minimise,
+)
 from asia.models._linear.periodic.lines import ExcitedLines, Spectrum
 from asia.models._linear.periodic.modes import block_entries, readout, resolvent
 from asia.models._linear.system import LinearSystem
-from asia.models._solvers.progress import Progress
 
 # Complex numbers of a piece of the Jacobian.
 _PIECE = 4_000_000
@@ -30,7 +37,7 @@ def with_inputs(lines: ExcitedLines, a: Array, c: Array) -> LinearSystem:
     gram = (lefts.reshape(len(left), -1).T @ rights.reshape(len(left), -1)).real
     gram = gram.reshape(size, size, nu, nu).transpose(0, 2, 1, 3).reshape(size * nu, -1)
     cross = left.conj().swapaxes(1, 2) @ lines.y @ right.conj().swapaxes(1, 2)
-    theta = _solved(gram, cross.sum(axis=0).real.ravel(), _TINY).reshape(size, nu)
+    theta = damped_step(gram, -cross.sum(axis=0).real.ravel(), _TINY).reshape(size, nu)
     return LinearSystem(a, theta[:n], c, theta[n:], np.zeros(ny))
 
 
@@ -44,68 +51,50 @@ def _left(lines: ExcitedLines, s: LinearSystem) -> Spectrum:
     return lines.y - (s.c @ resolvent(s.a, lines.z, s.b) + s.d) @ lines.u
 
 
-@dataclass(frozen=True)
-class LineRefinement:
-    """Levenberg-Marquardt on B, C, D and the blocks of A."""
-
-    iterations: int
-    """Greatest number of steps."""
-    damping: float = 1e-3
-    """First damping, relative to the scaled normal matrix."""
-    tolerance: float = 3e-4
-    """Relative decrease of the cost below which it stops."""
-
-
 def refined(
-    lines: ExcitedLines, start: LinearSystem, how: LineRefinement, log: Progress | None = None
+    lines: ExcitedLines,
+    start: LinearSystem,
+    method: LevenbergMarquardt,
+    log: Progress | None = None,
 ) -> LinearSystem:
-    """A step to an unstable system is refused; log(iteration, root of the share left)."""
-    system, cost, damping = start, error(lines, start), how.damping
-    total = max(float((abs(lines.y) ** 2).sum()), 1e-300)
-    for iteration in range(how.iterations):
+    """Levenberg-Marquardt on B, C, D and the blocks of A. A step to an unstable system is refused;
+    log(iteration, root of the share left). The sizes of the states do not matter: the damping is
+    relative to each column of the Jacobian."""
+    total, steps = max(float((abs(lines.y) ** 2).sum()), 1e-300), count()
+    blocks = block_entries(start.order)
+    theta0 = np.concatenate(
+        [start.a[blocks], *(part.ravel() for part in (start.b, start.c, start.d))]
+    )
+
+    def system(theta: Array) -> LinearSystem:
+        cuts = np.cumsum([len(blocks[0]), start.b.size, start.c.size])
+        entries, b, c, d = np.split(theta, cuts)
+        a = start.a.copy()
+        a[blocks] = entries
+        parts = (b.reshape(start.b.shape), c.reshape(start.c.shape), d.reshape(start.d.shape))
+        return LinearSystem(a, *parts, start.offset)
+
+    def cost(points: Array) -> Array:
+        at = system(points[0, 0])
+        stable = abs(np.linalg.eigvals(at.a)).max() < 1.0
+        return np.array([[error(lines, at) if stable else np.inf]])
+
+    def linearise(theta: Array) -> NormalEquations:
+        square, normal, gradient = _normal(lines, system(theta[0]))
         if log is not None:
-            log(iteration, float(np.sqrt(cost / total)))
-        system = _balanced(lines, system)
-        normal, gradient = _normal(lines, system)
-        proposal, proposed = system, cost
-        while damping < 1e8:
-            proposal = _moved(system, _solved(normal, gradient, damping))
-            if abs(np.linalg.eigvals(proposal.a)).max() < 1.0:
-                proposed = error(lines, proposal)
-                if proposed < cost:
-                    break
-            damping *= 8.0
-        if not proposed < cost:
-            break
-        settled = 1.0 - proposed / cost < how.tolerance
-        system, cost, damping = proposal, proposed, max(0.2 * damping, 1e-9)
-        if settled:
-            break
-    return system
+            log(next(steps), float(np.sqrt(square / total)))
+        return NormalEquations(np.array([square]), normal[None], -gradient[None])
+
+    return system(minimise(cost, linearise, theta0[None], method, SEQUENTIAL).theta[0])
 
 
-def _solved(normal: Array, gradient: Array, damping: float) -> Array:
-    scale = np.sqrt(np.diagonal(normal))
-    scale = np.where(scale > 0, scale, 1.0)
-    scaled = normal / scale[:, None] / scale + damping * np.eye(len(normal))
-    return np.linalg.solve(scaled, gradient / scale) / scale
-
-
-def _balanced(lines: ExcitedLines, s: LinearSystem) -> LinearSystem:
-    """Both states of a block scaled alike, to unit size."""
-    states = resolvent(s.a, lines.z, s.b) @ lines.u
-    power = (abs(states) ** 2).sum(axis=2).sum(axis=0)
-    block = np.arange(s.order) // 2
-    size = np.sqrt(np.bincount(block, power) / np.bincount(block))[block]
-    return s.transformed(np.diag(1.0 / np.where(size > 1e-12, size, 1.0)))
-
-
-def _normal(lines: ExcitedLines, s: LinearSystem) -> tuple[Array, Array]:
+def _normal(lines: ExcitedLines, s: LinearSystem) -> tuple[float, Array, Array]:
+    """Sum of squares, normal matrix and gradient against it."""
     rows, columns = block_entries(s.order)
     n, nu, ny = s.order, s.d.shape[1], len(s.c)
-    count = len(rows) + n * nu + ny * n + ny * nu
-    normal, gradient = np.zeros((count, count)), np.zeros(count)
-    each = lines.u.shape[2] * ny * count
+    size = len(rows) + n * nu + ny * n + ny * nu
+    square, normal, gradient = 0.0, np.zeros((size, size)), np.zeros(size)
+    each = lines.u.shape[2] * ny * size
     eye = np.eye(ny)
     for piece in np.array_split(np.arange(len(lines.z)), 1 + len(lines.z) * each // _PIECE):
         z, u = lines.z[piece], lines.u[piece]
@@ -119,23 +108,9 @@ def _normal(lines: ExcitedLines, s: LinearSystem) -> tuple[Array, Array]:
         ]
         shape = (*residual.shape, -1)
         joined = np.concatenate([part.reshape(shape) for part in parts], axis=3)
-        jacobian: Spectrum = joined.reshape(-1, count)
+        jacobian: Spectrum = joined.reshape(-1, size)
         real = np.concatenate([jacobian.real, jacobian.imag])
         normal += real.T @ real
         gradient += real.T @ np.concatenate([residual.real.ravel(), residual.imag.ravel()])
-    return normal, gradient
-
-
-def _moved(s: LinearSystem, step: Array) -> LinearSystem:
-    rows, columns = block_entries(s.order)
-    cuts = np.cumsum([len(rows), s.b.size, s.c.size])
-    by_a, by_b, by_c, by_d = np.split(step, cuts)
-    a = s.a.copy()
-    a[rows, columns] += by_a
-    return LinearSystem(
-        a,
-        s.b + by_b.reshape(s.b.shape),
-        s.c + by_c.reshape(s.c.shape),
-        s.d + by_d.reshape(s.d.shape),
-        s.offset,
-    )
+        square += float((abs(residual) ** 2).sum())
+    return square, normal, gradient

@@ -12,8 +12,8 @@ from asia.candidate import Context
 from asia.models._arrays import tree_size
 from asia.models._data.records import ScaledData
 from asia.models._data.scaling import Scaling
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import LinearFit
-from asia.models._solvers.least_squares import LevenbergMarquardt
 from asia.models._state_space.feedback.starts import feedback_starts
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.fitted import FittedStateSpace

@@ -1,1 +1,0 @@
-"""Levenberg-Marquardt, and least squares."""

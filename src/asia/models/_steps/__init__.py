@@ -1,1 +1,0 @@
-"""Library models one sample at a time, for `as_steps`: written for JAX, which traces them."""
