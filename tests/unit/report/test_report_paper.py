@@ -72,7 +72,7 @@ def test_parameters_have_a_table_where_the_winner_has_some(run: Path, tmp_path: 
         chain.append(Refitted(3, None, "made up", estimates=name))
     paths = {path.name: path for path in write_tables(run, tmp_path / "tables")}
     table = paths["parameters.tex"].read_text("utf-8")
-    assert r"k\_1 & 0.25 & 1/s & 0.012 & 0.2264 to 0.2736 &  \\" in table
+    assert r"k\_1 & 0.25 & 1/s & 0.012 & -- & 0.2264 to 0.2736 & noise &  \\" in table
 
 
 def test_every_special_character_is_printed_as_it_is() -> None:
