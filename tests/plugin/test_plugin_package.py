@@ -21,16 +21,23 @@ from pathlib import Path
 
 from asia.data import Signal
 from asia.data.sources import Channels, DataTable
-from asia.testing import check_agent, check_family, check_metric, check_source
+from asia.testing import (
+    check_agent, check_export_target, check_family, check_metric, check_source,
+    check_validation_check,
+)
 from asia_example.agent import Doubling
 from asia_example.card import CARD
+from asia_example.check import check_offset
 from asia_example.metric import P95
 from asia_example.source import Tables
+from asia_example.target import JsonTarget
 
 check_agent(Doubling)
 for family in CARD.families:
     check_family(family)
 check_metric(P95)
+check_export_target(JsonTarget())
+check_validation_check(check_offset)
 channels = Channels((Signal("power"),), (Signal("temperature"),), 10.0)
 table = DataTable(source="tables:records")
 check_source(lambda: Tables.from_table(table, Path("oven").resolve()), channels)
@@ -89,6 +96,8 @@ def test_doctor_lists_every_part_and_where_it_comes_from(programs: Path, tmp_pat
         ("agents", "doubling"),
         ("sources", "tables"),
         ("metrics", "p95"),
+        ("export_targets", "json"),
+        ("validation_checks", "offset"),
     }
 
 
@@ -106,6 +115,10 @@ def test_every_part_serves_a_search_and_its_test(programs: Path, tmp_path: Path)
     run(programs, "asia", "verify", "oven", cwd=tmp_path)
     assert "95 % error" in run(programs, "asia", "unseal", "oven", "--yes", cwd=tmp_path)
     run(programs, "asia", "replay", "oven", cwd=tmp_path)
+    assert "the mean error is at most" in run(programs, "asia", "validate", "oven", cwd=tmp_path)
+    exported = run(programs, "asia", "export", "oven", "--to", "json", cwd=tmp_path)
+    assert exported.splitlines()[1].startswith("json ")
+    assert (tmp_path / "runs" / "oven" / "export" / "json" / "program.json").is_file()
 
 
 def test_the_parts_pass_the_suites(programs: Path, tmp_path: Path) -> None:

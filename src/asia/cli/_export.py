@@ -44,11 +44,11 @@ def export(
     that differs.
     """
     from asia.errors import UserError
-    from asia.export import TARGETS, table
     from asia.export import export as write
+    from asia.export import table, target_names
 
     if not to:
-        raise UserError(f"--to is missing: one of {', '.join(TARGETS)}, or several")
+        raise UserError(f"--to is missing: one of {', '.join(target_names())}, or several")
     for one in write(run_directory(runs, run), to, model, out):
         if json:
             say(jsonlib.dumps(_facts(one), allow_nan=False))

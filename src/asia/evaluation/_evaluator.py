@@ -6,10 +6,10 @@ import threading
 import time
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import repeat
-from typing import TypeVar
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -48,11 +48,184 @@ from asia.protocol import Block, Fold, ProtocolRule, whole
 from asia.sandbox import Isolation, Limits, Worker
 from asia.scoring import Failure, combine, ranges_of
 
-T = TypeVar("T")
+_Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]]
 
 _STRANGERS_ASKED = 4
 # Training samples of a fold.
 _LONG = 100_000
+
+
+class _OpenWorker(Protocol):
+    def __call__(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]: ...
+
+
+@dataclass(frozen=True)
+class _Contexts:
+    """Contexts of fits and of loaded models, each with its own seed and deadline."""
+
+    search: Context
+    """Context of the search."""
+    fit_seconds: float
+    """Longest fit."""
+
+    def of(self, work: str, start: int = 0) -> Context:
+        """Context of some work, `all` or `load`; start: as in `Evaluator.evaluate`."""
+        return replace(
+            self.search,
+            seed=derive_seed(self.search.seed, work, start),
+            deadline=time.monotonic() + self.fit_seconds,
+        )
+
+
+@dataclass(frozen=True)
+class _StoredModels:
+    """Fitted models as bytes, each loaded in a fresh worker. Methods raise CandidateError."""
+
+    open_worker: _OpenWorker
+    """Opens a worker for a candidate."""
+    contexts: _Contexts
+    """Contexts of loaded models."""
+    horizon: int | None
+    """Samples of a window; None where whole records are simulated."""
+
+    def load(self, worker: Worker, source: str, model: bytes) -> None:
+        """Load a model in a worker."""
+        worker.load(executed_source(source), model, self.contexts.of("load"))
+
+    def simulate(self, source: str, model: bytes, blocks: Sequence[Block]) -> tuple[Array, ...]:
+        """Simulations of blocks."""
+        with self.open_worker(source, fitting=False) as worker:
+            self.load(worker, source, model)
+            return simulate_held_out(worker, blocks, self.horizon)
+
+    def answers(
+        self, source: str, model: bytes, blocks: Sequence[Block]
+    ) -> tuple[Array, ...] | CandidateError:
+        """Simulations of blocks, or the error."""
+        try:
+            return self.simulate(source, model, blocks)
+        except CandidateError as error:
+            return error
+
+    def lowered(self, source: str, model: bytes) -> LoweredModel | str:
+        """The model as a program, or why it cannot be lowered."""
+        with self.open_worker(source, fitting=False) as worker:
+            self.load(worker, source, model)
+            return worker.lowered(self.contexts.of("load"))
+
+
+@dataclass(frozen=True)
+class _AnswerChecks:
+    """Checks of answers in fresh workers: whether each is that of a model, and depends on nothing
+    that it must not depend on."""
+
+    stored: _StoredModels
+    """Loads models."""
+    scale: Array
+    """Standard deviation (ny,) of the measured outputs of all records."""
+    search_seed: int
+    """Seed of the search."""
+    salt: str
+    """As in `Evaluator`."""
+    without: frozenset[SuspicionKind]
+    """Relations that are not checked."""
+
+    def seed(self, source: str, *parts: object) -> int:
+        """Seed of the requests, another one for each source: the result of a check tells a
+        candidate nothing about the next one."""
+        return derive_seed(self.search_seed, self.salt, source, *parts)
+
+    def fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
+        """Failure of a fold model that does not answer like a model."""
+        place = fold.index + 1
+        followed = [i for i, known in enumerate(fold.followed) if known]
+        ask = partial(
+            suspicions, scale=fold.scale, horizon=self.stored.horizon,
+            seed=self.seed(source, place), followed=followed, without=self.without, rounding=0.0,
+        )  # fmt: skip
+        try:
+            found = self._asked(source, result.model, fold.validation, result.y_hat, ask)
+        except CandidateError as error:
+            return Failure(error.reason, error.detail, place)
+        return objection_to(found, place)
+
+    def refit_objection(
+        self, source: str, model: bytes, blocks: Sequence[Block], y_hat: Sequence[Array]
+    ) -> Failure | None:
+        """Failure of a model fitted on all records that does not answer like a model there. Raises
+        CandidateError."""
+        ask = partial(
+            suspicions, scale=self.scale, horizon=self.stored.horizon, rounding=0.0,
+            seed=self.seed(source, "refit"),
+            without={*self.without, SuspicionKind.RESTART, SuspicionKind.BLOCK_END},
+        )  # fmt: skip
+        return objection_to(self._asked(source, model, blocks, y_hat, ask), None)
+
+    def simulate(
+        self, source: str, model: bytes, blocks: Sequence[Block]
+    ) -> tuple[Array, ...] | CandidateError:
+        """Simulations of blocks that will be scored, or the error; reason SUSPECT where an answer
+        depends on something that it must not depend on."""
+        ask = partial(
+            dependences, scale=self.scale, horizon=self.stored.horizon, without=self.without,
+            seed=self.seed(source, "other"), rounding=0.0,
+        )  # fmt: skip
+        try:
+            y_hat = self.stored.simulate(source, model, blocks)
+            failure = objection_to(self._asked(source, model, blocks, y_hat, ask), None)
+        except CandidateError as error:
+            return error
+        return y_hat if failure is None else CandidateError(failure.reason, failure.detail)
+
+    def check_strangers(
+        self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]
+    ) -> None:
+        """Where several requests go to one worker, give a few of their cases to a fresh one. Raises
+        CandidateError where its answers differ."""
+        horizon = self.stored.horizon
+        if horizon is None or SuspicionKind.STRANGERS in self.without:
+            return
+
+        def ask(
+            worker: Worker, blocks: Sequence[Block], y_hat: Sequence[Array]
+        ) -> Sequence[Suspicion]:
+            seed = self.seed(source, fold.index, "strangers")
+            found = strangers(
+                worker, blocks, y_hat, fold.scale, horizon, seed, 0.0, _STRANGERS_ASKED
+            )
+            return () if found is None else (found,)
+
+        failure = objection_to(self._asked(source, model, fold.validation, y_hat, ask), None)
+        if failure is not None:
+            raise CandidateError(failure.reason, failure.detail)
+
+    def _asked(
+        self,
+        source: str,
+        model: bytes,
+        blocks: Sequence[Block],
+        y_hat: Sequence[Array],
+        ask: _Ask,
+    ) -> Sequence[Suspicion]:
+        """Suspicions that `ask` finds in a worker that has seen no case. Raises CandidateError,
+        with reason NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
+        with self.stored.open_worker(source, fitting=False) as worker:
+            try:
+                self.stored.load(worker, source, model)
+            except CandidateError as error:
+                raise CandidateError(Reason.NOT_REPRODUCIBLE, str(error)) from None
+            try:
+                found = ask(worker, blocks, y_hat)
+            except CandidateError as error:
+                detail = f"next to the scored cases: {error.detail or error.reason.advice}"
+                raise CandidateError(error.reason, detail) from None
+        kind = SuspicionKind.STRANGERS
+        if any(one.kind is kind for one in found):
+            again = self.stored.simulate(source, model, blocks)
+            pairs = zip(again, y_hat, strict=True)
+            if any(one.tobytes() != other.tobytes() for one, other in pairs):
+                raise CandidateError(Reason.NOT_REPRODUCIBLE)
+        return [one for one in found if one.kind is not kind or one.figure > ROUNDING]
 
 
 class Evaluator(WorkerRunner):
@@ -80,7 +253,6 @@ class Evaluator(WorkerRunner):
         scores, which takes the held-out outputs there."""
         limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
         super().__init__(isolation, limits, executor, len(folds), gpu=gpu)
-        self._without = frozenset(without)
         self.folds = tuple(folds)
         self.horizon = rule.horizon
         self.records = tuple(records)
@@ -88,11 +260,15 @@ class Evaluator(WorkerRunner):
         self.scale = spread_of(np.concatenate([record.measured_y for record in records]))
         self._context = context
         self._rule = rule
+        self._contexts = _Contexts(context, limits.fit_seconds)
+        self._stored = _StoredModels(self._worker_for, self._contexts, rule.horizon)
+        self._checks = _AnswerChecks(
+            self._stored, self.scale, context.seed, salt, frozenset(without)
+        )
         self._salt = salt
-        self._problem = problem
         self._analysing = threading.Lock()
         self._fitter = FoldFitter(
-            rule, self._context, isolation, carrier_of(executor), problem, self.one_by_one
+            rule, context, isolation, carrier_of(executor), problem, self.one_by_one
         )  # fmt: skip
         if sum(r.u.nbytes + r.y.nbytes for r in records) > LARGE_RECORDS:
             give_back_large_arrays()
@@ -154,7 +330,7 @@ class Evaluator(WorkerRunner):
         """The part of `objection` for which nothing is fitted. RESTART depends on held-out outputs:
         it is the reason only if no other relation fails in any fold."""
         jobs = [
-            partial(self._fold_objection, source, f, r)
+            partial(self._checks.fold_objection, source, f, r)
             for f, r in zip(self.folds, folds, strict=True)
         ]
         try:
@@ -167,66 +343,19 @@ class Evaluator(WorkerRunner):
     def objection_to_consistency(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """The part of `objection` with fits one after the other: no worker of the same candidate
         may run beside it."""
-        if SuspicionKind.CONSISTENCY in self._without:
+        if SuspicionKind.CONSISTENCY in self._checks.without:
             return None
 
         def fit_sequentially(place: int) -> FoldResult | Failure:
             job = partial(self._fold_or_failure, source, self.folds[place])
             return self._run([job])[0].result
 
-        random = np.random.default_rng(self._check_seed(source, "consistency"))
+        random = np.random.default_rng(self._checks.seed(source, "consistency"))
         try:
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
                 return sequential_objection(folds, fit_sequentially, random)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
-
-    def _fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
-        place = fold.index + 1
-        followed = [i for i, known in enumerate(fold.followed) if known]
-        seed = self._check_seed(source, place)
-        ask = partial(
-            suspicions, scale=fold.scale, horizon=self.horizon, seed=seed, followed=followed,
-            without=self._without, rounding=0.0,
-        )  # fmt: skip
-        try:
-            found = self._ask_fresh(source, result.model, fold.validation, result.y_hat, ask)
-        except CandidateError as error:
-            return Failure(error.reason, error.detail, place)
-        return objection_to(found, place)
-
-    def _ask_fresh(
-        self,
-        source: str,
-        model: bytes,
-        blocks: Sequence[Block],
-        y_hat: Sequence[Array],
-        ask: Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]],
-    ) -> Sequence[Suspicion]:
-        """What `ask` finds in a worker that has seen no case. Raises CandidateError, with reason
-        NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
-        with self._worker_for(source, fitting=False) as worker:
-            try:
-                worker.load(executed_source(source), model, self._fold_context("load"))
-            except CandidateError as error:
-                raise CandidateError(Reason.NOT_REPRODUCIBLE, str(error)) from None
-            try:
-                found = ask(worker, blocks, y_hat)
-            except CandidateError as error:
-                detail = f"next to the scored cases: {error.detail or error.reason.advice}"
-                raise CandidateError(error.reason, detail) from None
-        if any(one.kind is SuspicionKind.STRANGERS for one in found):
-            again = self._simulate_model(source, model, blocks)
-            pairs = zip(again, y_hat, strict=True)
-            if any(one.tobytes() != other.tobytes() for one, other in pairs):
-                raise CandidateError(Reason.NOT_REPRODUCIBLE)
-        kind = SuspicionKind.STRANGERS
-        return [one for one in found if one.kind is not kind or one.figure > ROUNDING]
-
-    def _check_seed(self, source: str, *parts: object) -> int:
-        """Other requests for each source: whoever sees what is found learns nothing about the
-        next one."""
-        return derive_seed(self._context.seed, self._salt, source, *parts)
 
     def refit(self, source: str) -> Refit:
         """Fit on all training records, and on one of the folds a second time."""
@@ -251,7 +380,7 @@ class Evaluator(WorkerRunner):
         model: bytes | None = None
         try:
             with self._worker_for(source, fitting=True) as worker:
-                worker.fit(source, self.records, self._fold_context("all", start))
+                worker.fit(source, self.records, self._contexts.of("all", start))
                 model = worker.dump()
                 return RefitModel(model, worker.estimates())
         except CandidateError as error:
@@ -263,21 +392,16 @@ class Evaluator(WorkerRunner):
     ) -> list[tuple[Array, ...] | CandidateError]:
         """What stored models answer to `training_blocks`, or why one does not."""
         blocks = self.training_blocks
-        return self._run([partial(self._answers, source, model, blocks) for model in models])
+        return self._run([partial(self._stored.answers, source, model, blocks) for model in models])
 
     def refit_objection(self, source: str, model: bytes, y_hat: Sequence[Array]) -> Failure | None:
         """As `objection`, for a model fitted on all records and its answers to `training_blocks`:
         without what asks how it does outside the records that it was fitted on."""
-        ask = partial(
-            suspicions, scale=self.scale, horizon=self.horizon, rounding=0.0,
-            seed=self._check_seed(source, "refit"),
-            without={*self._without, SuspicionKind.RESTART, SuspicionKind.BLOCK_END},
-        )  # fmt: skip
         blocks = self.training_blocks
-        job = partial(self._ask_fresh, source, model, blocks, y_hat, ask)
+        job = partial(self._checks.refit_objection, source, model, blocks, y_hat)
         try:
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
-                return objection_to(self._run([job])[0], None)
+                return self._run([job])[0]
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
@@ -285,7 +409,7 @@ class Evaluator(WorkerRunner):
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...]]:
         """Simulate `blocks` with stored models, each in a fresh worker. Raises CandidateError."""
-        jobs = [partial(self._simulate_model, source, model, blocks) for model in models]
+        jobs = [partial(self._stored.simulate, source, model, blocks) for model in models]
         return self._run(jobs)
 
     def simulate_scored(
@@ -294,26 +418,13 @@ class Evaluator(WorkerRunner):
         """As `simulate`, for answers that will be scored: a second worker is asked as `dependences`
         does. For each model its simulations, or what it did: reason SUSPECT where an answer depends
         on what it must not."""
-        jobs = [partial(self._simulate_checked, source, model, blocks) for model in models]
+        jobs = [partial(self._checks.simulate, source, model, blocks) for model in models]
         return self._run(jobs)
 
     def lowered(self, source: str, models: Sequence[bytes]) -> list[LoweredModel | str]:
         """Stored models as programs that can be printed, each traced in a fresh worker; for one
         that cannot be lowered, why. Raises CandidateError."""
-        return self._run([partial(self._lowered, source, model) for model in models])
-
-    def _lowered(self, source: str, model: bytes) -> LoweredModel | str:
-        context = self._fold_context("load")
-        with self._worker_for(source, fitting=False) as worker:
-            worker.load(executed_source(source), model, context)
-            return worker.lowered(context)
-
-    def _fold_context(self, fold: object, start: int = 0) -> Context:
-        return replace(
-            self._context,
-            seed=derive_seed(self._context.seed, fold, start),
-            deadline=time.monotonic() + self._limits.fit_seconds,
-        )
+        return self._run([partial(self._stored.lowered, source, model) for model in models])
 
     def _fold_or_failure(self, source: str, fold: Fold, start: int = 0) -> FoldEnd:
         opening = partial(self._worker_for, source, fitting=False)
@@ -328,7 +439,7 @@ class Evaluator(WorkerRunner):
             if isinstance(fitted, CandidateError):
                 raise fitted
             with self.stopwatch.activity(Activity.CHECKS, swallows=True):
-                self._ask_strangers(source, fold, fitted.model, fitted.y_hat)
+                self._checks.check_strangers(source, fold, fitted.model, fitted.y_hat)
             with self.stopwatch.activity(Activity.SCORE), self._analysis_lock(fold):
                 result = fold_result(
                     fold, fitted, self._rule, self._ranges, self._context, oracle.calls
@@ -344,56 +455,3 @@ class Evaluator(WorkerRunner):
         """Of long records one fold is analysed at a time, for the sake of memory."""
         long = sum(len(record) for record in fold.train) > _LONG
         return self._analysing if long else nullcontext()
-
-    def _ask_strangers(self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]) -> None:
-        """Where several requests go to one worker, a few of their cases in a fresh one. Raises
-        CandidateError."""
-        if self.horizon is None or SuspicionKind.STRANGERS in self._without:
-            return
-
-        def ask(
-            worker: Worker, blocks: Sequence[Block], y_hat: Sequence[Array]
-        ) -> Sequence[Suspicion]:
-            seed = self._check_seed(source, fold.index, "strangers")
-            found = strangers(
-                worker, blocks, y_hat, fold.scale, self.horizon, seed, 0.0, _STRANGERS_ASKED
-            )
-            return () if found is None else (found,)
-
-        failure = objection_to(self._ask_fresh(source, model, fold.validation, y_hat, ask), None)
-        if failure is not None:
-            raise CandidateError(failure.reason, failure.detail)
-
-    def _simulate_checked(
-        self, source: str, model: bytes, blocks: Sequence[Block]
-    ) -> tuple[Array, ...] | CandidateError:
-        try:
-            y_hat = self._simulate_model(source, model, blocks)
-            failure = self._dependence(source, model, blocks, y_hat)
-        except CandidateError as error:
-            return error
-        return y_hat if failure is None else CandidateError(failure.reason, failure.detail)
-
-    def _dependence(
-        self, source: str, model: bytes, blocks: Sequence[Block], y_hat: Sequence[Array]
-    ) -> Failure | None:
-        ask = partial(
-            dependences, scale=self.scale, horizon=self.horizon, without=self._without,
-            seed=self._check_seed(source, "other"), rounding=0.0,
-        )  # fmt: skip
-        return objection_to(self._ask_fresh(source, model, blocks, y_hat, ask), None)
-
-    def _answers(
-        self, source: str, model: bytes, blocks: Sequence[Block]
-    ) -> tuple[Array, ...] | CandidateError:
-        try:
-            return self._simulate_model(source, model, blocks)
-        except CandidateError as error:
-            return error
-
-    def _simulate_model(
-        self, source: str, model: bytes, blocks: Sequence[Block]
-    ) -> tuple[Array, ...]:
-        with self._worker_for(source, fitting=False) as worker:
-            worker.load(executed_source(source), model, self._fold_context("load"))
-            return simulate_held_out(worker, blocks, self.horizon)

@@ -19,7 +19,7 @@ from asia.export._composed import weighted_mean
 from asia.export._model import Band, ExportModel, Printed, TrainingWindow
 from asia.export._parity import ParityRow, parity_row
 from asia.export._preprocessed import kept_delays, measured, measured_window, physical
-from asia.export._registry import target
+from asia.export._registry import find_target
 from asia.export._target import Target
 from asia.export._usage import usage_page
 from asia.ledger import Run, Use, model_to_use, open_run
@@ -75,7 +75,7 @@ def export(
     a target; None for `export` in the run. Raises UserError for an unknown target, a model that
     cannot be exported, and files that differ from ASIA's simulation, which are not written.
     """
-    chosen = [target(name) for name in dict.fromkeys(targets)]
+    chosen = [find_target(name) for name in dict.fromkeys(targets)]
     run = open_run(Path(directory))
     ready = lowered_run(run, model)
     folder = run.directory / "export" if out is None else out

@@ -1,4 +1,4 @@
-"""What every target offers."""
+"""The interface of an export target."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from asia.export._model import ExportModel, Printed, TrainingWindow
 
 @dataclass(frozen=True)
 class Answers:
-    """What printed files said of the training windows."""
+    """Simulations of the training windows by printed files."""
 
     variant: str
     """"double", "float", or what else there is more than one of."""
@@ -29,7 +29,10 @@ class Answers:
 
 
 class Target(Protocol):
-    """A printer, and how what it has printed is run again."""
+    """A printer for one environment, which can also run the files that it printed.
+
+    Conformance suite: `asia.testing.check_export_target`.
+    """
 
     name: str
     """As in `--to`."""

@@ -30,7 +30,14 @@ from asia.models._data.records import check, past_length, scaled
 from asia.models._data.scaling import Scaling
 from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
-from asia.models._equations.measured_cell import MeasuredCell, NetworkKind
+from asia.models._equations.measured_cell import (
+    Disturbance,
+    InputLag,
+    MeasuredCell,
+    MeasuredEquations,
+    NetworkKind,
+    TermNetwork,
+)
 from asia.models._equations.measured_sizes import (
     LimitedScore,
     made_by_inputs,
@@ -230,7 +237,7 @@ def _fit_equations(
     cell, scaling = network.cell, network.scaling
     assert isinstance(cell, MeasuredCell)
     assert scaling is not None
-    plain = replace(cell, network=None, inner=None)
+    plain = replace(cell, network=None)
     records = scaled(trajectories, scaling)
     shortest = min(len(r) for r in records) - past_length(context)
     horizon = context.horizon or min(_LONGEST, shortest)
@@ -266,31 +273,38 @@ def _cell(
     dynamic = tuple(i for i, names in enumerate(closures) if names & set(given.parameters))
     read = readable_signals(given, system, context)
     _check_symmetry(config, context)
-    inner = None
-    if config.network is not None and config.network != "mlp":
-        inner = recurrent.Config(cell=config.network, hidden=config.hidden, layers=config.layers)
-    return MeasuredCell(
-        equations=system,
+    network = None
+    if config.network is not None:
+        inner = None
+        if config.network != "mlp":
+            inner = recurrent.Config(
+                cell=config.network, hidden=config.hidden, layers=config.layers
+            )
+        made = [k for k, n in enumerate(read) if places and made_by_inputs(system, n)]
+        network = TermNetwork(
+            config.network, inner, config.size, config.reach, tuple(made), config.symmetry
+        )
+    physics = MeasuredEquations(
+        system=system,
         ranges=ranges,
         order=tuple(shown[s] for s in system.states),
         dynamic=dynamic,
-        kinematic=tuple(i for i in range(len(closures)) if i not in dynamic) if config.gain else (),
-        read=read,
-        sampling_time=context.sampling_time,
-        past_inputs=context.n_past_u > 0,
-        lag=config.lag,
-        linear=config.linear,
-        disturbance=config.disturbance,
-        network=config.network,
-        inner=inner,
-        size=config.size,
-        reach=config.reach,
         corrections=places,
-        driving=tuple(n for n in read if places and made_by_inputs(system, n)),
-        symmetric=config.symmetry,
-        ridge=config.ridge if places else 0.0,
-        delay=config.delay,
         priors=tuple((name, p.mean, p.deviation) for name, p in priors.items()),
+    )
+    sampling_time, past_inputs = context.sampling_time, context.n_past_u > 0
+    return MeasuredCell(
+        physics=physics,
+        read=read,
+        sampling_time=sampling_time,
+        past_inputs=past_inputs,
+        lag=InputLag(sampling_time, past_inputs) if config.lag else None,
+        gain=config.gain,
+        linear=config.linear,
+        disturbance=Disturbance(sampling_time) if config.disturbance else None,
+        network=network,
+        delay=config.delay,
+        ridge=config.ridge if places else 0.0,
         prior_weight=config.prior,
     )
 
@@ -308,13 +322,13 @@ def _check_symmetry(config: Config, context: Context) -> None:
 def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[str, Any]:
     """Untrained: the middle of the ranges, nothing learned."""
     rng = np.random.default_rng(context.seed)
-    nd, nr, nc = cell.nd, len(cell.read), cell.nc
+    nd, nr, nc = cell.physics.nd, len(cell.read), cell.physics.nc
     params: dict[str, Any] = {
         "physical": most_probable(cell),
-        "gain": zeros(len(cell.kinematic)),
+        "gain": zeros(len(cell.physics.kinematic) if cell.gain else 0),
     }
     if config.lag:
-        samples = _LAG_SAMPLES_CORRECTED if cell.corrections else _LAG_SAMPLES
+        samples = _LAG_SAMPLES_CORRECTED if cell.physics.corrections else _LAG_SAMPLES
         params["log_lag"] = np.float32(np.log(samples * context.sampling_time))
     if config.linear:
         params |= {"linear": zeros(nr, nc), "offset": zeros(nc)}
@@ -334,11 +348,13 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
             "w2": dense(rng, config.hidden, config.hidden),
             "b2": zeros(config.hidden),
         }
-    elif cell.inner is not None:
+    elif cell.network is not None and cell.network.recurrent is not None:
         like = replace(context, inputs=context.inputs[:1] * cell.net_inputs, n_past_u=0, n_past_y=1)
-        if cell.corrections:
+        if cell.physics.corrections:
             params["start_w"] = dense(rng, cell.net_inputs, config.hidden)
-        params["net"] = {"layers": recurrent.RecurrentCell(cell.inner).parameters(like)["layers"]}
+        params["net"] = {
+            "layers": recurrent.RecurrentCell(cell.network.recurrent).parameters(like)["layers"]
+        }
     if config.network is not None:
         params |= {"out_w": zeros(config.hidden, nc), "out_b": zeros(nc)}
     return params

@@ -32,7 +32,7 @@ _DELAY_SAMPLES = 5.0
 
 
 class MeasuredState(NamedTuple):
-    """Before a sample."""
+    """State of the model before one sample, batch first."""
 
     x: AnyArray
     """States (B, nx)."""
@@ -48,141 +48,278 @@ class MeasuredState(NamedTuple):
     """Number of the symmetry under which the network sees each row (B,); () is all of them,
     averaged."""
     seen: Any = ()
-    """Of the signals that the inputs alone make: the last (B, n), the sum and the number of its
-    samples."""
+    """Last value (B, n), sum and number of samples of the signals that the inputs alone make."""
 
 
 @dataclass(frozen=True)
-class MeasuredCell:
-    """Structure of the model: see `asia.models._networks.structure.Cell`. Hashable."""
+class MeasuredEquations:
+    """Equations from the problem file whose states are all measured."""
 
-    equations: Equations
-    """The person's."""
+    system: Equations
+    """The equations, with corrections as further parameters and priors as further definitions."""
     ranges: tuple[Range, ...]
-    """Of their parameters."""
+    """Ranges of the parameters."""
     order: tuple[int, ...]
     """The output that is each state."""
     dynamic: tuple[int, ...]
     """Equations with free parameters."""
-    kinematic: tuple[int, ...]
-    """Equations without, where these get a gain; else none."""
-    read: tuple[str, ...]
-    """States and definitions that the learned terms may read."""
-    sampling_time: float
-    """In s."""
-    past_inputs: bool
-    """Whether a past window shows inputs."""
-    lag: bool
-    """Whether the inputs act through a lag."""
-    linear: bool
-    """Whether there are linear terms."""
-    disturbance: bool
-    """Whether there is a disturbance state."""
-    network: NetworkKind | None
-    """Kind of the network, if there is one."""
-    inner: recurrent.Config | None
-    """Its layers, where it is recurrent."""
-    size: float
-    """Its largest effect, as a share of the rates measured, or of the scale of a correction."""
-    reach: float = 3.0
-    """Inputs of the network are bounded to this many deviations: beyond, its output stays that at
-    the bound."""
     corrections: tuple[str, ...] = ()
     """Places in the equations where the learned terms enter; none: on the rates."""
-    driving: tuple[str, ...] = ()
-    """With corrections, those of `read` that the inputs alone make, whose change and running mean
-    the network reads too."""
-    symmetric: bool = False
-    """Whether the network sees its signals under the symmetries of the problem."""
-    ridge: float = 0.0
-    """Weight of the squared linear terms against the loss of a network method."""
-    delay: bool = False
-    """Whether known kinematics read the other states at a learned delay."""
     priors: tuple[tuple[str, float, float], ...] = ()
-    """What is known of the parameters: definition of the equations, mean and deviation."""
-    prior_weight: float = 0.0
-    """Weight of the squared deviations against the loss."""
+    """Definition in the equations, mean and deviation of each prior."""
+
+    @property
+    def kinematic(self) -> tuple[int, ...]:
+        """Equations without free parameters."""
+        return tuple(i for i in range(len(self.order)) if i not in self.dynamic)
+
+    @property
+    def nd(self) -> int:
+        """Number of equations with free parameters."""
+        return len(self.dynamic)
 
     @property
     def nc(self) -> int:
         """Number of places where learned terms enter."""
         return len(self.corrections) or self.nd
 
-    @property
-    def nd(self) -> int:
-        """Number of equations with learned terms."""
-        return len(self.dynamic)
+    def physical(self, z: AnyArray) -> AnyArray:
+        """Physical parameters (np,) from coordinates in which [-1, 1] spans their ranges."""
+        return physical_parameters(self.ranges, z)
 
-    @property
-    def _others(self) -> tuple[int, ...]:
-        """Equations without free parameters."""
-        return tuple(i for i in range(len(self.order)) if i not in self.dynamic)
+    def parameters(self, z: AnyArray) -> dict[str, float]:
+        """Physical parameters by name."""
+        values = np.asarray(self.physical(z), np.float64)
+        names = self.system.parameters[: len(self.ranges)]
+        return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+    def named(self, names: tuple[str, ...], p: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
+        """Values (B, n) of states and definitions, without corrections; p (np,), x (B, nx), u (B,
+        nu)."""
+        if self.corrections:
+            p = namespace(p).concatenate([p, np.zeros(self.nc, p.dtype)])
+        return self.system.named(names, p, x.T, u.T).T
+
+    def in_state_order(self, kinematic: AnyArray, dynamic: AnyArray) -> AnyArray:
+        """Values (..., nx) in the order of the states, from those of the kinematic and the dynamic
+        equations."""
+        places = [*self.kinematic, *self.dynamic]
+        together = namespace(kinematic, dynamic).concatenate([kinematic, dynamic], axis=-1)
+        return together[..., np.argsort(places)]
+
+    def deviations(self, z: AnyArray) -> AnyArray:
+        """Differences (n,) between the parameters of coordinates z and their priors, in standard
+        deviations."""
+        names = tuple(name for name, _, _ in self.priors)
+        mean, deviation = (np.array(v, z.dtype) for v in list(zip(*self.priors, strict=True))[1:])
+        # Only parameters and constants stand in a prior.
+        nothing = namespace(z).zeros((0,), z.dtype)
+        return (self.named(names, self.physical(z), nothing, nothing) - mean) / deviation
+
+
+@dataclass(frozen=True)
+class InputLag:
+    """First-order lag of the inputs."""
+
+    sampling_time: float
+    """In s."""
+    past_inputs: bool
+    """Whether a past window shows inputs, from which the lag starts."""
+
+    def step(self, params: Any, state: MeasuredState, u: AnyArray) -> AnyArray:
+        """Inputs behind the lag (B, nu)."""
+        xp = namespace(u)
+        before = state.m if self.past_inputs else xp.where(state.first, u, state.m)
+        return before + (1.0 - xp.exp(-self.sampling_time / xp.exp(params["log_lag"]))) * (
+            u - before
+        )
+
+    def parameters(self, params: Any) -> dict[str, float]:
+        """Time constants by name."""
+        lags = np.exp(np.asarray(params["log_lag"], np.float64)).ravel()
+        return {f"lag {k} [s]": float(lag) for k, lag in enumerate(lags, 1)}
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Bounded disturbance that opposes the acceleration at the start, then the mean one."""
+
+    sampling_time: float
+    """In s."""
+
+    def step(
+        self, params: Any, state: MeasuredState, total: AnyArray, extra: AnyArray
+    ) -> tuple[AnyArray, AnyArray]:
+        """Learned rates (B, nd) with the disturbance, and the next disturbance. total, extra (B,
+        nd): rates of the equations and learned rates, in units of the measured ones."""
+        xp = namespace(total)
+        bound = xp.exp(params["d_bound"])
+        d = xp.where(state.first, -params["d_start"] * (total + extra), state.d)
+        extra = extra + bound * xp.tanh(d / bound)
+        pull = params["d_gain"] * (total + extra) + params["d_decay"] * d
+        return extra, d - self.sampling_time * pull
+
+
+@dataclass(frozen=True)
+class TermNetwork:
+    """Network whose outputs are learned terms; it can read signals under symmetries."""
+
+    kind: NetworkKind
+    """Kind of the layers."""
+    recurrent: recurrent.Config | None
+    """Layers of a recurrent network."""
+    size: float
+    """Its largest effect, as a share of the rates measured, or of the scale of a correction."""
+    reach: float = 3.0
+    """Inputs are bounded to this many deviations: beyond, the output stays that at the bound."""
+    driving: tuple[int, ...] = ()
+    """Places, among its inputs, of signals that the inputs of the system alone make; it reads their
+    change and running mean too."""
+    symmetric: bool = False
+    """Whether it sees its signals under the symmetries of the problem."""
+
+    def initial(self, params: Any, x: AnyArray) -> tuple[Any, Any]:
+        """State of the layers, and of the signals that the inputs make, before the first sample."""
+        xp = namespace(x)
+
+        def zeros(rows: int, columns: int) -> AnyArray:
+            return xp.zeros((rows, columns), x.dtype)
+
+        h, seen, rows = (), (), len(x)
+        if self.recurrent is not None:
+            turns = len(params["fixed"]["turns"]) if self.symmetric else 1
+            blank = zeros(rows * turns, self.recurrent.hidden)
+            h = [(blank, blank) for _ in range(self.recurrent.layers)]
+        if self.driving:
+            n = len(self.driving)
+            seen = (zeros(rows, n), zeros(rows, n), zeros(rows, 1))
+        return h, seen
+
+    def step(self, params: Any, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any, Any]:
+        """Learned terms from normalised signals v (B, n), and the next two states as `initial`."""
+        fixed, rows = params["fixed"], len(v)
+        v, seen = self._with_history(state, v)
+        if not self.symmetric:
+            v, h = self._evaluate(params, state, v)
+        elif len(state.turn):
+            v, h = self._evaluate(
+                params, state, (fixed["turns"][state.turn] * v[:, None]).sum(axis=-1)
+            )
+            v = (fixed["turns_back"][state.turn] * v[:, None]).sum(axis=-1)
+        else:
+            v, h = self._evaluate(
+                params, state, (v @ fixed["turns"].swapaxes(1, 2)).reshape(-1, v.shape[-1])
+            )
+            v = (v.reshape(-1, rows, v.shape[-1]) @ fixed["turns_back"].swapaxes(1, 2)).mean(axis=0)
+        return v, h, seen
+
+    def drawn(self, params: Any, state: MeasuredState, key: AnyArray) -> MeasuredState:
+        """The state with one symmetry drawn for each row."""
+        import jax
+
+        turns, rows = len(params["fixed"]["turns"]), len(state.x)
+        h = jax.tree.map(lambda v: v[:rows], state.h)
+        return state._replace(h=h, turn=jax.random.randint(key, (rows,), 0, turns))
+
+    def _with_history(self, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any]:
+        """Signals, with change since the last sample and running mean of those that the inputs
+        alone make; and what is kept for the next sample."""
+        if not self.driving:
+            return v, ()
+        xp = namespace(v)
+        now = v[:, np.array(self.driving)]
+        before, total, count = state.seen
+        change = _CHANGE * (now - xp.where(state.first, now, before))
+        total, count = total + now, count + 1.0
+        mean = _MEAN * total / (count + _MEAN_SAMPLES)
+        return xp.concatenate([v, change, mean], axis=-1), (now, total, count)
+
+    def _evaluate(self, params: Any, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any]:
+        """Outputs of the network, and the next state of its layers."""
+        xp, h, net = namespace(v), state.h, params["net"]
+        v = self.reach * xp.tanh(v / self.reach)
+        if self.recurrent is None:
+            v = xp.tanh(xp.tanh(v @ net["w1"] + net["b1"]) @ net["w2"] + net["b2"])
+        else:
+            if "start_w" in params:
+                start = xp.tanh(v @ params["start_w"])
+                first = xp.concatenate([state.first] * (len(v) // len(state.first)))
+                h = [(xp.where(first, start, a), c) for a, c in h]
+            h, v = recurrent.RecurrentCell(self.recurrent).step(net, h, v)
+        return self.size * (v @ params["out_w"] + params["out_b"]), h
+
+
+@dataclass(frozen=True)
+class MeasuredCell:
+    """Structure of the model: see `asia.models._networks.structure.Cell`. Hashable."""
+
+    physics: MeasuredEquations
+    """Equations from the problem file."""
+    read: tuple[str, ...]
+    """States and definitions that the learned terms may read."""
+    sampling_time: float
+    """In s."""
+    past_inputs: bool
+    """Whether a past window shows inputs."""
+    lag: InputLag | None
+    """Lag through which the inputs act."""
+    gain: bool
+    """Whether known kinematics get a learned factor."""
+    linear: bool
+    """Whether there are linear terms."""
+    disturbance: Disturbance | None
+    """Disturbance of the rates."""
+    network: TermNetwork | None
+    """Network for what is left."""
+    delay: bool = False
+    """Whether known kinematics read the other states at a learned delay."""
+    ridge: float = 0.0
+    """Weight of the squared linear terms against the loss of a network method."""
+    prior_weight: float = 0.0
+    """Weight of the squared deviations from the priors against the loss."""
 
     @property
     def semi_implicit(self) -> bool:
         """Whether the driven states move first and the known kinematics read them halfway."""
-        return bool(self.corrections or self.delay) and len(self.dynamic) < len(self.order)
+        return bool(self.physics.corrections or self.delay) and bool(self.physics.kinematic)
 
     @property
     def net_inputs(self) -> int:
         """Signals the network reads: those of `read`, and with corrections changes and means of
         some, else the inputs and the equations' rates."""
-        if self.corrections:
-            return len(self.read) + 2 * len(self.driving)
-        return len(self.read) + len(self.equations.inputs) + self.nd
-
-    def physical(self, z: AnyArray) -> AnyArray:
-        """Physical parameters (np,) from coordinates in which [-1, 1] spans their ranges."""
-        return physical_parameters(self.ranges, z)
+        if self.physics.corrections:
+            return len(self.read) + 2 * len(self.network.driving if self.network else ())
+        return len(self.read) + len(self.physics.system.inputs) + self.physics.nd
 
     def parameters(self, params: Any) -> dict[str, float]:
-        """Those of the equations in their physical units, and the lags of the inputs in s."""
-        values = np.asarray(self.physical(params["physical"]), np.float64)
-        names = self.equations.parameters[: len(self.ranges)]
-        found = {name: float(value) for name, value in zip(names, values, strict=True)}
-        if self.lag:
-            lags = np.exp(np.asarray(params["log_lag"], np.float64)).ravel()
-            found |= {f"lag {k} [s]": float(lag) for k, lag in enumerate(lags, 1)}
-        return found
+        """Physical parameters of the equations, and the lags of the inputs in s."""
+        lags = {} if self.lag is None else self.lag.parameters(params)
+        return self.physics.parameters(params["physical"]) | lags
 
     def initial(self, params: Any, window: AnyArray) -> MeasuredState:
         """From the last measured outputs, and the last measured inputs where there are any."""
         fixed, xp = params["fixed"], namespace(window)
-        ny, nu = len(self.order), len(self.equations.inputs)
+        ny, nu = len(self.physics.order), len(self.physics.system.inputs)
         y = window[:, window.shape[1] - ny :] * fixed["y_std"] + fixed["y_mean"]
-        x = y[:, np.array(self.order)]
-
-        def zeros(columns: int) -> AnyArray:
-            return xp.zeros((len(x), columns), x.dtype)
-
-        m = zeros(nu)
+        x = y[:, np.array(self.physics.order)]
+        m, d = (xp.zeros((len(x), n), x.dtype) for n in (nu, self.physics.nd))
         if self.past_inputs:
             last = window.shape[1] - ny - nu
             m = window[:, last : last + nu] * fixed["u_std"] + fixed["u_mean"]
-        h: Any = ()
-        if self.inner is not None:
-            rows = len(x) * (len(fixed["turns"]) if self.symmetric else 1)
-            blank = xp.zeros((rows, self.inner.hidden), x.dtype)
-            h = [(blank, blank) for _ in range(self.inner.layers)]
-        first, seen = xp.ones((len(x), 1), bool), ()
-        if self.driving and self.network is not None:
-            seen = (zeros(len(self.driving)), zeros(len(self.driving)), zeros(1))
-        return MeasuredState(x, m, zeros(self.nd), h, first, seen=seen)
+        h, seen = ((), ()) if self.network is None else self.network.initial(params, x)
+        return MeasuredState(x, m, d, h, xp.ones((len(x), 1), bool), seen=seen)
 
     def step(
         self, params: Any, state: MeasuredState, u: AnyArray
     ) -> tuple[MeasuredState, AnyArray]:
         """What the output is read from is the output, z-scored."""
-        fixed, dt, xp = params["fixed"], self.sampling_time, namespace(u)
+        fixed, dt, xp, physics = params["fixed"], self.sampling_time, namespace(u), self.physics
         u = u * fixed["u_std"] + fixed["u_mean"]
-        m = u
-        if self.lag:
-            before = state.m if self.past_inputs else xp.where(state.first, u, state.m)
-            m = before + (1.0 - xp.exp(-dt / xp.exp(params["log_lag"]))) * (u - before)
-        p = self.physical(params["physical"])
-        evaluate, inputs = self.equations.rates(xp, u.dtype), m.T
+        m = u if self.lag is None else self.lag.step(params, state, u)
+        p = physics.physical(params["physical"])
+        evaluate, inputs = physics.system.rates(xp, u.dtype), m.T
         effects, h, seen = None, state.h, state.seen
-        if self.corrections:
+        if physics.corrections:
             effects, h, seen = self._corrected(params, p, state, u)
 
         def rates(x: AnyArray) -> AnyArray:
@@ -190,38 +327,34 @@ class MeasuredCell:
             return evaluate(free, x.T, inputs).T
 
         known = rates(state.x)
+        total = known[:, np.array(physics.dynamic, int)] / fixed["rate"]
+        learned, d = xp.zeros_like(total), state.d
         if effects is None:
-            learned, d, h = self._learned(params, p, state, m, known)
-        else:
-            learned, d = self._opposed(params, state, known, xp.zeros_like(known[:, : self.nd]))
+            learned, h, seen = self._added(params, p, state, m, total)
+        if self.disturbance is not None:
+            learned, d = self.disturbance.step(params, state, total, learned)
+        learned = learned * fixed["rate"]
         gain: AnyArray = 1.0
-        if self.kinematic:
-            gain = self._in_order(1.0 + params["gain"], xp.ones_like(learned[0]))
-        blank = xp.zeros_like(known[:, self.nd :])
+        if self.gain and physics.kinematic:
+            gain = physics.in_state_order(1.0 + params["gain"], xp.ones_like(learned[0]))
+        blank = xp.zeros_like(known[:, physics.nd :])
         if self.semi_implicit:
-            known = known[:, np.array(self.dynamic, int)]
+            known = known[:, np.array(physics.dynamic, int)]
             moved = known + learned
             ahead = 0.5 * dt * moved
             if self.delay:
                 ahead = ahead + _DELAY_SAMPLES * dt * params["delay"] * known
-            others = rates(state.x + self._in_order(blank, ahead))
-            others = others[:, np.array(self._others, int)]
-            x = state.x + dt * gain * self._in_order(others, moved)
+            others = rates(state.x + physics.in_state_order(blank, ahead))
+            others = others[:, np.array(physics.kinematic, int)]
+            x = state.x + dt * gain * physics.in_state_order(others, moved)
         else:
-            extra = self._in_order(blank, learned)
+            extra = physics.in_state_order(blank, learned)
             middle = state.x + 0.5 * dt * (gain * known + extra)
             x = state.x + dt * (gain * rates(middle) + extra)
         x = xp.where(xp.isfinite(x), x, state.x)
         x = xp.minimum(xp.maximum(x, fixed["x_low"]), fixed["x_high"])
-        y = (x[:, np.argsort(self.order)] - fixed["y_mean"]) / fixed["y_std"]
+        y = (x[:, np.argsort(physics.order)] - fixed["y_mean"]) / fixed["y_std"]
         return MeasuredState(x, m, d, h, xp.zeros_like(state.first), state.turn, seen), y
-
-    def _in_order(self, others: AnyArray, dynamic: AnyArray) -> AnyArray:
-        """Values (..., nx) in the order of the states, from those of the other equations (in their
-        order) and of the dynamic ones."""
-        places = [*self._others, *self.dynamic]
-        together = namespace(others, dynamic).concatenate([others, dynamic], axis=-1)
-        return together[..., np.argsort(places)]
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
         """The features."""
@@ -232,148 +365,59 @@ class MeasuredCell:
         """The state with its outputs replaced by the measured ones, z-scored, where the mask is
         1."""
         fixed = params["fixed"]
-        measured = (y * fixed["y_std"] + fixed["y_mean"])[:, np.array(self.order)]
+        measured = (y * fixed["y_std"] + fixed["y_mean"])[:, np.array(self.physics.order)]
         return state._replace(x=mask * measured + (1 - mask) * state.x)
 
-    def signals(self, params: Any, p: AnyArray, x: AnyArray, m: AnyArray) -> AnyArray:
-        """Normalised signals (B, len(read))."""
-        values = self.equations.named(self.read, self._given(p), x.T, m.T).T
-        return (values - params["fixed"]["s_mean"]) / params["fixed"]["s_std"]
+    def drawn(self, params: Any, state: MeasuredState, key: AnyArray) -> MeasuredState:
+        """The state with one symmetry drawn for each row."""
+        if self.network is None or not self.network.symmetric:
+            return state
+        return self.network.drawn(params, state, key)
 
-    def _given(self, p: AnyArray) -> AnyArray:
-        """What the equations as given depend on: the parameters, and corrections of 0."""
-        if not self.corrections:
-            return p
-        return namespace(p).concatenate([p, np.zeros(self.nc, p.dtype)])
+    def penalty(self, params: Any) -> AnyArray:
+        """Ridge of the linear terms, and weighted deviations from the priors."""
+        total: AnyArray = 0.0
+        if self.ridge and self.linear:
+            total = self.ridge * ((params["linear"] ** 2).sum() + (params["offset"] ** 2).sum())
+        if self.physics.priors and self.prior_weight:
+            deviations = self.physics.deviations(params["physical"])
+            total = total + self.prior_weight * (deviations**2).sum()
+        return total
 
-    def _learned(
-        self, params: Any, p: AnyArray, state: MeasuredState, m: AnyArray, known: AnyArray
-    ) -> tuple[AnyArray, AnyArray, Any]:
-        """Learned rates (B, nd), next disturbance, next state of the network."""
-        fixed, xp = params["fixed"], namespace(known)
-        total = known[:, np.array(self.dynamic, int)] / fixed["rate"]
-        signals = self.signals(params, p, state.x, m)
-        extra = xp.zeros_like(total)
+    def _added(
+        self, params: Any, p: AnyArray, state: MeasuredState, m: AnyArray, total: AnyArray
+    ) -> tuple[AnyArray, Any, Any]:
+        """Learned rates (B, nd) in units of the measured ones, and the next states of the
+        network."""
+        fixed, xp = params["fixed"], namespace(total)
+        signals = self._signals(params, p, state.x, m)
+        extra, h, seen = xp.zeros_like(total), state.h, state.seen
         if self.linear:
             extra = extra + params["offset"] + signals @ params["linear"]
-        h = state.h
         if self.network is not None:
             inputs = (m - fixed["u_mean"]) / fixed["u_std"]
-            h, v = self._network(
-                params, h, xp.concatenate([signals, inputs, total + extra], axis=-1)
-            )
+            together = xp.concatenate([signals, inputs, total + extra], axis=-1)
+            v, h, seen = self.network.step(params, state, together)
             extra = extra + v
-        rates, d = self._opposed(params, state, known, extra)
-        return rates, d, h
-
-    def _opposed(
-        self, params: Any, state: MeasuredState, known: AnyArray, extra: AnyArray
-    ) -> tuple[AnyArray, AnyArray]:
-        """Learned rates (B, nd) from those in units of the rates measured, and the next
-        disturbance."""
-        fixed, xp, d = params["fixed"], namespace(known), state.d
-        if self.disturbance:
-            total = known[:, np.array(self.dynamic, int)] / fixed["rate"]
-            bound = xp.exp(params["d_bound"])
-            d = xp.where(state.first, -params["d_start"] * (total + extra), d)
-            extra = extra + bound * xp.tanh(d / bound)
-            pull = params["d_gain"] * (total + extra) + params["d_decay"] * d
-            d = d - self.sampling_time * pull
-        return extra * fixed["rate"], d
-
-    def _network(self, params: Any, h: Any, v: AnyArray) -> tuple[Any, AnyArray]:
-        """Next state of the network, and what it adds."""
-        xp = namespace(v)
-        v = self._bounded(v)
-        if self.network == "mlp":
-            net = params["net"]
-            v = xp.tanh(xp.tanh(v @ net["w1"] + net["b1"]) @ net["w2"] + net["b2"])
-        else:
-            assert self.inner is not None
-            h, v = recurrent.RecurrentCell(self.inner).step(params["net"], h, v)
-        return h, self.size * (v @ params["out_w"] + params["out_b"])
+        return extra, h, seen
 
     def _corrected(
         self, params: Any, p: AnyArray, state: MeasuredState, u: AnyArray
     ) -> tuple[AnyArray, Any, Any]:
-        """Values of the corrections (B, nc), the next state of the network, and what it has
-        seen."""
-        fixed, xp = params["fixed"], namespace(u)
-        extra = xp.zeros((len(u), self.nc), u.dtype)
+        """Values of the corrections (B, nc), and the next states of the network."""
+        fixed, h, seen = params["fixed"], state.h, state.seen
+        extra = namespace(u).zeros((len(u), self.physics.nc), u.dtype)
         if self.linear:
-            extra = (
-                extra + params["offset"] + self.signals(params, p, state.x, u) @ params["linear"]
-            )
-        h, seen = state.h, state.seen
+            signals = self._signals(params, p, state.x, u)
+            extra = extra + params["offset"] + signals @ params["linear"]
         if self.network is not None:
-            values = self.equations.named(self.read, self._given(p), state.x.T, u.T).T
-            v = (values - fixed["w_mean"]) / fixed["w_std"]
-            v, seen = self._remembered(state, v)
-            if not self.symmetric:
-                h, v = self._network(params, self._begun(params, state, h, v), v)
-            elif len(state.turn):
-                turned = (fixed["turns"][state.turn] * v[:, None]).sum(axis=-1)
-                h, v = self._network(params, self._begun(params, state, h, turned), turned)
-                v = (fixed["turns_back"][state.turn] * v[:, None]).sum(axis=-1)
-            else:
-                turned = (v @ fixed["turns"].swapaxes(1, 2)).reshape(-1, v.shape[-1])
-                h, v = self._network(params, self._begun(params, state, h, turned), turned)
-                v = (v.reshape(-1, len(u), self.nc) @ fixed["turns_back"].swapaxes(1, 2)).mean(
-                    axis=0
-                )
+            values = self.physics.named(self.read, p, state.x, u)
+            normalised = (values - fixed["w_mean"]) / fixed["w_std"]
+            v, h, seen = self.network.step(params, state, normalised)
             extra = extra + v
         return extra * fixed["scale"], h, seen
 
-    def _remembered(self, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any]:
-        """Inputs of the network: signals v (B, n), and of those that the inputs alone make the
-        change since the last sample and the running mean; and what is kept for the next sample."""
-        if not self.driving:
-            return v, ()
-        xp = namespace(v)
-        now = v[:, np.array([self.read.index(name) for name in self.driving])]
-        before, total, count = state.seen
-        change = _CHANGE * (now - xp.where(state.first, now, before))
-        total, count = total + now, count + 1.0
-        mean = _MEAN * total / (count + _MEAN_SAMPLES)
-        return xp.concatenate([v, change, mean], axis=-1), (now, total, count)
-
-    def _begun(self, params: Any, state: MeasuredState, h: Any, v: AnyArray) -> Any:
-        """State of a recurrent network, before the first sample made from its inputs v."""
-        if self.inner is None:
-            return h
-        xp = namespace(v)
-        start = xp.tanh(self._bounded(v) @ params["start_w"])
-        first = xp.concatenate([state.first] * (len(v) // len(state.first)))
-        return [(xp.where(first, start, a), c) for a, c in h]
-
-    def _bounded(self, v: AnyArray) -> AnyArray:
-        return self.reach * namespace(v).tanh(v / self.reach)
-
-    def drawn(self, params: Any, state: MeasuredState, key: AnyArray) -> MeasuredState:
-        """The state with one symmetry drawn for each row."""
-        if not self.symmetric:
-            return state
-        import jax
-
-        turns, rows = len(params["fixed"]["turns"]), len(state.x)
-        h = jax.tree.map(lambda v: v[:rows], state.h)
-        return state._replace(h=h, turn=jax.random.randint(key, (rows,), 0, turns))
-
-    def penalty(self, params: Any) -> AnyArray:
-        """Ridge of the linear terms, and what speaks against the parameters."""
-        total: AnyArray = 0.0
-        if self.ridge and self.linear:
-            total = self.ridge * ((params["linear"] ** 2).sum() + (params["offset"] ** 2).sum())
-        if self.priors and self.prior_weight:
-            total = total + self.prior_weight * (self.deviations(params["physical"]) ** 2).sum()
-        return total
-
-    def deviations(self, z: AnyArray) -> AnyArray:
-        """How far (n,) the parameters of coordinates z are from their priors, in standard
-        deviations."""
-        names = tuple(name for name, _, _ in self.priors)
-        mean, deviation = (np.array(v, z.dtype) for v in list(zip(*self.priors, strict=True))[1:])
-        nothing = namespace(z).zeros((0,), z.dtype)
-        # Of no states and inputs: only parameters and constants stand in a prior.
-        values = self.equations.named(names, self._given(self.physical(z)), nothing, nothing)
-        return (values - mean) / deviation
+    def _signals(self, params: Any, p: AnyArray, x: AnyArray, m: AnyArray) -> AnyArray:
+        """Normalised signals (B, len(read))."""
+        values = self.physics.named(self.read, p, x, m)
+        return (values - params["fixed"]["s_mean"]) / params["fixed"]["s_std"]

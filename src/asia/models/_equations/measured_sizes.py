@@ -34,16 +34,16 @@ def measured_sizes(
     cell: MeasuredCell, trajectories: Sequence[Trajectory], scaling: Scaling, context: Context
 ) -> dict[str, Any]:
     """Sizes of all signals, which no method changes: `params["fixed"]` of the cell."""
-    order = list(cell.order)
+    order = list(cell.physics.order)
     low, high = _limits(scaling.y_mean[order], scaling.y_std[order])
     assert context.physics is not None
-    bounds = [context.physics.bounds.get(name, Bounds()) for name in cell.equations.states]
+    bounds = [context.physics.bounds.get(name, Bounds()) for name in cell.physics.system.states]
     low = np.maximum(low, [-np.inf if b.min is None else b.min for b in bounds])
     high = np.minimum(high, [np.inf if b.max is None else b.max for b in bounds])
     span = _RATE_SAMPLES
     moved = np.concatenate([t.y[span:] - t.y[:-span] for t in trajectories])
     rate = moved[:, order].std(axis=0) / (span * context.sampling_time)
-    rate = np.where(rate > 0, rate, 1.0)[list(cell.dynamic)]
+    rate = np.where(rate > 0, rate, 1.0)[list(cell.physics.dynamic)]
     mean, std = _signal_sizes(cell, cell.read, trajectories)
     values = {
         "y_mean": scaling.y_mean,
@@ -56,7 +56,7 @@ def measured_sizes(
         "s_mean": mean,
         "s_std": std,
     }
-    if cell.corrections:
+    if cell.physics.corrections:
         values |= _at_corrections(cell, mean, std, context)
     return {k: np.asarray(v, np.float32) for k, v in values.items()}
 
@@ -67,12 +67,15 @@ def _at_corrections(
     """Sizes, from those of the signals, of what the network reads and of the corrections, the same
     for signals that a symmetry exchanges, and the symmetries as matrices."""
     assert context.physics is not None
-    names = (*cell.read, *cell.corrections)
-    turns = group(context.symmetry if cell.symmetric else {}, names)
+    names = (*cell.read, *cell.physics.corrections)
+    network = cell.network
+    symmetric = network is not None and network.symmetric
+    driving = () if network is None else network.driving
+    turns = group(context.symmetry if symmetric else {}, names)
     n = len(cell.read)
-    seen = [*range(n), *(cell.read.index(name) for name in cell.driving * 2)]
+    seen = [*range(n), *driving, *driving]
     # Of the parts of what the network reads: no symmetry takes one to another.
-    part = np.repeat([0, 1, 2], [n, len(cell.driving), len(cell.driving)])
+    part = np.repeat([0, 1, 2], [n, len(driving), len(driving)])
     own, places = turns[:, :n, :n], turns[:, n:, n:]
     together = turns[:, seen][:, :, seen] * np.equal.outer(part, part)
 
@@ -128,9 +131,9 @@ def made_by_inputs(system: Equations, name: str) -> bool:
 
 def most_probable(cell: MeasuredCell) -> Float32:
     """Coordinates of the parameters, in the middle of the ranges but for what priors say."""
-    z = np.zeros(len(cell.ranges))
-    if cell.priors:
-        z = least_squares(lambda z: np.append(cell.deviations(z), _WEAK * z), z).x
+    z = np.zeros(len(cell.physics.ranges))
+    if cell.physics.priors:
+        z = least_squares(lambda z: np.append(cell.physics.deviations(z), _WEAK * z), z).x
     return z.astype(np.float32)
 
 
@@ -144,10 +147,10 @@ def _signal_sizes(
 ) -> tuple[Array, Array]:
     """Mean and standard deviation, (n,) each, of signals of the equations."""
     every = max(1, sum(len(t) for t in trajectories) // 2000)
-    y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.order)]
+    y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.physics.order)]
     u = np.concatenate([t.u[::every] for t in trajectories])
-    p = np.append(cell.physical(np.zeros(len(cell.ranges))), np.zeros(len(cell.corrections)))
-    values = cell.equations.named(names, p, y.T, u.T).T
+    p = cell.physics.physical(np.zeros(len(cell.physics.ranges)))
+    values = cell.physics.named(names, p, y, u)
     std = values.std(axis=0)
     return values.mean(axis=0), np.where(std > 0, std, 1.0)
 

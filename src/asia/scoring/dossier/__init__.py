@@ -13,6 +13,12 @@ from asia.scoring.dossier.long_run import HORIZONS, check_long_run
 from asia.scoring.dossier.overfit import check_overfit
 from asia.scoring.dossier.records import SimulatedBlock, SimulatedBlocks
 from asia.scoring.dossier.region import check_region
+from asia.scoring.dossier.registry import (
+    VALIDATION_CHECKS,
+    ValidationCheck,
+    ValidationData,
+    validation_checks,
+)
 from asia.scoring.dossier.residual import residual_checks
 from asia.scoring.dossier.response import (
     SMALL,
@@ -27,12 +33,15 @@ from asia.scoring.dossier.spectrum import check_frequency_response, check_spectr
 __all__ = [
     "HORIZONS",
     "SMALL",
+    "VALIDATION_CHECKS",
     "Cause",
     "Check",
     "CheckCurve",
     "LinearResponse",
     "SimulatedBlock",
     "SimulatedBlocks",
+    "ValidationCheck",
+    "ValidationData",
     "Verdict",
     "check_ahead",
     "check_bands",
@@ -51,4 +60,5 @@ __all__ = [
     "poles",
     "residual_checks",
     "summary",
+    "validation_checks",
 ]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,20 +35,16 @@ from asia.scoring.dossier import (
     LinearResponse,
     SimulatedBlock,
     SimulatedBlocks,
+    ValidationData,
     Verdict,
     check_ahead,
     check_bands,
-    check_frequency_response,
-    check_gain,
-    check_long_run,
     check_overfit,
     check_region,
-    check_responses,
-    check_spectrum,
     no_bands,
     no_steps_ahead,
-    residual_checks,
     summary,
+    validation_checks,
 )
 from asia.search._run import LOCK, make_evaluator
 from asia.search._simulate import simulate_members
@@ -212,37 +209,32 @@ class _Validation:
         return SimulatedBlocks(blocks, inputs, outputs, self.problem.sampling_time)
 
     def _of_residuals(self, found: SimulatedBlocks) -> tuple[Check, ...]:
-        """What both dossiers have."""
+        """The checks of the registry."""
         simulator = self._simulator(final_members(self.run.view, self.use))
         given = self._range
-        self.progress("answers to small steps, and a long run")
+        self.progress("responses to small steps")
         failed: list[str] = []
         linear: tuple[LinearResponse, ...] = ()
         with diagnostic("small steps", failed):
             linear = linear_responses(given, found.inputs, simulator)
-        small = tuple(Check("small steps", Verdict.ABSENT, line) for line in failed)
 
-        def ten_horizons() -> Check:
-            y = np.concatenate([r.y for r in self.evaluator.records])
-            far = long_run(given, self.evaluator.horizon, simulator)
-            return check_long_run(far, y.min(axis=0), y.max(axis=0))
+        def noise() -> list[float | None]:
+            return [None if r is None else r.levels.noise for r in responses(self.problem)]
 
-        def spectrum() -> Check:
-            each = responses(self.problem)
-            return check_spectrum(found, [None if r is None else r.levels.noise for r in each])
-
-        far = _made("ten horizons", ten_horizons)
-        self.progress(f"residuals of {len(found.outputs)} outputs")
-        return (
-            *_made("residuals", lambda: residual_checks(found)),
-            *_made("direction of gain", lambda: check_gain(found)),
-            *_made("error spectrum", spectrum),
-            *_made("frequency response", lambda: check_frequency_response(found, linear)),
-            *small,
-            *_made("poles and static gain", lambda: check_responses(linear, found.outputs,
-                                                                    found.sampling_time)),
-            *far,
-        )  # fmt: skip
+        y = np.concatenate([r.y for r in self.evaluator.records])
+        data = ValidationData(
+            simulations=found,
+            linear_responses=linear,
+            lowest=y.min(axis=0),
+            highest=y.max(axis=0),
+            noise=noise,
+            long_run=lambda: long_run(given, self.evaluator.horizon, simulator),
+        )
+        checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
+        for name, check in validation_checks().items():
+            self.progress(name)
+            checks += _made(name, partial(check, data))
+        return tuple(checks)
 
     @property
     def _range(self) -> ProbeRange:

@@ -145,7 +145,7 @@ def pushed(config: physics_net.Config, **changes: Any) -> Array:
     scaling = Scaling.of([record(1)])
     assert isinstance(model.cell, MeasuredCell)
     fixed = measured_sizes(model.cell, [record(1)], scaling, CONTEXT)
-    gain = float(model.cell.physical(model.params["physical"])[0])
+    gain = float(model.cell.physics.physical(model.params["physical"])[0])
     changed = {k: np.asarray(v, np.float32) for k, v in changes.items()}
     params = {**model.params, **changed, "fixed": fixed}
     u = np.tile([1.0 / gain, 0.0], (1, 10, 1))
@@ -171,7 +171,7 @@ def test_parameters_start_where_the_priors_say_and_are_held_there() -> None:
         model = fitted(replace(config, prior=prior), method, context)
         cell = model.network.cell
         assert isinstance(cell, MeasuredCell)
-        return float(cell.physical(np.asarray(model.network.params["physical"]))[0])
+        return float(cell.physics.physical(np.asarray(model.network.params["physical"]))[0])
 
     assert push(0.01, 1) == pytest.approx(0.5, abs=0.02)
     assert push(1.0, 60) < 0.6 < push(0.0, 60)

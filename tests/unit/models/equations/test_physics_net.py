@@ -74,10 +74,10 @@ def test_sparse_linear_terms_are_the_drag_and_nothing_else(linear: physics_net.P
     cell, params = linear.network.cell, linear.network.params
     assert isinstance(cell, MeasuredCell)
     assert cell.read == ("v",)  # no equation reads the position
-    assert (cell.dynamic, cell.kinematic) == ((1,), (0,))
+    assert (cell.physics.dynamic, cell.physics.kinematic) == ((1,), (0,))
     slope = params["linear"][0, 0] * params["fixed"]["rate"][0] / params["fixed"]["s_std"][0]
     assert slope == pytest.approx(-DRAG, rel=0.1)
-    assert cell.physical(params["physical"])[0] == pytest.approx(PULL, rel=0.1)
+    assert cell.physics.physical(params["physical"])[0] == pytest.approx(PULL, rel=0.1)
     assert error(linear, record(9)) < 0.02
     assert error(fitted(physics_net.Config(lag=False)), record(9)) > 0.04
 
