@@ -1,4 +1,4 @@
-"""What a candidate is given and what it gives back."""
+"""Contract of a candidate: the context of a fit and the interface of a fitted model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _no_log(step: float, loss: float) -> None:
 
 @dataclass(frozen=True)
 class Context:
-    """All a candidate may know beside its training trajectories."""
+    """Everything that a candidate knows apart from its training trajectories."""
 
     inputs: tuple[Signal, ...]
     """Names and units of the inputs."""
@@ -36,9 +36,9 @@ class Context:
     metric: str = "rmse"
     """Name of the metric that V is computed with."""
     physics: Physics | None = None
-    """The person's equations."""
+    """Equations from the problem file."""
     seed: int = 0
-    """One per search, fold and repeat, the same for every candidate."""
+    """Seed for one search, fold and repeat, the same for every candidate."""
     deadline: float = float("inf")
     """Value of `time.monotonic()` after which the worker is killed."""
     threads: int = 1

@@ -1,4 +1,4 @@
-"""The targets by name."""
+"""Export targets by name."""
 
 from __future__ import annotations
 
@@ -22,11 +22,15 @@ _ALL: tuple[Target, ...] = (
     MatlabTarget(),
 )
 TARGETS: dict[str, Target] = {t.name: t for t in _ALL}
-"""All that can be given as `--to`."""
+"""All targets that `--to` accepts."""
 
 
 def target(name: str) -> Target:
-    """Raises UserError where there is none of this name, or something is not installed."""
+    """Return the target of a name.
+
+    Raises:
+        UserError: if there is no such target, or something that it needs is not installed.
+    """
     if name not in TARGETS:
         raise UserError(f"target '{name}' is unknown, expected one of {', '.join(TARGETS)}")
     found = TARGETS[name]

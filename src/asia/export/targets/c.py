@@ -45,7 +45,7 @@ _HELPERS = {
 
 
 class CTarget:
-    """`model.c`, `model.h`, `main.c`, `Makefile`, `example.csv`."""
+    """Target `c`: `model.c`, `model.h`, `main.c`, `Makefile`, `example.csv`."""
 
     name = "c"
     usage = """```c
@@ -60,11 +60,11 @@ and no global variables. Do not compile with `-ffast-math`: a value that is no n
 one."""
 
     def missing(self) -> str | None:
-        """Printing needs nothing."""
+        """Return None: printing needs nothing."""
         return None
 
     def print(self, model: ExportModel) -> Printed:
-        """The files; the sizes are those of `double`."""
+        """Print the files; the sizes are those of `double`."""
         source, work = c_source(model)
         files = {
             "model.c": source.encode(),
@@ -80,7 +80,7 @@ one."""
         return Printed(files, sizes | ({} if code is None else {"code": code}))
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """Compiled here, in double and in single precision."""
+        """Compile the files here and simulate in double and in single precision."""
         compiler = c_compiler()
         if compiler is None:
             return "no C compiler here: not compared"
@@ -88,12 +88,13 @@ one."""
 
 
 def c_compiler() -> str | None:
-    """Where one is; None without."""
+    """Path of a C compiler; None if there is none."""
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
 def c_source(model: ExportModel) -> tuple[str, int]:
-    """`model.c`, and the most numbers that one of its functions keeps on the stack."""
+    """Print `model.c`; return it with the most numbers that one of its functions keeps on the
+    stack."""
     low, constants = model.lowered, Constants()
     states = [_place("x->x", start, s) for start, s in _starts(low.states)]
     u, y = _place("u", 0, (low.nu,)), _place("y", 0, (low.ny,))
@@ -209,7 +210,7 @@ def _simulated(
 
 
 def compiled(compiler: str, folder: Path, made: Path, *, single: bool) -> Path:
-    """A library of the functions and of one that runs a whole simulation."""
+    """Compile a library of the functions and of one that runs a whole simulation."""
     harness, library = made / "harness.c", made / ("float.so" if single else "double.so")
     harness.write_text(HARNESS)
     command = [compiler, *FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "model.c")]
@@ -223,7 +224,7 @@ def compiled(compiler: str, folder: Path, made: Path, *, single: bool) -> Path:
 
 
 def _code_bytes(files: dict[str, bytes]) -> int | None:
-    """Instructions and constants of `model.c`, as compiled for size here."""
+    """Size of the instructions and constants of `model.c`, as compiled for size here."""
     compiler, size = c_compiler(), shutil.which("size")
     if compiler is None or size is None:
         return None

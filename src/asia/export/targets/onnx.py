@@ -1,4 +1,4 @@
-"""ONNX graphs of the start, of one sample, and of a whole simulation."""
+"""ONNX graphs of the initial state, of one sample, and of a whole simulation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _REDUCED = {"rsum": "ReduceSum", "rmax": "ReduceMax", "rmin": "ReduceMin", "rpro
 
 
 class OnnxTarget:
-    """`initial.onnx`, `step.onnx`, `simulate.onnx`."""
+    """Target `onnx`: `initial.onnx`, `step.onnx`, `simulate.onnx`."""
 
     name = "onnx"
     usage = """```python
@@ -47,12 +47,16 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
 `u` (nu,) and gives `y` (ny,) and the states at the next sample, `x0_next`, ..."""
 
     def missing(self) -> str | None:
-        """onnx and onnxruntime."""
+        """Return a sentence if onnx or onnxruntime is not installed."""
         found = all(importlib.util.find_spec(n) for n in ("onnx", "onnxruntime"))
         return None if found else "pip install '.[export]' in a clone of ASIA"
 
     def print(self, model: ExportModel) -> Printed:
-        """The files. Raises UserError for an operation that ONNX does not have."""
+        """Print the files.
+
+        Raises:
+            UserError: for an operation that ONNX does not have.
+        """
         low = model.lowered
         states = [f"x{i}" for i in range(len(low.states))]
         after = [f"{x}_next" for x in states]
@@ -66,7 +70,7 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
         return Printed(files)
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """By onnxruntime, a window at a time."""
+        """Simulate with onnxruntime, a window at a time."""
         import onnxruntime as ort
 
         options = ort.SessionOptions()
@@ -84,7 +88,7 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
 
 
 class _Graph:
-    """Nodes and constants of one graph; a graph inside another one sees the outer names."""
+    """Nodes and constants of one graph; a graph inside another one can use the outer names."""
 
     def __init__(self, prefix: str = "") -> None:
         self.nodes: list[Any] = []
@@ -111,7 +115,7 @@ class _Graph:
         return name
 
     def run(self, program: Program, inputs: Sequence[str]) -> list[str]:
-        """Names of what the program gives."""
+        """Print a program and return the names of its outputs."""
         shapes = program.shapes
         values: list[Any] = [*inputs, *(self.constant(c) for c in program.constants)]
         for node in program.nodes:
@@ -201,7 +205,7 @@ class _Graph:
         shapes: Sequence[Shape],
         carried: int,
     ) -> Any:
-        """The graph of a Loop: (turn, going on, carried) -> (going on, carried, stacked)."""
+        """Body graph of a Loop: (iteration, condition, carried) -> (condition, carried, stacked)."""
         from onnx import TensorProto, helper
 
         info = helper.make_tensor_value_info
@@ -228,7 +232,7 @@ def _model(
 
 
 def _simulation(low: LoweredModel, model: ExportModel) -> bytes:
-    """All samples of u (H, nu), H open."""
+    """Graph of all samples of u (H, nu), with H open."""
     graph = _Graph()
     zero = graph.constant(np.int64(0))
     first = graph.add("Gather", "u", zero, axis=0)
