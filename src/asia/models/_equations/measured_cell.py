@@ -1,4 +1,4 @@
-"""Equations whose states are all measured, with learned terms: one sample's step, batch first.
+"""State-space step of equations whose states are all measured, with learned terms, batch first.
 
     dx/dt = gain f(x, m) + gain rate (offset + linear' s + d + net),   dm/dt = (u - m) / lag
 
@@ -32,7 +32,7 @@ _DELAY_SAMPLES = 5.0
 
 
 class MeasuredState(NamedTuple):
-    """Before a sample."""
+    """State of the model before one sample, batch first."""
 
     x: AnyArray
     """States (B, nx)."""
@@ -43,13 +43,14 @@ class MeasuredState(NamedTuple):
     h: Any
     """State of the network."""
     first: AnyArray
-    """Whether no sample has been simulated yet (B, 1)."""
+    """No sample has been simulated yet (B, 1)."""
     turn: Any = ()
-    """Number of the symmetry under which the network sees each row (B,); () is all of them,
+    """Number of the transformation under which the network sees each row (B,); () is all of them,
     averaged."""
     seen: Any = ()
-    """Of the signals that the inputs alone make: the last (B, n), the sum and the number of its
-    samples."""
+    """Memory of the signals that depend only on inputs: the last values (B, n), the sum and the
+    number
+    of their samples."""
 
 
 @dataclass(frozen=True)
@@ -57,49 +58,50 @@ class MeasuredCell:
     """Structure of the model: see `asia.models._networks.structure.Cell`. Hashable."""
 
     equations: Equations
-    """The person's."""
+    """Equations from the problem file."""
     ranges: tuple[Range, ...]
-    """Of their parameters."""
+    """Search ranges of their parameters."""
     order: tuple[int, ...]
-    """The output that is each state."""
+    """Number of the output that shows each state."""
     dynamic: tuple[int, ...]
     """Equations with free parameters."""
     kinematic: tuple[int, ...]
-    """Equations without, where these get a gain; else none."""
+    """Equations without free parameters, if these get a gain; else none."""
     read: tuple[str, ...]
     """States and definitions that the learned terms may read."""
     sampling_time: float
-    """In s."""
+    """Sampling time in s."""
     past_inputs: bool
-    """Whether a past window shows inputs."""
+    """A past window holds inputs."""
     lag: bool
-    """Whether the inputs act through a lag."""
+    """The inputs act through a lag."""
     linear: bool
-    """Whether there are linear terms."""
+    """There are linear terms."""
     disturbance: bool
-    """Whether there is a disturbance state."""
+    """There is a disturbance state."""
     network: NetworkKind | None
     """Kind of the network, if there is one."""
     inner: recurrent.Config | None
-    """Its layers, where it is recurrent."""
+    """Layers of a recurrent network."""
     size: float
-    """Its largest effect, as a share of the rates measured, or of the scale of a correction."""
+    """Largest effect of the network, as a share of the rates measured, or of the scale of a
+    correction."""
     reach: float = 3.0
     """Inputs of the network are bounded to this many deviations: beyond, its output stays that at
     the bound."""
     corrections: tuple[str, ...] = ()
     """Places in the equations where the learned terms enter; none: on the rates."""
     driving: tuple[str, ...] = ()
-    """With corrections, those of `read` that the inputs alone make, whose change and running mean
-    the network reads too."""
+    """Signals of `read` that depend only on inputs; with corrections the network also reads their
+    change and running mean."""
     symmetric: bool = False
-    """Whether the network sees its signals under the symmetries of the problem."""
+    """The network sees its signals under the symmetries of the problem."""
     ridge: float = 0.0
     """Weight of the squared linear terms against the loss of a network method."""
     delay: bool = False
-    """Whether known kinematics read the other states at a learned delay."""
+    """Known kinematics read the other states at a learned delay."""
     priors: tuple[tuple[str, float, float], ...] = ()
-    """What is known of the parameters: definition of the equations, mean and deviation."""
+    """Prior knowledge of the parameters: definition of the equations, mean and deviation."""
     prior_weight: float = 0.0
     """Weight of the squared deviations against the loss."""
 
@@ -120,13 +122,13 @@ class MeasuredCell:
 
     @property
     def semi_implicit(self) -> bool:
-        """Whether the driven states move first and the known kinematics read them halfway."""
+        """The driven states move first, and the known kinematics read them halfway."""
         return bool(self.corrections or self.delay) and len(self.dynamic) < len(self.order)
 
     @property
     def net_inputs(self) -> int:
-        """Signals the network reads: those of `read`, and with corrections changes and means of
-        some, else the inputs and the equations' rates."""
+        """Number of signals that the network reads: those of `read`, and with corrections changes
+        and means of some, else the inputs and the equations' rates."""
         if self.corrections:
             return len(self.read) + 2 * len(self.driving)
         return len(self.read) + len(self.equations.inputs) + self.nd
@@ -136,7 +138,7 @@ class MeasuredCell:
         return physical_parameters(self.ranges, z)
 
     def parameters(self, params: Any) -> dict[str, float]:
-        """Those of the equations in their physical units, and the lags of the inputs in s."""
+        """Parameters of the equations in their physical units, and the lags of the inputs in s."""
         values = np.asarray(self.physical(params["physical"]), np.float64)
         names = self.equations.parameters[: len(self.ranges)]
         found = {name: float(value) for name, value in zip(names, values, strict=True)}
@@ -146,7 +148,8 @@ class MeasuredCell:
         return found
 
     def initial(self, params: Any, window: AnyArray) -> MeasuredState:
-        """From the last measured outputs, and the last measured inputs where there are any."""
+        """State from the last measured outputs, and from the last measured inputs where there are
+        any."""
         fixed, xp = params["fixed"], namespace(window)
         ny, nu = len(self.order), len(self.equations.inputs)
         y = window[:, window.shape[1] - ny :] * fixed["y_std"] + fixed["y_mean"]
@@ -172,7 +175,7 @@ class MeasuredCell:
     def step(
         self, params: Any, state: MeasuredState, u: AnyArray
     ) -> tuple[MeasuredState, AnyArray]:
-        """What the output is read from is the output, z-scored."""
+        """Advance by one sample; the features are the output, z-scored."""
         fixed, dt, xp = params["fixed"], self.sampling_time, namespace(u)
         u = u * fixed["u_std"] + fixed["u_mean"]
         m = u
@@ -224,13 +227,12 @@ class MeasuredCell:
         return together[..., np.argsort(places)]
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """The features."""
+        """Output: the features."""
         del params, u
         return features
 
     def feed(self, params: Any, state: MeasuredState, y: AnyArray, mask: AnyArray) -> MeasuredState:
-        """The state with its outputs replaced by the measured ones, z-scored, where the mask is
-        1."""
+        """Replace the outputs in the state by the measured ones, z-scored, where the mask is 1."""
         fixed = params["fixed"]
         measured = (y * fixed["y_std"] + fixed["y_mean"])[:, np.array(self.order)]
         return state._replace(x=mask * measured + (1 - mask) * state.x)
@@ -241,7 +243,7 @@ class MeasuredCell:
         return (values - params["fixed"]["s_mean"]) / params["fixed"]["s_std"]
 
     def _given(self, p: AnyArray) -> AnyArray:
-        """What the equations as given depend on: the parameters, and corrections of 0."""
+        """Arguments of the equations as given: the parameters, and corrections of 0."""
         if not self.corrections:
             return p
         return namespace(p).concatenate([p, np.zeros(self.nc, p.dtype)])
@@ -282,7 +284,7 @@ class MeasuredCell:
         return extra * fixed["rate"], d
 
     def _network(self, params: Any, h: Any, v: AnyArray) -> tuple[Any, AnyArray]:
-        """Next state of the network, and what it adds."""
+        """Next state of the network, and its effect."""
         xp = namespace(v)
         v = self._bounded(v)
         if self.network == "mlp":
@@ -296,8 +298,8 @@ class MeasuredCell:
     def _corrected(
         self, params: Any, p: AnyArray, state: MeasuredState, u: AnyArray
     ) -> tuple[AnyArray, Any, Any]:
-        """Values of the corrections (B, nc), the next state of the network, and what it has
-        seen."""
+        """Values of the corrections (B, nc), the next state of the network, and its memory of
+        signals."""
         fixed, xp = params["fixed"], namespace(u)
         extra = xp.zeros((len(u), self.nc), u.dtype)
         if self.linear:
@@ -325,8 +327,11 @@ class MeasuredCell:
         return extra * fixed["scale"], h, seen
 
     def _remembered(self, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any]:
-        """Inputs of the network: signals v (B, n), and of those that the inputs alone make the
-        change since the last sample and the running mean; and what is kept for the next sample."""
+        """Inputs of the network and its memory for the next sample.
+
+        The inputs are the signals v (B, n), and of those that depend only on inputs the change
+        since the last sample and the running mean.
+        """
         if not self.driving:
             return v, ()
         xp = namespace(v)
@@ -350,7 +355,7 @@ class MeasuredCell:
         return self.reach * namespace(v).tanh(v / self.reach)
 
     def drawn(self, params: Any, state: MeasuredState, key: AnyArray) -> MeasuredState:
-        """The state with one symmetry drawn for each row."""
+        """State with one transformation drawn for each row."""
         if not self.symmetric:
             return state
         import jax
@@ -360,7 +365,7 @@ class MeasuredCell:
         return state._replace(h=h, turn=jax.random.randint(key, (rows,), 0, turns))
 
     def penalty(self, params: Any) -> AnyArray:
-        """Ridge of the linear terms, and what speaks against the parameters."""
+        """Ridge of the linear terms, and penalty of the priors on the parameters."""
         total: AnyArray = 0.0
         if self.ridge and self.linear:
             total = self.ridge * ((params["linear"] ** 2).sum() + (params["offset"] ** 2).sum())
@@ -369,7 +374,7 @@ class MeasuredCell:
         return total
 
     def deviations(self, z: AnyArray) -> AnyArray:
-        """How far (n,) the parameters of coordinates z are from their priors, in standard
+        """Distances (n,) of the parameters of coordinates z from their priors, in standard
         deviations."""
         names = tuple(name for name, _, _ in self.priors)
         mean, deviation = (np.array(v, z.dtype) for v in list(zip(*self.priors, strict=True))[1:])

@@ -1,4 +1,4 @@
-"""Where the fit of a grey-box starts: records cut to segments, draws, screening, scales."""
+"""Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales."""
 
 from __future__ import annotations
 
@@ -50,32 +50,39 @@ class Starts(NamedTuple):
     z: Array
     """Coordinates (P, size)."""
     shift: Array
-    """Initial states (P, S, nx) from the guess, in units of their scale."""
+    """Differences (P, S, nx) of the initial states from the guess, in units of their scale."""
     x_guess: Array
     """Guessed initial states (P, S, nx)."""
     scales: Scales
-    """Sizes of the signals, of each start."""
+    """Sizes of the signals, for each start."""
 
     def chosen(self, rows: NDArray[np.intp]) -> Starts:
-        """Some of them."""
+        """Select some starting points."""
         scales = self.scales.of_rows(rows)
         return Starts(self.z[rows], self.shift[rows], self.x_guess[rows], scales)
 
 
 class SegmentSimulator(Protocol):
-    """Simulates all segments."""
+    """Simulator of all segments."""
 
     def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:
-        """Outputs (P, S, T, ny) and states (P, S, T, nx) with coordinates z (P, size), from initial
-        states x0 (P, S, nx)."""
+        """Simulate from initial states x0 (P, S, nx) with coordinates z (P, size).
+
+        Returns:
+            Outputs (P, S, T, ny) and states (P, S, T, nx).
+        """
         ...
 
 
 def cut_segments(
     structure: GreyBoxStructure, trajectories: Sequence[Trajectory], horizon: int | None
 ) -> RecordPieces:
-    """Whole records, or, with a horizon, windows spread over them: past and horizon, or where the
-    initial state is measured the last past sample and the horizon."""
+    """Cut the records to segments.
+
+    They are whole records, or, with a horizon, windows spread over them: past and horizon, or where
+    the
+    initial state is measured the last past sample and the horizon.
+    """
     pieces: list[Trajectory] = list(trajectories)
     if horizon is not None:
         length = (1 if structure.measured else structure.n_past) + horizon
@@ -99,7 +106,7 @@ def _most_windows(structure: GreyBoxStructure, length: int) -> int:
 
 
 def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:
-    """Initial states (S, nx) that fit `i` ended with."""
+    """Initial states (S, nx) at the end of fit `i`."""
     if structure.measured:
         return starts.x_guess[i]
     shift = found.theta[i, structure.layout.size :].reshape(-1, structure.nx)
@@ -140,7 +147,7 @@ def _base_scales(structure: GreyBoxStructure, segments: RecordPieces) -> Scales:
 
 
 def opened(scales: Scales) -> Scales:
-    """Without the limits outside which the simulation of a trained model counts as run away."""
+    """Remove the limits outside which the simulation of a trained model counts as diverged."""
     low = np.full_like(np.asarray(scales.low), -_OPEN)
     return scales._replace(low=low, high=-low)
 
@@ -153,7 +160,8 @@ def _neutral(structure: GreyBoxStructure) -> Array:
 
 
 def _draws(structure: GreyBoxStructure, segments: RecordPieces, count: int) -> int:
-    """Points drawn to choose `count` starts from: as many as memory allows, at most 16 times."""
+    """Number of points drawn to choose `count` starts from: as many as memory allows, at most 16
+    times."""
     values = segments.mask.size * structure.config.substeps * structure.nx * count
     return count * int(np.clip(_MOST_SCREENED_VALUES // values, 1, _SCREENED_PER_START))
 
@@ -165,7 +173,7 @@ def screen(
     count: int,
     rng: np.random.Generator,
 ) -> Starts:
-    """The `count` best of many points drawn in the parameter ranges, the middle among them."""
+    """Choose the `count` best of many points drawn in the parameter ranges, the middle among them."""
     layout = structure.layout
     drawn = _draws(structure, segments, count)
     z = np.tile(_neutral(structure), (drawn, 1))
@@ -184,7 +192,7 @@ def screen(
 
 
 def _ranking(segments: RecordPieces, scales: Scales, outputs: Array) -> NDArray[np.intp]:
-    """Starts from the smallest simulation error to the greatest."""
+    """Order of the starts from the smallest simulation error to the greatest."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = (outputs - segments.y) / scales.y_scale[:, 0]
         cost = (error**2 * segments.counts[:, :, None]).sum(axis=(1, 2, 3))
@@ -210,7 +218,7 @@ def augment(
     found: Minimum,
     rng: np.random.Generator,
 ) -> Starts:
-    """Starting points around the best fits of the equations alone, with the additions drawn."""
+    """Starting points around the best fits of the bare equations, with the additions drawn."""
     layout, size = structure.layout, structure.layout.size
     count, learned = len(starts.z), len(structure.learned.names)
     drawn = _draws(structure, segments, count)
@@ -240,7 +248,7 @@ def augment(
 def add_network(
     structure: GreyBoxStructure, starts: Starts, found: Minimum, rng: np.random.Generator
 ) -> Starts:
-    """The best fit again and again, each time with another first layer of the network."""
+    """Repeat the best fit, each time with another first layer of the network."""
     count, best = len(starts.z), int(np.argmin(found.cost))
     inner = structure.nx_own + structure.nu + 1
     z = np.tile(found.theta[best, : structure.layout.size], (count, 1))

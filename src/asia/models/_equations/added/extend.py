@@ -1,4 +1,4 @@
-"""The person's equations with what a config adds to them written in."""
+"""Equations from the problem file, extended by the additions of a config."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ _POWER_SHIFT = 0.02
 
 
 def extended(structure: GreyBoxStructure, segments: RecordPieces) -> GreyBoxStructure:
-    """The structure with all additions that are changes of expressions; itself without any."""
+    """Write all additions that change expressions into a structure; return it unchanged without
+    any."""
     if not structure.config.extends or structure.learned.names:
         return structure
     return _Builder(structure, segments).built()
@@ -118,8 +119,8 @@ class _Builder:
         return play(self._extension, name, self._span(name)[1], time)
 
     def _shown(self, lagged: list[str]) -> tuple[tuple[int, int], ...]:
-        """Outputs that show states; what shows a state shows a lag of it, or a play behind it, as
-        well."""
+        """Outputs that show states; an output that shows a state also shows its lag or the play
+        behind it."""
         shown, states = dict(self._structure.measured_states), self._system.states
         for k, name in enumerate(lagged):
             if name in states and states.index(name) in shown:
@@ -127,7 +128,7 @@ class _Builder:
         return tuple(shown.items())
 
     def _as_read(self, name: str) -> Node:
-        """A signal as the equations read it."""
+        """Signal in the form that the equations read."""
         node = Name(name)
         if name not in self._config.smooth:
             return node
@@ -137,7 +138,7 @@ class _Builder:
         return formula("x * exp(bend)", x=node, bend=_process(weights, place))
 
     def _span(self, name: str) -> tuple[Node, Node]:
-        """The lowest value of a signal, and its range."""
+        """Lowest value of a signal, and its range."""
         if name not in self._system.inputs:
             return self._extension.span(name)
         low, high = self._input_ranges[self._system.inputs.index(name)]
@@ -154,7 +155,7 @@ class _Builder:
         )  # fmt: skip
 
     def _sensor(self, output: int, node: Node) -> Node:
-        """The output as a rising curve of its expression."""
+        """Output as a rising curve of its expression."""
         name = self._system.outputs[output]
         low, high = self._sensor_range(output, node)
         place = formula(
@@ -185,7 +186,7 @@ class _Builder:
 
 
 def _range(values: Array) -> Range:
-    """From the lowest to the highest value, never empty."""
+    """Lowest and highest value, never equal."""
     low, high = float(values.min()), float(values.max())
     return low, high if high > low else low + 1.0
 
@@ -195,7 +196,7 @@ def _expression(node: Node) -> Expression:
 
 
 def _inlined(system: Equations, e: Expression) -> Node:
-    """An expression with the definitions put in."""
+    """Expression with the definitions put in."""
     known: dict[str, Node] = {}
     for name, definition in system.definitions:
         known[name] = substituted(definition.root, known)
@@ -203,7 +204,7 @@ def _inlined(system: Equations, e: Expression) -> Node:
 
 
 def _process(weights: Sequence[Node], place: Node) -> Node:
-    """A weighted sum of squared exponential kernels."""
+    """Weighted sum of squared exponential kernels."""
     terms = [
         formula(
             "w * exp(-0.5 * ((x - knot) / length) ** 2)",
@@ -215,7 +216,7 @@ def _process(weights: Sequence[Node], place: Node) -> Node:
 
 
 def _rising(weights: Sequence[Node], place: Node) -> Node:
-    """A curve through (0, 0) and (1, 1) whose slope is positive: linear between knots, the
+    """Curve through (0, 0) and (1, 1) whose slope is positive: linear between knots, the
     exponential of a Gaussian process at them."""
     slopes = [formula("exp(g)", g=_process(weights, Number(k / (KNOTS - 1)))) for k in range(KNOTS)]
     parts: list[Node] = []
