@@ -1,4 +1,4 @@
-"""Outputs that were not measured, as a model of the records says."""
+"""Reconstruction of outputs that were not measured, from a model of the records."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST = 0.98
 
 
 def has_gaps(trajectories: Sequence[Trajectory]) -> bool:
-    """Whether any output was not measured."""
+    """Return whether any output was not measured."""
     return any(t.missing is not None for t in trajectories)
 
 
@@ -27,9 +27,18 @@ def reconstructed(
     simulate: ScaledSimulator,
     context: Context,
 ) -> list[ScaledTrajectory]:
-    """The scaled records of the trajectories, with what `simulate` gives where an output was not
-    measured, and what is to be expected there of its error: it is taken for an autoregression of
-    first order between the measured neighbours. Samples of the past window stay as they are."""
+    """Fill the gaps of records with simulated outputs and the expected error of the simulation.
+
+    The error is modelled as a first-order autoregression between the measured neighbours. Samples
+    of
+    the past window stay unchanged.
+
+    Args:
+        records: scaled records.
+        trajectories: the same records in physical units, which know the gaps.
+        simulate: model in z-scores.
+        context: context of the fit.
+    """
     past = past_length(context)
     each = [_simulated(simulate, r, context) for r in records]
     errors = [
@@ -55,7 +64,7 @@ def _simulated(simulate: ScaledSimulator, r: ScaledTrajectory, context: Context)
 
 
 def _correlation(errors: Sequence[Array]) -> Array:
-    """(ny,) of neighbours that were both measured."""
+    """Correlation (ny,) of neighbours that were both measured."""
     ny = errors[0].shape[1]
     cross, square = np.zeros(ny), np.full(ny, 1e-300)
     for e in errors:
@@ -67,7 +76,7 @@ def _correlation(errors: Sequence[Array]) -> Array:
 
 
 def _bridged(error: Array, rho: float) -> Array:
-    """error (T,) with NaN -> what is expected there of an autoregression between its measured
+    """Replace NaN in error (T,) by the expectation of an autoregression between its measured
     neighbours."""
     if rho <= 0.0 or not np.isfinite(error).any():
         return np.nan_to_num(error)

@@ -1,6 +1,6 @@
-"""Stretches that a model is simulated over while it is fitted or chosen, and the error on them.
+"""Segments over which a model is simulated for its fit or choice, and the error on them.
 
-With a horizon they are windows of that length, as the model will be judged; without one they are
+With a horizon they are windows of that length, as the model will be evaluated; without one they are
 whole records.
 """
 
@@ -24,7 +24,7 @@ _MOST_SAMPLES = 40_000
 
 @dataclass(frozen=True)
 class Stretches:
-    """Stretches side by side, z-scored, padded with zeros where the weight is zero."""
+    """Segments side by side, z-scored, padded with zeros where the weight is zero."""
 
     past_u: Array
     """Inputs before each (S, n_past_u, nu)."""
@@ -42,18 +42,23 @@ class Stretches:
 
 
 class ScaledSimulator(Protocol):
-    """A fitted model in z-scores."""
+    """Fitted model in z-scores."""
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """As `simulate` of a model, all z-scored."""
+        """Simulate as `simulate` of a model does, all z-scored."""
         ...
 
 
 def segments(
     records: ScaledData, context: Context, samples: int = _MOST_SAMPLES
 ) -> Stretches | None:
-    """Stretches of the records after their past windows, about `samples` in total and evenly
-    spread where there are more; None where every record is too short for one."""
+    """Segments of the records after their past windows, about `samples` in total.
+
+    They are evenly spread where there are more.
+
+    Returns:
+        None where every record is too short for one.
+    """
     past = past_length(context)
     places = [(r, first) for r in records for first in _firsts(len(r), past, context.horizon)]
     if not places:
@@ -87,11 +92,19 @@ def left_out_error(
     fit: Callable[[ScaledData], Sequence[ScaledSimulator]],
     shortest: int,
 ) -> Array:
-    """Mean over splits of the log of the mean squared simulation error on what was left out, one
-    number for each simulator that `fit` makes from what was kept; infinite where one diverges.
+    """Mean over splits of the log of the mean squared simulation error on the samples left out.
 
-    Whole records are left out when there are at least three, else stretches of them of at least
+    Whole records are left out when there are at least three, else segments of them of at least
     `shortest` samples.
+
+    Args:
+        records: records in z-scores.
+        context: context of the fit.
+        fit: makes simulators from the kept samples.
+        shortest: least samples of a segment.
+
+    Returns:
+        One number for each simulator; infinite where one diverges.
     """
     logs: list[list[float]] = []
     for kept, left in contiguous_splits(records, 3, shortest):
@@ -105,7 +118,7 @@ def left_out_error(
 def window_pieces(
     trajectories: Sequence[Trajectory], context: Context, most: int
 ) -> list[Trajectory]:
-    """Past window and horizon as records of their own, `most` of them spread evenly; the records
+    """Cut past window and horizon as separate records, `most` of them spread evenly; the records
     themselves where the protocol has no horizon."""
     if context.horizon is None:
         return list(trajectories)

@@ -1,4 +1,4 @@
-"""Training windows: stretches of the protocol's horizon, each with its own past window."""
+"""Training windows: segments of the protocol's horizon, each with its own past window."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class HorizonWindows(NamedTuple):
     """(W, H), 0 where an output was not measured; None where all samples count."""
 
     def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
-        """With every array changed."""
+        """Apply a function to every array."""
         return HorizonWindows(*(None if a is None else change(a) for a in self))
 
 
 def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
-    """At most about `most` windows of `context.horizon` samples (of the longest record, where all
-    are shorter), evenly spread over the records and of every record the same share."""
+    """Cut at most about `most` windows of `context.horizon` samples (of the longest record, where
+    all are shorter), evenly spread over the records and of every record the same share."""
     past = past_length(context)
     longest = max(len(r) for r in records) - past
     horizon = min(context.horizon or longest, longest)
@@ -58,8 +58,8 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
 
 
 def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> HorizonWindows:
-    """At most about `most` windows of `horizon` samples that lie end to end in each record, and
-    none that its end would cut, spread over all records."""
+    """Cut at most about `most` windows of `horizon` samples that lie end to end in each record,
+    none cut by its end, spread over all records."""
     past = past_length(context)
     counts = [(len(r) - past) // horizon for r in records]
     stride = max(1, round(sum(max(count, 1) for count in counts) / most))
@@ -75,7 +75,7 @@ def whole_windows(records: ScaledData, context: Context, horizon: int, most: int
 
 
 def mean_square(error: Array, weight: Array | None) -> float:
-    """Of errors (W, H, ny) where weight (W, H) is 1."""
+    """Mean square of errors (W, H, ny) where weight (W, H) is 1."""
     if weight is None:
         return float((error**2).mean())
     total = max(float(weight.sum()) * error.shape[-1], 1.0)
@@ -87,9 +87,13 @@ def _weight(counts: Array) -> Array | None:
 
 
 def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
-    """Up to about `samples` samples in all: the records themselves where they hold no more, else
-    stretches of at least `shortest` (where a record has them), evenly spread over each record, of
-    very many records only over some."""
+    """Choose segments of up to about `samples` samples in all.
+
+    These are the records themselves where they hold no more, else segments of at least `shortest`
+    samples (where a record has them), evenly spread over each record, of very many records only
+    over
+    some.
+    """
     total = sum(len(r) for r in records)
     if total <= samples:
         return list(records)

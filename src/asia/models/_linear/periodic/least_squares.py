@@ -1,4 +1,4 @@
-"""Least squares on the output error at lines, which by Parseval is that of the steady state."""
+"""Least squares on the output error at lines, which by Parseval equals that of the steady state."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TINY = 1e-12
 
 
 def with_inputs(lines: ExcitedLines, a: Array, c: Array) -> LinearSystem:
-    """B and D by linear least squares, A in blocks and C given; the offset is zero."""
+    """Solve B and D by linear least squares, A in blocks and C given; the offset is zero."""
     n, ny, nu = len(a), len(c), lines.u.shape[1]
     eye = np.broadcast_to(np.eye(ny), (len(lines.z), ny, ny))
     left = np.concatenate([readout(a, lines.z, c), eye], axis=2)
@@ -57,9 +57,17 @@ def refined(
     method: LevenbergMarquardt,
     log: Progress | None = None,
 ) -> LinearSystem:
-    """Levenberg-Marquardt on B, C, D and the blocks of A. A step to an unstable system is refused;
-    log(iteration, root of the share left). The sizes of the states do not matter: the damping is
-    relative to each column of the Jacobian."""
+    """Refine B, C, D and the blocks of A by Levenberg-Marquardt.
+
+    A step to an unstable system is refused. The sizes of the states do not matter: the damping is
+    relative to each column of the Jacobian.
+
+    Args:
+        lines: excited lines.
+        start: system at the start.
+        method: settings.
+        log: receives iteration and the root of the share left.
+    """
     total, steps = max(float((abs(lines.y) ** 2).sum()), 1e-300), count()
     blocks = block_entries(start.order)
     theta0 = np.concatenate(
