@@ -1,4 +1,4 @@
-"""Settings and structure of a grey-box, and the layout of the coordinates that training searches."""
+"""Settings and structure of a grey-box, and layout of the coordinates that training searches."""
 
 from __future__ import annotations
 
@@ -158,7 +158,8 @@ class Range:
 
 @dataclass(frozen=True)
 class GreyBoxStructure:
-    """Structure of a grey-box, fixed before training. Hashable: it is the key of compiled programs."""
+    """Structure of a grey-box, fixed before training. Hashable: it is a key of compiled
+    programs."""
 
     equations: Equations
     """Equations from the problem file, with the additions written in."""

@@ -38,7 +38,7 @@ def functions(xp: Any) -> Mapping[str, Callable[..., AnyArray]]:
     """Function table of the expressions; xp is numpy or jax.numpy."""
 
     def sqrt(x: AnyArray) -> AnyArray:
-        """Square root with a finite derivative at 0, so that an empty tank can fill again; 0 below."""
+        """Square root with a finite derivative at 0, so that an empty tank can fill; 0 below."""
         line = xp.maximum(x, 0.0) * _SMALL**-0.5
         return xp.minimum(xp.sqrt(xp.maximum(x, _SMALL)), line)
 

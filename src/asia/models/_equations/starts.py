@@ -173,7 +173,8 @@ def screen(
     count: int,
     rng: np.random.Generator,
 ) -> Starts:
-    """Choose the `count` best of many points drawn in the parameter ranges, the middle among them."""
+    """Choose the `count` best of many points drawn in the parameter ranges, one of them the
+    middle."""
     layout = structure.layout
     drawn = _draws(structure, segments, count)
     z = np.tile(_neutral(structure), (drawn, 1))

@@ -2,9 +2,9 @@
 
 The best linear models of several orders are split into two filters in every way; a static function
 on a grid is solved by least squares for each way, the most promising are fitted for a few
-iterations on parts of the records, and those with the least error on the stretches left out go on,
-in the end on all records. A linear model's own error says little of its order where most of it is
-distortion, so the order is judged here. Source: Sjoberg and Schoukens, Initializing
+iterations on parts of the records, and those with the least error on the segments left out go on,
+in the end on all records. A linear model's own error is a poor guide to its order where most of it
+is distortion, so the order is chosen here. Source: Sjoberg and Schoukens, Initializing
 Wiener-Hammerstein models based on partitioning of the best linear approximation, Automatica 48(2),
 2012.
 """
@@ -50,14 +50,14 @@ _REACH = 3.5
 
 @dataclass(frozen=True)
 class FilterFit:
-    """A model that the search found."""
+    """Model found by the search."""
 
     filters: TwoFilters
-    """Its parameters."""
+    """Parameters of the model."""
     delay: int
-    """Of the input, in samples."""
+    """Delay of the input, in samples."""
     error: float
-    """Mean squared error on the stretches left out, or on all that was fitted."""
+    """Mean squared error on the segments left out, or on all that was fitted."""
     history: Array
     """Root of the cost by iteration."""
 
@@ -71,8 +71,18 @@ def searched(
     method: LevenbergMarquardt,
     log: Progress,
 ) -> FilterFit:
-    """The model with the least training error of those that the search ends with,
-    `method.starts` of them; choice: order and delay, each None where it is open."""
+    """Search for the model with the least training error, of `method.starts` that reach the last
+    stage.
+
+    Args:
+        records: records in z-scores.
+        context: context of the fit.
+        choice: order and delay, each None where it is open.
+        hidden: number of tanh units.
+        ridge: ridges.
+        method: settings of the last fits.
+        log: receives iteration and error.
+    """
     part = _shortened(records, _SEARCHED_SAMPLES)
     kept, left = _divided(part)
     settled = [replace(r, weight=r.weight * _behind_start(len(r))) for r in records]
@@ -101,8 +111,10 @@ def searched(
 def _linear_models(
     part: ScaledData, context: Context, choice: linear.Config
 ) -> list[tuple[int, LinearSystem]]:
-    """Delays with linear models of every order asked for. A delay estimated with few states may
-    stand for states that are missing, so that none competes."""
+    """Linear models of every permitted order, with their delays.
+
+    A delay estimated with few states may replace missing states, so that no such delay competes.
+    """
     short = _shortened(part, _LINEAR_SAMPLES)
     orders = _ORDERS if choice.order is None else (choice.order,)
     orders = tuple(o for o in orders if 8 * o <= min(len(r) for r in short)) or orders[:1]
@@ -125,14 +137,14 @@ def _unheard(step: float, loss: float) -> None:
 
 
 def _shortened(records: ScaledData, samples: int) -> list[ScaledTrajectory]:
-    """The first records, at most four, and of each the first samples, to so many in all."""
+    """Cut the first samples of at most four records, about so many in all."""
     few = sorted(records, key=len, reverse=True)[:4]
     each = samples // len(few)
     return [r.part(0, min(len(r), each)) for r in few]
 
 
 def _divided(part: ScaledData) -> tuple[list[ScaledTrajectory], list[ScaledTrajectory]]:
-    """The same records twice: with the weights of what is fitted, and of what is left out."""
+    """Copy the records twice: with the weights of the fitted part, and of the part left out."""
     masks = holdout_masks(part, _LEFT_OUT, shortest=_SETTLE)
     pairs = list(zip(part, masks, strict=True))
     kept = [replace(r, weight=r.weight * ~m * _behind_start(len(r))) for r, m in pairs]
@@ -140,7 +152,7 @@ def _divided(part: ScaledData) -> tuple[list[ScaledTrajectory], list[ScaledTraje
 
 
 def _split(late: ScaledData, system: LinearSystem, hidden: int) -> list[TwoFilters]:
-    """The best splits of a linear model."""
+    """Best splits of a linear model."""
     judged = [
         start
         for pair in shares(system, _MOST_SPLITS)
@@ -153,7 +165,7 @@ def _split(late: ScaledData, system: LinearSystem, hidden: int) -> list[TwoFilte
 def _start(
     late: ScaledData, system: LinearSystem, pair: tuple[LinearFilter, LinearFilter], hidden: int
 ) -> tuple[float, TwoFilters] | None:
-    """A split with its static function solved for, and its mean squared error."""
+    """Solve the static function of a split; return its mean squared error too."""
     one, two = pair
     parts = [r.part(0, _JUDGED_SAMPLES) for r in late[:2]]
     with np.errstate(all="ignore"):
@@ -216,7 +228,7 @@ def _fitted(
 
 
 def _behind_start(length: int) -> Array:
-    """Weights (T,): none at the start of a record."""
+    """Weights (T,) that are zero at the start of a record."""
     start = min(_TRANSIENT, int(_TRANSIENT_SHARE * length))
     return (np.arange(length) >= start).astype(np.float64)
 

@@ -1,7 +1,7 @@
-"""Fits that begin with short pieces of the records, each from a state of its own.
+"""Fits that begin with short segments of the records, each with its own initial state.
 
 Over a whole record the simulation error of a system in which small differences grow has many local
-minima; over pieces it has few. The pieces grow to the whole records. Sources: Ribeiro, Tiels,
+minima; over segments it has few. The segments grow to the whole records. Sources: Ribeiro, Tiels,
 Umenberger, Schon and Aguirre, Automatica 121, 2020; Bock, multiple shooting, 1981.
 """
 
@@ -25,12 +25,12 @@ from asia.models._state_space.structure import StateSpaceStructure
 
 
 class _Lengths(NamedTuple):
-    """How long pieces are."""
+    """Lengths of the segments."""
 
     shortest: int
-    """Samples of the first, at least."""
+    """Least number of samples of the first segments."""
     by_state: int
-    """Samples for each state of the model."""
+    """Number of samples for each state of the model."""
     growth: int
     """Factor from one length to the next."""
 
@@ -46,7 +46,7 @@ _ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
 
 
 class _Piece(NamedTuple):
-    """Where a piece is."""
+    """Position of a segment."""
 
     record: int
     start: int
@@ -63,8 +63,12 @@ def fit_pieces(
     log: Progress,
     sampling_time: float,
 ) -> list[StateFit]:
-    """From each start, the parameters that fit the pieces, and with them the initial states (R, n)
-    of whole records: of the first piece of a record, else x0 (R, n), those of the linear system."""
+    """Fit the segments from each start.
+
+    Returns:
+        Parameters, and initial states (R, n) of whole records: of the first segment of a record,
+        else x0 (R, n), those of the linear system.
+    """
     lengths = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
     length = max(lengths.shortest, lengths.by_state * structure.size)
     pieces = _spread(records, length)
@@ -92,7 +96,7 @@ def fit_pieces(
 
 
 def _spread(records: ScaledData, length: int) -> list[_Piece]:
-    """At most `_MOST` pieces that follow each other, spread over the records, the first samples of
+    """Choose at most `_MOST` successive segments, spread over the records, the first samples of
     each record among them."""
     every = [
         [_Piece(i, start) for start in range(0, max(len(r) - length // 2, 1), length)]
@@ -106,7 +110,7 @@ def _spread(records: ScaledData, length: int) -> list[_Piece]:
 
 
 def _thinned(pieces: Sequence[_Piece], length: int) -> list[int]:
-    """Which of them to keep so that pieces of this length do not overlap."""
+    """Choose the segments to keep so that segments of this length do not overlap."""
     kept: list[int] = []
     for i, piece in enumerate(pieces):
         last = pieces[kept[-1]] if kept else None
@@ -116,7 +120,7 @@ def _thinned(pieces: Sequence[_Piece], length: int) -> list[int]:
 
 
 def _cut(records: ScaledData, pieces: Sequence[_Piece], length: int, states: Array) -> StateSamples:
-    """Samples of the pieces, with their states to be found from `states`."""
+    """Cut the samples of the segments, with their states to be found from `states`."""
     u, y, weight = (
         side_by_side([getattr(records[p.record], n)[p.start : p.start + length] for p in pieces])
         for n in ("u", "y", "weight")
@@ -131,7 +135,7 @@ def _guess(
     piece: _Piece,
     length: int,
 ) -> Array:
-    """State (n,) from which the linear system simulates the first samples of the piece best."""
+    """State (n,) from which the linear system simulates the first samples of the segment best."""
     n, few = system.order, min(length, max(10, 3 * system.order))
     part = slice(piece.start, piece.start + few)
     u, y = records[piece.record].u[part], records[piece.record].y[part]

@@ -1,9 +1,9 @@
-"""Which signals static functions in feedback read, judged by what the linear model leaves over.
+"""Search for the regressors of static functions in feedback, by the residual of the linear model.
 
 They are searched among inputs, outputs, combinations of them and of the states. The states are
 those of the linear model, and those of an observer that corrects them by the measured output, so
-that a function in a loop is read where the system really was. For given signals the functions and
-where they act follow by least squares, so that many readings can be judged.
+that a function in a loop is read at the true state of the system. For given signals the functions
+and the places where they act follow by least squares, so that many regressors can be evaluated.
 """
 
 from __future__ import annotations
@@ -36,31 +36,31 @@ RANK = 1e-7
 
 
 class Reading(NamedTuple):
-    """Signals that the functions read, and what they explain."""
+    """Regressors of the functions, with the error that they leave."""
 
     directions: Array
     """(n + nu, m)."""
     observed: bool
-    """Whether the states are the observer's."""
+    """The states are the observer's."""
     error: float
-    """Mean squared error that is left."""
+    """Mean squared error that remains."""
 
 
 class JudgedRecord(NamedTuple):
-    """One record, as it judges starts."""
+    """Record prepared for the evaluation of regressors."""
 
     x0: Array
-    """(n,), of the linear model."""
+    """Initial state (n,) of the linear model."""
     u: Array
     """(T, nu)."""
     states: tuple[Array, Array]
     """(T, n), by the linear model and by the observer."""
     residual: Array
-    """(T, ny), what the linear model leaves."""
+    """Residual (T, ny) of the linear model."""
     terms: Array
-    """(T ny, p), what B, D, the offset and the initial state change; see `_linear_terms`."""
+    """Effects (T ny, p) of B, D, the offset and the initial state; see `_linear_terms`."""
     basis: Array
-    """(T ny, q), the same, orthonormal."""
+    """Orthonormal basis (T ny, q) of `terms`."""
     weight: Array
     """(T,)."""
 
@@ -71,7 +71,7 @@ class JudgedRecord(NamedTuple):
 
 
 def judged_records(records: ScaledData, found: LinearFit) -> list[JudgedRecord]:
-    """The first samples of each record."""
+    """Prepare the first samples of each record."""
     each = max(_JUDGED // len(records), 200)
     return [
         _record(found.system, x0, r.part(0, min(each, len(r))))
@@ -89,7 +89,7 @@ def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> Judged
 
 
 def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: float) -> Array:
-    """States (T, n) of a Kalman filter that takes most of the error for a disturbance at the
+    """States (T, n) of a Kalman filter that attributes most of the error to a disturbance of the
     states."""
     n, ny = system.order, len(system.c)
     wander = max(error, 1e-9) * (system.b @ system.b.T + 1e-3 * np.eye(n))
@@ -109,8 +109,7 @@ def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: 
 
 
 def responses(system: LinearSystem, signals: Array) -> Array:
-    """signals (T, s) -> (T, ny, s, n + ny): outputs where each signal acts on each state and on
-    each output."""
+    """Outputs (T, ny, s, n + ny) to signals (T, s) that act on each state and on each output."""
     length, s = signals.shape
     n, ny = system.order, len(system.c)
     found = np.zeros((length, ny, s, n + ny))
@@ -125,7 +124,7 @@ def responses(system: LinearSystem, signals: Array) -> Array:
 
 
 def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
-    """(T ny, n nu + ny nu + ny + n) by which B, D, the offset and the initial state change the
+    """Effects (T ny, n nu + ny nu + ny + n) of B, D, the offset and the initial state on the
     outputs."""
     length, n, ny = len(record), system.order, len(system.c)
     forced = responses(system, record.u).reshape(length * ny, -1)
@@ -141,7 +140,7 @@ def orthonormal(columns: Array) -> Array:
 
 
 class ReadingSearch:
-    """Readings of one fit."""
+    """Search for the regressors of one fit."""
 
     def __init__(
         self,
@@ -158,7 +157,7 @@ class ReadingSearch:
         self.drawn = rng.standard_normal((self.m, structure.hidden)), rng.random(structure.hidden)
 
     def best(self, count: int, observed: bool) -> list[Reading]:
-        """Different ones, the least error first."""
+        """Best regressors that differ from each other, the least error first."""
         pool = self.judged([(d, observed) for d in [*self._known(), *self._random()]])
         for size in _ROUNDS:
             pool.sort(key=lambda r: r.error)
@@ -171,7 +170,7 @@ class ReadingSearch:
         return self._different(pool, count)
 
     def _known(self) -> list[Array]:
-        """Directions that systems often have: inputs, outputs, what changes an output."""
+        """Directions that systems often have: inputs, outputs, and those that change an output."""
         n, nu, s = self.structure.order, self.structure.nu, self.system
         change = np.hstack([s.c @ (s.a - np.eye(n)), s.c @ s.b])
         rows = np.vstack([np.eye(n + nu), np.hstack([s.c, s.d]), change])
@@ -212,7 +211,7 @@ class ReadingSearch:
         return [reading for reading, _ in chosen]
 
     def judged(self, readings: Sequence[tuple[Array, bool]]) -> list[Reading]:
-        """With their errors; those that read nothing are left out."""
+        """Evaluate regressors; those without any variation are left out."""
         found: list[Reading] = []
         s, longest = self.structure, max(len(r.u) for r in self.records)
         each = longest * s.ny * s.hidden * (s.order + s.ny)
@@ -234,13 +233,13 @@ class ReadingSearch:
         return np.concatenate([r.read(directions, observed) for r in self.records])
 
     def _scaled(self, directions: Array, observed: bool) -> Array | None:
-        """So that each signal has unit size."""
+        """Scale the directions so that each signal has unit size; None where that is impossible."""
         z = self._read(directions, observed)
         size = z.std(axis=0)
         return None if (size < 1e-9).any() or not np.isfinite(size).all() else directions / size
 
     def layer(self, directions: Array, observed: bool) -> dict[str, Array]:
-        """w1 (m, h) and b1 (h,) of units that cover what the signals do."""
+        """Weights w1 (m, h) and b1 (h,) of units that cover the range of the signals."""
         z = self._read(directions, observed)
         h, (normal, uniform) = self.structure.hidden, self.drawn
         if self.m == 1:
@@ -255,8 +254,12 @@ class ReadingSearch:
     def normal(
         self, readings: Sequence[tuple[Array, bool, dict[str, Array]]]
     ) -> list[tuple[Array, Array, float]]:
-        """Of each reading: Gram matrix (h (n + ny), ...) with ridge, right-hand side and the mean
-        square of what they are to explain."""
+        """Normal equations of each set of regressors.
+
+        Returns:
+            Gram matrix (h (n + ny), ...) with ridge, right-hand side and the mean square of the
+            residual to explain.
+        """
         h, n_act = self.structure.hidden, self.structure.order + self.structure.ny
         size = h * n_act
         grams = [np.zeros((size, size)) for _ in readings]

@@ -1,6 +1,6 @@
 """Starts of a linear system with static functions in feedback, inferred from the linear model.
 
-What the best linear model leaves over is explained by static functions of a few signals that act
+The residual of the best linear model is explained by static functions of a few signals that act
 on its states and outputs. Sources: Schoukens and Toth, On the initialization of nonlinear LFR model
 identification with the best linear approximation, IFAC 2020; Floren, Noel and Swevers, Inference
 and learning of nonlinear LFR state-space models, arXiv 2503.14409.
@@ -38,7 +38,7 @@ def feedback_starts(
     count: int,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
-    """At most `count` starting points whose functions read different signals, the best first."""
+    """Find up to `count` starting points whose functions read different signals, the best first."""
     search = ReadingSearch(structure, found.system, judged_records(records, found), rng)
     starts = _Starts(search)
     # Signals read from the observer explain an output by itself: of both kinds of state some are
@@ -63,8 +63,12 @@ class _Starts:
         self.search, self.structure, self.system = search, search.structure, search.system
 
     def start(self, reading: Reading) -> tuple[float, dict[str, Any]]:
-        """The error of a simulation by a starting point, and its parameters. As much of the
-        functions as simulates best, and the linear terms that go with them."""
+        """Make a starting point: the share of the functions that simulates best, with its linear
+        terms.
+
+        Returns:
+            The error of its simulation, and its parameters.
+        """
         layer = self.search.layer(reading.directions, reading.observed)
         ((gram, rhs, _),) = self.search.normal([(reading.directions, reading.observed, layer)])
         w2, act = self._factors(gram, rhs)
@@ -77,7 +81,7 @@ class _Starts:
         return min(found, key=lambda one: one[0])
 
     def _moved(self, reading: Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
-        """The linear system beside functions with weights theta (h, n + ny)."""
+        """Linear system that goes with functions of weights theta (h, n + ny)."""
         s, nu = self.system, self.structure.nu
         n, ny = s.order, len(s.c)
         some = (n + ny) * nu + ny
@@ -118,7 +122,7 @@ class _Starts:
         return total if np.isfinite(total) else np.inf
 
     def _factors(self, gram: Array, rhs: Array) -> tuple[Array, Array]:
-        """Last layer (h, m) and where the functions act (m, n + ny), by alternating least
+        """Last layer (h, m) and effects of the functions (m, n + ny), by alternating least
         squares."""
         h, n_act, m = self.structure.hidden, self.structure.order + self.structure.ny, self.search.m
         theta = np.linalg.solve(gram, rhs).reshape(h, n_act)
