@@ -68,9 +68,9 @@ class AutoregressiveCell(Driven[Config]):
     `asia.models._networks.structure`."""
 
     ny: int
-    """Outputs."""
+    """Number of outputs."""
     measured: bool
-    """Whether the past window shows the last of them."""
+    """The past window shows the last measured outputs."""
 
     @classmethod
     def of(cls, config: Config, context: Context) -> AutoregressiveCell:
@@ -105,7 +105,7 @@ class AutoregressiveCell(Driven[Config]):
         }
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
-        """The size of the increments comes from the records."""
+        """Take the size of the increments from the records."""
         del trajectories, context
         return _with_increments
 
@@ -118,7 +118,7 @@ class AutoregressiveCell(Driven[Config]):
     def step(
         self, params: Any, state: FeedbackState, u: AnyArray
     ) -> tuple[FeedbackState, AnyArray]:
-        """What the output is read from is the output."""
+        """Advance by one sample; the features are the output."""
         inner, y = state
         drive = namespace(u, y).concatenate([self.drive(u), y], axis=-1)
         inner, h = self.inner.step(params["net"], inner, drive)
@@ -126,12 +126,12 @@ class AutoregressiveCell(Driven[Config]):
         return (inner, y), y
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """The features."""
+        """Return the features."""
         del params, u
         return features
 
     def feed(self, params: Any, state: FeedbackState, y: AnyArray, mask: AnyArray) -> FeedbackState:
-        """The state with its output replaced where the mask is 1."""
+        """Replace the output in the state where the mask is 1."""
         del params
         inner, own = state
         return inner, mask * y + (1 - mask) * own
@@ -144,7 +144,7 @@ def _inner_cell(config: Config) -> recurrent.RecurrentCell:
 
 
 def increment_sizes(records: ScaledData) -> Array:
-    """Root mean square (ny,) of the outputs' increments, 1 where they stand still."""
+    """Root mean square (ny,) of the outputs' increments, 1 for constant outputs."""
     steps = np.concatenate([np.diff(r.y, axis=0) for r in records])
     size = np.sqrt((steps**2).mean(axis=0))
     return np.where(size > 0, size, 1.0)

@@ -62,14 +62,14 @@ class Config:
     """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
     weights from their start."""
     linear_ridge: float = 1e-7
-    """The same for the linear systems."""
+    """Weight of the squared distance of the linear systems from their start."""
     encoder: int = 30
     """Units of the tanh layer of the map from the past window to the initial state."""
     delay: int | None = 0
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
     searched: bool = False
-    """For "wiener_hammerstein" with one input and output: whether order, delay and the shares of
-    poles and zeros are searched by many short fits of two filters and `hidden` units on a fixed
+    """For "wiener_hammerstein" with one input and output: search order, delay and the shares of
+    poles and zeros by many short fits of two filters and `hidden` units on a fixed
     grid, which takes little time for each sample. With other structures, more inputs or outputs, or
     polynomials it changes nothing."""
 
@@ -78,7 +78,7 @@ class Config:
         self.state_space()
 
     def state_space(self) -> neural_ss.Config:
-        """The same settings for the neural state-space family."""
+        """Convert the settings to those of the neural state-space family."""
         return neural_ss.Config(
             self.order,
             _PLACES.get(self.structure, "state"),
@@ -95,13 +95,13 @@ class Config:
 
 @dataclass(frozen=True)
 class BlockOriented(NeuralStateSpace):
-    """Simulated as a neural state-space model; `blocks` says how it is trained."""
+    """Block-oriented model, simulated as a neural state-space model; `blocks` are its settings."""
 
     blocks: Config = Config()
 
 
 def build(config: Config, context: Context) -> BlockOriented:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return BlockOriented(config.state_space(), None, config)
 
@@ -112,10 +112,15 @@ def train(
     context: Context,
     method: LevenbergMarquardt,
 ) -> BlockOriented:
-    """Linear model, then all parameters to the simulation error; of the fits from
-    `method.starts` starts the one with the least training cost. Where the problem has a horizon,
-    windows of that length from all over the records are fitted. Raises UserError for records too
-    short or mis-shaped."""
+    """Fit the linear model, then all parameters to the simulation error.
+
+    Of the fits from `method.starts` starts the one with the least training cost is returned. Where
+    the
+    problem has a horizon, windows of that length from all over the records are fitted.
+
+    Raises:
+        UserError: for records too short or mis-shaped.
+    """
     check(trajectories, context)
     pieces = window_pieces(trajectories, context, _WINDOWS)
     blocks = model.blocks

@@ -215,7 +215,8 @@ class FreeRun:
     limits: OutputRange
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H, ny)."""
+        """Simulate past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H,
+        ny)."""
         old_u, past = self.initial(past_u, past_y, u[:, 0])
         drive = lagged_inputs(np.concatenate([old_u, u], axis=1), self.history.lags)
         return scan(self._advanced, past, drive.swapaxes(0, 1))[1].swapaxes(0, 1)

@@ -23,7 +23,7 @@ SimulateWindows = Callable[[Array, Array, Array], Array]
 
 @dataclass(frozen=True)
 class SignalTurns:
-    """Group of the symmetries that map inputs to inputs and outputs to outputs, the identity first."""
+    """Group of the symmetries that map inputs to inputs and outputs to outputs, identity first."""
 
     inputs: Array
     """Transformations of the inputs (G, nu, nu), signed permutations."""

@@ -76,9 +76,9 @@ class MeasuredCell:
     lag: bool
     """The inputs act through a lag."""
     linear: bool
-    """There are linear terms."""
+    """The model has linear terms."""
     disturbance: bool
-    """There is a disturbance state."""
+    """The model has a disturbance state."""
     network: NetworkKind | None
     """Kind of the network, if there is one."""
     inner: recurrent.Config | None

@@ -60,7 +60,8 @@ def starts(records: ScaledData, max_order: int) -> list[Observability]:
 
 
 def spread_poles(order: int, ny: int) -> tuple[Array, Array]:
-    """Start (A, C) with real poles, time constants log-spaced from 1 to 100 samples: never fails."""
+    """Start (A, C) with real poles, time constants log-spaced from 1 to 100 samples; it never
+    fails."""
     time_constants = np.logspace(0.0, 2.0, order) if order > 1 else np.array([10.0])
     return np.diag(np.exp(-1.0 / time_constants)), np.ones((ny, order))
 
