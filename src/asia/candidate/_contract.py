@@ -74,12 +74,20 @@ class Model(Protocol):
     """
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Open-loop simulation in physical units.
+        """Simulate in open loop, in physical units.
 
-        past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> y_hat (B, H, ny).
         `u[:, k]` and `y_hat[:, k]` are the same sample; `past_*[:, -1]` is the one before. B and H
-        are 1 or more, whatever the context's horizon. A row's answer depends on this row alone,
+        are 1 or more, whatever the context's horizon. The result for a row depends on that row
+        only,
         y_hat[:, k] on no later input, and neither on earlier calls.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Simulated outputs y_hat (B, H, ny).
         """
         ...
 

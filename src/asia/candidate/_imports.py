@@ -1,4 +1,4 @@
-"""Libraries that a candidate will import, read from its source and from that of the model library."""
+"""Libraries that a candidate will import, read from its source and from the model library."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def gather(at: Step, v: Values) -> Values:
     equation = at.equation
 
     def move(places: NDArray[np.int64]) -> NDArray[np.int64]:
-        # A place that does not exist is filled, which shows as no number.
+        # Indices outside the array give the fill value, nan.
         with jax.ensure_compile_time_eval():
             operand = jax.numpy.asarray(places, np.float64)
             found = equation.primitive.bind(operand, jax.numpy.asarray(v[1]), **equation.params)

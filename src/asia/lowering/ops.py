@@ -118,7 +118,7 @@ def _slice(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
 
 
 def _pick(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
-    """attrs: rank of the result, its shape, and for each number its index in the flattened operand."""
+    """attrs: rank of the result, its shape, and each number's index in the flattened operand."""
     size = math.prod(_one(shapes))
     wide, places = attrs[1 : 1 + attrs[0]], attrs[1 + attrs[0] :]
     _demand(len(places) == math.prod(wide), "takes a place a number")

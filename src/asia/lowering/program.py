@@ -238,7 +238,8 @@ class Builder:
         return self._known[key]
 
 
-# By operation, for each operand the number that the other one has where it is the result.
+# Neutral elements of the operations: for each operand, the value of the other one with which the
+# result equals the operand.
 _NEUTRAL = {
     "add": {0: 0.0, 1: 0.0},
     "sub": {0: 0.0},

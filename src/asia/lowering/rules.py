@@ -139,7 +139,7 @@ def _computed(equation: Any, values: Values) -> Values:
             jax.numpy.asarray(x, v.aval.dtype) for x, v in zip(values, equation.invars, strict=True)
         ]
         primitive = equation.primitive
-        # Of functions inside, apart in JAX before 0.8.
+        # Parameters of inner functions, separate in JAX before 0.8.
         bound = primitive.get_bind_params(equation.params)
         inside, params = bound if isinstance(bound, tuple) else ((), bound)
         found = primitive.bind(*inside, *arrays, **params)

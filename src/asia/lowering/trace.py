@@ -18,10 +18,10 @@ from asia.lowering.program import Builder, LoweredModel, Program
 
 
 def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
-    """Lower a model and return it as packed by `wire.pack`, or the reason why it cannot be lowered."""
+    """Lower a model; return it packed by `wire.pack`, or the reason why it cannot be lowered."""
     import jax
 
-    # Before the model makes arrays of its numbers.
+    # Set before the model makes arrays of its numbers.
     jax.config.update("jax_enable_x64", True)
     if not all(callable(getattr(model, name, None)) for name in ("initial", "step")):
         return wire.pack_refusal(
@@ -52,7 +52,7 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
     window = [_like((n_past_u, nu)), _like((n_past_y, ny)), _like((nu,))]
     start, state = _traced(begin, window)
     leaves, tree = jax.tree.flatten(state)
-    # Arrays of no numbers are no states.
+    # Empty arrays are no states.
     kept = [i for i, leaf in enumerate(leaves) if leaf.size]
 
     def step(*signals: Any) -> Any:

@@ -60,7 +60,7 @@ def softmax(x: AnyArray) -> AnyArray:
     if namespace(x) is not np:
         import jax
 
-        # Its derivative leaves out the maximum, which cancels.
+        # The derivative in JAX omits that of the maximum, which cancels.
         return jax.nn.softmax(x, axis=-1)
     raised = x - x.max(axis=-1, keepdims=True)
     np.exp(raised, out=raised)
@@ -89,7 +89,7 @@ def gates(x: AnyArray, parts: int) -> list[AnyArray]:
     if namespace(x) is np:
         wide = x.shape[-1] // parts * (parts - 1)
         return [*split(sigmoid(x[..., :wide]), parts - 1), x[..., wide:]]
-    # One operation for each part: the gradient of a wide one takes half as long again.
+    # One operation a part: the gradient of a joint operation takes 1.5 times as long.
     *found, last = split(x, parts)
     return [*(sigmoid(part) for part in found), last]
 

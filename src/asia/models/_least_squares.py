@@ -211,7 +211,7 @@ def _iterate(
     xp, n, seeking = namespace(theta), theta.shape[1], ~done
     at = linearise(theta)
     before = reached = _finite(at.cost)
-    # A row whose errors are not finite gets steps that are not, which are refused.
+    # Errors that are not finite give steps that are not finite, which are refused.
     with np.errstate(all="ignore"):
         scale = xp.sqrt(xp.diagonal(at.gram, axis1=1, axis2=2))
         scale = xp.where(scale > 0, scale, 1.0)

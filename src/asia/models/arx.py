@@ -36,7 +36,7 @@ from asia.models._one_step.free_model import (
 from asia.models._one_step.polynomial import PolynomialRun, refine, refinement_samples
 from asia.models.methods import LeastSquares
 
-# An unstable model is held within so many times the width of the training range.
+# Limit on the output of an unstable model, in widths of the training range.
 _MARGIN = 10.0
 _START_RIDGE = 1e-7
 

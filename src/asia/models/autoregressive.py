@@ -47,7 +47,7 @@ class Config:
     """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        # The inner network checks the rest.
+        # The inner network checks the other settings.
         _ = self.inner
         check_features(self)
 
@@ -86,7 +86,7 @@ class AutoregressiveCell(Driven[Config]):
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`: the output is held."""
         c = self.config
-        # Seen from inside, the inputs include y[k-1] and the past window is one sample.
+        # The inputs of the inner network include y[k-1], and its past window is one sample.
         inputs = drive_size(c.features, context.nu) + context.ny
         inner = replace(
             context,
@@ -137,7 +137,7 @@ class AutoregressiveCell(Driven[Config]):
         return inner, mask * y + (1 - mask) * own
 
 
-# Asked for at every sample of a simulation.
+# Called at every sample of a simulation.
 @cache
 def _inner_cell(config: Config) -> recurrent.RecurrentCell:
     return recurrent.RecurrentCell(config.inner)

@@ -37,9 +37,9 @@ _PLACES: dict[str, Nonlinearity] = {
     "wiener": "output",
     "hammerstein_wiener": "both",
 }
-# Windows of a problem with a horizon that are fitted; each has an initial state of its own.
+# Greatest number of windows for a problem with a horizon; each has its own initial state.
 _WINDOWS = 40
-# Of the initial states of the two filters.
+# Ridge of the initial states of the two filters.
 _INITIAL_RIDGE = 1e-8
 
 
@@ -68,9 +68,10 @@ class Config:
     delay: int | None = 0
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
     searched: bool = False
-    """For "wiener_hammerstein" with one input and output: search order, delay and the shares of
-    poles and zeros by many short fits of two filters and `hidden` units on a fixed
-    grid, which takes little time for each sample. With other structures, more inputs or outputs, or
+    """Search order, delay and the shares of poles and zeros by many short fits of two filters and
+    `hidden` units on a fixed grid, which takes little time for each sample. It applies to
+    "wiener_hammerstein" with one input and output; with other structures, more inputs or outputs,
+    or
     polynomials it changes nothing."""
 
     def __post_init__(self) -> None:

@@ -29,13 +29,13 @@ from asia.problem import Bounds, ParameterRange, Physics
 
 Outflow = Literal["linear", "root", "power"]
 
-# Of the run-off, by sample; how much faster the whole input can fill a storage.
+# Range of the run-off a sample, and greatest ratio of the fastest filling to it.
 _RATES, _LARGEST_GAIN = (1e-3, 0.5), 10.0
 _EXPONENTS = (0.3, 1.5)
-# Below this content a power is smooth.
+# Content below which a power is smooth.
 _EMPTY = 1e-3
-# How many spans the zero of an output may be below what was seen, and the samples over which the
-# sign of an input's effect is told.
+# Greatest distance of an output's zero below its observed values, in spans, and lengths of the
+# segments for the sign of an input's effect, in samples.
 _BELOW, _LOOK_AHEAD = 0.5, (2, 5, 15, 40)
 
 

@@ -191,7 +191,7 @@ def _mean(config: Config, records: ScaledData, lags: Lags, context: Context) -> 
         hold = np.zeros((1 + lags.outputs * ny + lags.inputs * context.nu, ny))
         hold[1 : 1 + ny] = np.eye(ny)
         return hold
-    # Of degree one, the products are the constant and each regressor, in order.
+    # The products of degree one are the constant and each regressor, in order.
     return linear_run(records, lags, context, _MEAN_RIDGE, config.margin).one_step.theta
 
 

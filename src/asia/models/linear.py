@@ -51,13 +51,14 @@ from asia.models._steps import first_of_line, through_line
 if TYPE_CHECKING:
     from asia.models._least_squares import LevenbergMarquardt
 
-# Choosing order and delay takes dozens of fits; this many samples tell candidates apart.
+# Samples for the choice of order and delay, which takes dozens of fits; this many distinguish
+# candidates.
 _SELECTION_SAMPLES = 3000
-# Beside the model whose state is the past window, a state-space model is tried on up to so many
-# outputs; on more it has too many parameters for simulations of whole records.
+# Greatest number of outputs for which a state-space model competes with the windowed one; with more
+# it has too many parameters for simulations of whole records.
 _MOST_OUTPUTS = 3
 _JACOBIAN_NUMBERS = 60_000_000
-# A candidate may name no more.
+# Greatest number of parameters that a candidate may report.
 _MOST_PARAMETERS = 64
 
 

@@ -49,11 +49,11 @@ from asia.models._one_step.polynomial import (
 )
 from asia.models.methods import LeastSquares
 
-# The Gram matrix of so many products is still cheap; beyond it the degree is lowered.
+# Greatest number of products, whose Gram matrix is still cheap; beyond it the degree is lowered.
 _MOST_PRODUCTS = 1000
 _START_RIDGE = 1e-7
-# Iterations that tell numbers of terms apart, and what fewer terms may err more, relatively: few
-# stretches tell no better.
+# Iterations for the comparison of numbers of terms, and the relative excess error allowed to fewer
+# terms, since few segments do not resolve less.
 _QUICK, _FEWER = 10, 0.1
 
 

@@ -40,8 +40,8 @@ from asia.models.methods import Adam, LevenbergMarquardt
 
 _LINEAR = ("a", "b", "c", "d", "offset")
 _NONLINEAR = ("f", "s", "r", "read", "act", "dry", "play")
-# Samples times squared parameters of one Levenberg-Marquardt iteration on windows, and how many
-# windows that may give.
+# Limit on samples times squared parameters of one Levenberg-Marquardt iteration on windows, and on
+# the resulting number of windows.
 _WORK, _WINDOWS = 2e10, (24, 1000)
 
 
@@ -197,7 +197,7 @@ def train(
         return _train_windowed(model, predictor, data, context, method)
     fitted, cost = _train_records(c, data, context, method)
     if c.pieces and c.delay is None and fitted.delay > 0:
-        # A linear model of a nonlinear system may find a delay that there is not.
+        # A linear model of a nonlinear system may find a delay that does not exist.
         other, other_cost = _train_records(replace(c, delay=0), data, context, method)
         fitted = other if other_cost < cost else fitted
     return replace(model, fitted=fitted)
@@ -288,7 +288,7 @@ def _train_windowed(
         w = cut_windows(data.every, context, int(np.clip(most, *_WINDOWS)))
         weight = np.ones(w.y.shape[:2]) if w.weight is None else w.weight
         samples = StateSamples(encoder(w.features), w.u, w.y, weight, known=True)
-        # What held the linear model to its training windows has to hold this one as well.
+        # The ridge of the linear model on its training windows applies to this model too.
         ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
         time = context.sampling_time
         fits = fit_states(structure, starts, samples, ridges, method, context.log, time)

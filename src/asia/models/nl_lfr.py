@@ -27,12 +27,12 @@ from asia.models._linear.fit import Refinement
 from asia.models._state_space.fitted import FittedStateSpace
 from asia.models.methods import LevenbergMarquardt
 
-# Windows of a problem with a horizon that are fitted; each has an initial state of its own.
+# Greatest number of windows for a problem with a horizon; each has its own initial state.
 _WINDOWS = 40
-# Delays, in samples, that states can stand for: a linear model of a nonlinear system may find one
-# that there is not.
+# Delays, in samples, that states can replace: a linear model of a nonlinear system may find one
+# that does not exist.
 _MODELLED = 3
-# States of the linear models to begin with, with one output and the order open.
+# Orders of the first linear models, with one output and the order open.
 _ORDERS = (1, 2, 3, 4)
 
 

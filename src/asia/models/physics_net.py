@@ -50,10 +50,9 @@ from asia.problem.physics.expressions import parse_expression
 __all__ = ["Config", "build", "train"]
 
 _LONGEST = 100
-# Time constant of the lag at the start; the second where the equations have corrections, beside
-# whose effects a lag is small.
+# Initial time constant of the lag, without and with corrections, with which a lag is small.
 _LAG_SAMPLES, _LAG_SAMPLES_CORRECTED = 2.0, 0.6
-# Validation scores kept for the network.
+# Validation scores reserved for the network.
 _RESERVED = 100
 
 
@@ -249,7 +248,7 @@ def _fit_equations(
     method: LevenbergMarquardt,
     judge: LimitedScore | None,
 ) -> NetworkModel:
-    # Training compiles by JAX, which a trained model does without.
+    # Import of JAX, which a trained model does not need.
     from asia.models._equations.measured_terms import TermPenalties, fit_equations
 
     cell, scaling = network.cell, network.scaling

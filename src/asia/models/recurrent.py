@@ -154,7 +154,7 @@ def _uniform_parameters(rng: np.random.Generator, config: Config, context: Conte
         {
             "u": uniform(rng, (inputs if i == 0 else hidden, wide), hidden),
             "h": uniform(rng, (hidden, wide), hidden),
-            # PyTorch has a bias for each of the two products.
+            # PyTorch draws a bias for each of the two products.
             "b": uniform(rng, (wide,), hidden) + uniform(rng, (wide,), hidden),
         }
         for i in range(config.layers)

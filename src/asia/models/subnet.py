@@ -40,7 +40,7 @@ from asia.models._networks.structure import Params
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
 
-# Far outside what training visits; keeps a model that is unstable there from overflowing.
+# Limit far outside the training range, which keeps an unstable model from overflowing.
 _LARGEST_STATE = 30.0
 _MOST_WINDOWS = 1000
 _ONE_STEP_RIDGE = 1e-4
@@ -152,7 +152,7 @@ def _from_linear_model(
         return _embedded(params, s, encoder.weights, encoder.bias)
     if states < context.ny:
         return params
-    # A state that holds the last outputs is known from the past window, and cheap to fit.
+    # A state that holds the last outputs follows from the past window, and is cheap to fit.
     lags = replace(lags, y=min(lags.y, states // context.ny))
     windows = cut_windows(records, context, _MOST_WINDOWS)
     s, encoder = one_step(windows, lags, _ONE_STEP_RIDGE).system()

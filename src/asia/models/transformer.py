@@ -28,7 +28,7 @@ from asia.models._networks.structure import Params
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
 
-# Added to the score of a token that must not be attended to.
+# Score offset that masks a token.
 _UNSEEN = -1e9
 
 

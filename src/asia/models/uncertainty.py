@@ -28,15 +28,17 @@ from asia.models._noise.process import ResidualProcess
 __all__ = ["Covariance", "PriorPenalty", "estimates", "gradient", "jacobians_of", "sandwich"]
 
 _CONFIDENCE = 0.95
-# Each record counts by its own sum only where there are so many, and so many a parameter.
+# Least number of records, in total and for each parameter, at which each record counts as one
+# cluster.
 _CLUSTERS, _CLUSTERS_A_PARAMETER = 30, 5
-# Of an information matrix with ones on its diagonal: what is below is rounding.
+# Least eigenvalue of an information matrix with ones on its diagonal: smaller ones are rounding.
 _NO_INFORMATION = 1e-14
 _STEP = 1e-6
-# A missing effect is shown by the smallest of four probabilities, corrected for their number.
+# Level of the test for a missing effect: the smallest of four probabilities, corrected for their
+# number.
 _MISFIT_LEVEL = 0.1
-# The parameters may have absorbed this many times what the missing effect left in the residuals.
-# On 36 systems that lack an effect 2 held 89 % of the true values, and 2.5 held 94 %.
+# Assumed ratio of the effect absorbed by the parameters to the one left in the residuals. On 36
+# systems with a missing effect 2 held 89 % of the true values, and 2.5 held 94 %.
 _ABSORBED = 2.5
 _MISFIT_LAGS = (1, 2, 4, 8)
 _MISFIT_ROWS, _MISFIT_DIRECTIONS = 20_000, 6
@@ -105,7 +107,7 @@ def sandwich(
     squares = sum(float((e**2).sum()) for e in residuals)
     lost = float(np.trace(inverse @ middle))
     lost += sum(_lost(noise, q) for q in nuisance or ())
-    # What the fit took away of the noise, where the process does not know of it.
+    # Noise absorbed by the fit, if the process does not account for it.
     kept = max(1.0 - lost / squares, 0.05) if squares > 0 else 1.0
     samples = sum(e.size for e in residuals)
     variance = squares / kept / samples

@@ -144,7 +144,7 @@ def _function(
 ) -> tuple[str, int]:
     code = Statements(constants)
     found = code.run(program, inputs)
-    # Inputs may be overwritten by outputs: what is not in `w` goes there first.
+    # Outputs may overwrite inputs: values outside `w` are copied there first.
     kept = [code.own(value) for value in found]
     for target, value in zip(outputs, kept, strict=True):
         code.copy(target.at, value.at, math.prod(value.shape))

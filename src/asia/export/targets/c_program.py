@@ -247,7 +247,7 @@ class Statements:
         places = source_places(node, source.shape)
         size = len(places)
         if size and (places == places[0] + np.arange(size)).all():
-            # A part in one piece is read where it lies.
+            # A contiguous part is read in place.
             start = int(places[0])
             at = source.at
             moved = at if start == 0 else lambda i: at(f"{start} + {i}")

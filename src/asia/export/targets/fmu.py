@@ -127,7 +127,7 @@ def _unit(model: ExportModel, version: int) -> bytes:
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
 
         def put(name: str, data: bytes) -> None:
-            # The same bytes for the same model: no time of the day.
+            # A constant date: the same model gives the same bytes.
             entry = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, data)

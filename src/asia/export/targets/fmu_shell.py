@@ -92,7 +92,7 @@ static unit *created(const char *token)
 }
 """
 
-# name(arguments) -> what it does; m is the unit.
+# Functions as "name(arguments) | body"; m is the unit.
 _TWO = """
 typedef void *P; typedef const char *S; typedef int I; typedef const uint32_t *R; typedef size_t N;
 S fmi2GetTypesPlatform(void) | return "default";

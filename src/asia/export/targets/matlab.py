@@ -125,7 +125,7 @@ def _mat(values: dict[str, Any]) -> bytes:
 
     written = io.BytesIO()
     savemat(written, values)
-    # The head names the time of writing: the same model gives the same bytes.
+    # The header contains the time of writing; without it the same model gives the same bytes.
     data = bytearray(written.getvalue())
     data[:116] = b"MATLAB 5.0 MAT-file".ljust(116)
     return bytes(data)

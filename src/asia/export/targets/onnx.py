@@ -205,11 +205,11 @@ class _Graph:
         shapes: Sequence[Shape],
         carried: int,
     ) -> Any:
-        """Body graph of a Loop: (iteration, condition, carried) -> (condition, carried, stacked)."""
+        """Body of a Loop: (iteration, condition, carried) -> (condition, carried, stacked)."""
         from onnx import TensorProto, helper
 
         info = helper.make_tensor_value_info
-        # Each output needs a name of its own.
+        # Each output needs a separate name.
         ends = [self.add("Identity", name) for name in found]
         still = self.add("Identity", going)
         inputs = [info(turn, TensorProto.INT64, []), info(going, TensorProto.BOOL, [])]

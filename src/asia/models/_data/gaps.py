@@ -12,7 +12,7 @@ from asia.data import Array, Trajectory
 from asia.models._data.records import ScaledData, ScaledTrajectory, past_length
 from asia.models._data.stretches import ScaledSimulator
 
-# Errors of the simulation are taken for this much correlated at the most.
+# Greatest assumed correlation of simulation errors in time.
 _MOST = 0.98
 
 
@@ -86,7 +86,7 @@ def _bridged(error: Array, rho: float) -> Array:
     right = known[np.minimum(place, len(known) - 1)]
     before = np.where(place > 0, time - left, np.inf)
     after = np.where(place < len(known), right - time, np.inf)
-    # Of a first-order autoregression with unit variance.
+    # Conditional mean of a first-order autoregression with unit variance.
     a, b = rho**before, rho**after
     share = 1.0 - (a * b) ** 2
     share = np.where(share > 0.0, share, 1.0)

@@ -22,9 +22,9 @@ from asia.models._data.records import (
     windows,
 )
 
-# Regressing the missing lags on the past window needs no more windows than this.
+# Greatest number of windows in the regression of missing lags.
 _MOST_WINDOWS = 4000
-# Share of the samples whose lags were all measured, from which the others are left out.
+# Least share of samples with measured lags at which the others are left out.
 _ENOUGH = 0.1
 
 

@@ -16,7 +16,7 @@ from asia.models._arrays import AnyArray, namespace
 from asia.models._data.cuts import Indices, rows, side_by_side, spread
 from asia.models._data.scaling import Scaling
 
-# Share of the past windows that must be measured for the others to be left out.
+# Least share of measured past windows at which the others are left out.
 _ENOUGH = 0.1
 _SINGLE = np.float32
 

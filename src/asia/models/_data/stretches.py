@@ -17,7 +17,8 @@ from asia.data import Array, Trajectory
 from asia.models._data.cuts import laid_end_to_end, side_by_side, spread
 from asia.models._data.records import ScaledData, contiguous_splits, past_length
 
-# A longer record is cut, and its parts are simulated side by side: time is what a loop pays for.
+# Longest segment in samples. Longer records are cut and their segments simulated side by side: the
+# time of a loop grows with its length.
 _LONGEST = 4000
 _MOST_SAMPLES = 40_000
 

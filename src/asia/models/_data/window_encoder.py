@@ -33,7 +33,7 @@ from asia.models._data.records import (
     windows_before,
 )
 
-# Numbers of the past windows from which records are long, and windows of a block.
+# Numbers in the past windows above which records are processed in blocks, and windows of a block.
 _LONG, _BLOCK = 2_000_000, 4096
 _PARTS = 8
 

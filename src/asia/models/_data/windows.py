@@ -12,7 +12,7 @@ from asia.data import Array
 from asia.models._data.cuts import rows, spread
 from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, windows
 
-# Stretches cut from one record: long ones, so that slow modes show.
+# Greatest number of segments from one record: few long ones, so that slow modes show.
 _PIECES = 4
 
 

@@ -67,7 +67,7 @@ def fit(
     Raises:
         FloatingPointError: if no starting point gives a finite simulation.
     """
-    # Imports JAX, which a trained model does without.
+    # Import of JAX, which a trained model does not need.
     from asia.models._equations.programs import CompiledSimulator
 
     rng = np.random.default_rng(seed)

@@ -27,7 +27,7 @@ from asia.models._least_squares import (
 )
 
 _METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
-# Differences of fourth order, in units of the initial state's deviation.
+# Step of fourth-order differences, in units of the initial state's deviation.
 _STEP = 1e-3
 _WEIGHTS = {1: 8.0, -1: -8.0, 2: -1.0, -2: 1.0}
 
@@ -112,7 +112,7 @@ class CaseSteps:
         channel, last = np.arange(u.shape[1]), known.shape[1] - 1
         older = last - np.ceil(self.late).astype(int)
         newer = np.minimum(older + 1, last)
-        # Between two samples where a delay ends there.
+        # Interpolate between two samples for a fractional delay.
         later = np.ceil(self.late) - self.late
         acting = (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
         held, now = acting.T[:, None], x.T[:, None]

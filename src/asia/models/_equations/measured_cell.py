@@ -23,11 +23,11 @@ from asia.models._equations.simulate import physical_parameters
 
 NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 
-# The network reads running means as if so many samples of 0 stood before the first, and changes and
-# means in these units of a deviation.
+# Number of zero samples assumed before the first one in running means, and units of changes and
+# means in deviations of the signal.
 _MEAN_SAMPLES = 10.0
 _CHANGE, _MEAN = 2.5, 2.0
-# Delays are learned in units of so many samples.
+# Unit of learned delays, in samples.
 _DELAY_SAMPLES = 5.0
 
 
@@ -379,6 +379,6 @@ class MeasuredCell:
         names = tuple(name for name, _, _ in self.priors)
         mean, deviation = (np.array(v, z.dtype) for v in list(zip(*self.priors, strict=True))[1:])
         nothing = namespace(z).zeros((0,), z.dtype)
-        # Of no states and inputs: only parameters and constants stand in a prior.
+        # Priors contain only parameters and constants, so that states and inputs are empty.
         values = self.equations.named(names, self._given(self.physical(z)), nothing, nothing)
         return (values - mean) / deviation

@@ -22,10 +22,11 @@ from asia.problem import Bounds
 from asia.problem.physics.expressions import Name
 from asia.problem.symmetry import group
 
-# A simulation beyond so many deviations of a state has run away.
+# Deviations of a state beyond which a simulation has diverged.
 _FAR = 30.0
 _RATE_SAMPLES = 5
-# Pull of the parameters to the middle of their ranges, in half ranges over deviations of a prior.
+# Weak prior that draws parameters to the middle of their ranges, in half ranges over deviations of
+# a prior.
 _WEAK = 0.01
 
 
@@ -72,7 +73,7 @@ def _at_corrections(
     turns = group(context.symmetry if cell.symmetric else {}, names)
     n = len(cell.read)
     seen = [*range(n), *(cell.read.index(name) for name in cell.driving * 2)]
-    # Of the parts of what the network reads: no symmetry takes one to another.
+    # Numbers of the parts of the network's inputs: no symmetry maps one to another.
     part = np.repeat([0, 1, 2], [n, len(cell.driving), len(cell.driving)])
     own, places = turns[:, :n, :n], turns[:, n:, n:]
     together = turns[:, seen][:, :, seen] * np.equal.outer(part, part)

@@ -29,15 +29,15 @@ Judge = Callable[[Params], float]
 
 _ROUNDS = 3
 _SCHEDULE = replace(SEQUENTIAL, success=1.0 / 3.0, failure=4.0)
-# Of so many windows the first round, which is far from the end, takes a quarter.
+# Number of windows from which the first round, far from the optimum, uses only a quarter.
 _MANY = 400
 _SMALL = 1e-3
 _EVERY = 5
-# A round ends after so many iterations in a row with less than this relative gain.
+# Iterations in a row with less than this relative gain that end a round.
 _PATIENCE, _LEAST_GAIN = 2, 2e-3
-# Of learned terms, in effects of the size of the signals they act on.
+# Learned terms, in effects of the size of the signals they act on.
 _LEARNED = ("linear", "offset")
-# Not fitted by Levenberg-Marquardt.
+# Parameters that Levenberg-Marquardt does not fit.
 _HELD = ("fixed", "net", "out_w", "out_b")
 
 

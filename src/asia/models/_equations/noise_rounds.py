@@ -52,7 +52,7 @@ class NoiseRounds:
         y = self._simulate(z[None], scales.for_rows(), x0[None])[0][0]
         mask, floor = segments.counts, np.full(structure.ny, LEAST_DEVIATION)
         if structure.measured:
-            # The simulation starts at the first measurement, so that no error is left there.
+            # The first error is zero, since the simulation starts at the first measurement.
             mask = mask * (np.arange(mask.shape[1]) > 0)
         time = structure.sampling_time
         residual = (y - segments.y) / scales.y_scale

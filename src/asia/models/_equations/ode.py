@@ -30,7 +30,7 @@ Derivative: TypeAlias = Callable[[AnyArray, AnyArray], AnyArray]
 Evaluator: TypeAlias = Callable[[AnyArray, AnyArray, AnyArray], AnyArray]
 """Values (n, ...) from parameters (np, ...), x (nx, ...) and u (nu, ...)."""
 
-# Under this a square root goes on as the straight line through 0.
+# Argument below which a square root continues as a straight line through 0.
 _SMALL = 1e-6
 
 
@@ -79,7 +79,7 @@ class Equations:
     """Expression of each output."""
 
     def __hash__(self) -> int:
-        # That of all expressions would cost more than a step of a simulation.
+        # A hash of all expressions would cost more than a step of a simulation.
         return hash((self.states, self.inputs, self.outputs, self.parameters))
 
     def derivative(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
@@ -213,7 +213,7 @@ def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         parameters=tuple(physics.parameters),
-        # Without what is learned of them, corrections are 0.
+        # Corrections are 0 without their learned values.
         constants=(*physics.constants.items(), *((name, 0.0) for name in physics.corrections)),
         definitions=tuple(
             (name, parsed("definitions", name, physics.definitions[name]))

@@ -14,7 +14,7 @@ from asia.data import Array
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, delayed, effects, outputs, simulate_states
 
-# States in the result of one call.
+# Greatest number of states in the result of one call.
 _MOST_VALUES = 1_000_000
 
 
@@ -33,7 +33,7 @@ class CompiledSimulator:
         self._u = np.ascontiguousarray(u.transpose(1, 2, 0))
         each = u.shape[1] * structure.nx * rows
         self._width = int(np.clip(_MOST_VALUES // each, 1, len(u)))
-        # Settings that the states do not depend on would compile them again.
+        # Remove settings that the states do not depend on, which would cause another compilation.
         plain = replace(
             structure.config, ridge=0.0, residual_ridge=0.0, robust=None, initial=None, discover=()
         )

@@ -118,7 +118,7 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects
         reach = (scales.x_max[i] - scales.x_center[i]) * xp.exp(z[layout.limits][k])
         limits[i] = scales.x_center[i] + reach
         if config.spill:
-            # In units of the states' own scales, so that the fraction does not depend on them.
+            # Use the states' own scales, so that the fraction does not depend on them.
             ratio = scales.x_scale[(i + 1) % nx] / scales.x_scale[i]
             spill[i] = xp.exp(z[layout.spill][k]) * ratio
     for k, i in enumerate(states.index(name) for name in config.offset if name in states):
@@ -282,7 +282,7 @@ def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) ->
 
 def _product(matrices: AnyArray, vectors: AnyArray) -> AnyArray:
     """Multiply by one matrix a row: (m, n, R), (n, R, S) -> (m, R, S)."""
-    # As products of small matrices XLA would take four times as long.
+    # XLA takes four times as long for products of small matrices.
     return (matrices[..., None] * vectors).sum(axis=1)
 
 

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
 
 _INITIAL_RIDGE = 1e-6
-# Of the differences, in coordinates whose search ranges are about 1 wide: below, rounding grows.
+# Step of the differences, in coordinates whose search ranges are about 1 wide; rounding grows below
+# it.
 _STEP = 1e-6
-# Physical quantities are held only as far as the data say nothing of them.
+# Weak ridge on physical quantities, which acts only where the data carry no information.
 _WEAK = 1e-3
 
 
@@ -189,7 +190,7 @@ class SimulationError:
         moves = np.eye(size + nx)[fitted]
         if not self._structure.measured:
             moves = np.concatenate([moves, np.eye(nx, size + nx, size)])
-        # Moves of the initial state are those of every segment's.
+        # A change of the initial state applies to every segment.
         every = (theta.shape[1] - size) // nx
         moves = np.concatenate([moves[:, :size], np.tile(moves[:, size:], (1, every))], axis=1)
         none = np.zeros((1, theta.shape[1]))

@@ -15,19 +15,19 @@ from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales
 from asia.models._least_squares import Minimum
 
-# Where an addition has no effect: a limit far above any state, a fraction of zero.
+# Coordinates at which an addition has no effect: a limit far above any state, a fraction of zero.
 _NO_LIMIT = 20.0
 _NO_SPILL = -30.0
 _SCREENED_PER_START = 16
 _MOST_SCREENED_VALUES = 20_000_000
 _MOST_INITIAL_STATES = 240
-# Samples times squared coordinates of one iteration where initial states are measured.
+# Limit on samples times squared coordinates of one iteration where initial states are measured.
 _MOST_WORK, _MEASURED_WINDOWS = 2e9, (60, 400)
-# Of the width of a parameter's range, where 2 spans it.
+# Deviation of drawn parameters relative to their range, which is 2 wide.
 _SPREAD_OF_PARAMETERS = 0.3
-# Beyond any state in any unit, and sums of its squares are still numbers.
+# Limit beyond any state in any unit, whose sums of squares are still finite.
 _OPEN = 1e100
-# A start this many times as lively as the median one has run away.
+# Ratio to the median amplitude at which a start has diverged.
 _RUNAWAY = 1e6
 
 
@@ -92,7 +92,7 @@ def cut_segments(
     mask = side_by_side([np.ones(len(t)) for t in pieces])
     u = side_by_side([t.u for t in pieces], "edge")
     if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
-        # As in simulation, where the input of the last past sample is not known.
+        # Hold the first known input, as in simulation, where the last past input is unknown.
         u[:, 0] = u[:, 1]
     counts = side_by_side([measured_samples(t) for t in pieces])
     return RecordPieces(u, side_by_side([t.y for t in pieces], "edge"), mask, counts)
@@ -205,7 +205,7 @@ def _spread(states: Array, segments: RecordPieces) -> tuple[Array, Array]:
     inside = states[:, segments.mask > 0]
     deviation = inside.std(axis=1)
     scale = np.maximum(deviation, 1e-3 * np.abs(inside).max(axis=1))
-    # A start that runs away would make its own initial state weightless.
+    # A diverging start would make the weight of its own initial state vanish.
     usual = np.median(scale, axis=0)
     scale = np.minimum(scale, np.where(usual > 0, _RUNAWAY * usual, np.inf))
     return inside.mean(axis=1), np.where(scale > 0, scale, 1.0)
@@ -223,7 +223,7 @@ def augment(
     layout, size = structure.layout, structure.layout.size
     count, learned = len(starts.z), len(structure.learned.names)
     drawn = _draws(structure, segments, count)
-    # The better half of the first fits, in turn: others have often ended in a poor minimum.
+    # Cycle through the better half of the first fits: others have often ended in a poor minimum.
     order = np.argsort(found.cost, kind="stable")[: max(1, count // 2)]
     parents = np.resize(order, drawn)
     z = found.theta[parents, :size].copy()
@@ -239,7 +239,7 @@ def augment(
     z[:, layout.delay] = rng.uniform(0.0, 0.8, z[:, layout.delay].shape)
     if structure.config.drawn:
         z[len(order) :, layout.learned] = rng.normal(size=(drawn - len(order), learned))
-    # One start with next to no effect, so that additions do not begin worse than the equations.
+    # One start with almost no effect, so that additions do not begin worse than the equations.
     z[0, layout.limits], z[0, layout.spill], z[0, layout.delay] = 0.0, -4.0, 0.0
     ranking = _ranking(segments, scales, simulate(z, scales, x0)[0])
     best = np.concatenate([[0], ranking[ranking != 0]])[:count]

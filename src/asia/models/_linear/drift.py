@@ -27,5 +27,5 @@ def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
     m = s.order - integrators
     steady = np.linalg.solve(np.eye(m) - s.a[:m, :m], s.b[:m])
     rates = s.a[m:, :m] @ steady + s.b[m:]
-    # Of a chain the first is what drifts; the others add up what it does.
+    # Only the first state of a chain drifts; the others integrate it.
     return np.asarray(np.linalg.lstsq(rates[:, :-1], rates[:, -1], rcond=1e-3)[0], np.float64)

@@ -16,12 +16,12 @@ from asia.models._data.scaling import Scaling
 from asia.models._linear.long import LongResponse
 from asia.models._linear.system import LinearSystem
 
-# Entries of the matrices: those of a larger model are no quantities that people know.
+# Greatest number of matrix entries: those of a larger model are no quantities of interest to users.
 _MOST_ENTRIES = 150
-# Of a standard error: a fit that is further from its minimum minimises something else.
+# Greatest distance from the minimum in standard errors: a fit further away minimises another cost.
 _NEAR = 0.5
 
-# Samples from which a record is simulated by convolution.
+# Least number of samples for a simulation by convolution.
 _LONG = 65_536
 _MOST_GAINS = 20
 _MOST_TIME_CONSTANTS = 6

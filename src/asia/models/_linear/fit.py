@@ -37,7 +37,7 @@ from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
 from asia.models._noise.weighting import ErrorWeighting
 
-# A system this close to the unit circle or beyond grows without bound on a longer record.
+# Largest modulus of a pole: beyond it the system grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
 
 
@@ -229,7 +229,7 @@ def refined_under_noise(
         weightings = [
             ErrorWeighting.of(noise, sampling_time, r.weight[None], choice.huber) for r in records
         ]
-        # A slow mode that starts far off would take the place of the slow disturbance.
+        # Hold initial states: a slow mode that starts far off would replace the slow disturbance.
         held = replace(refinement, initial_ridge=Refinement.initial_ridge)
         found = refine(records, found, held, log, weightings)
     return found
@@ -254,7 +254,7 @@ def refine(
     arrays = [s.a, s.b, s.c, s.d, s.offset, start.x0]
     shapes, ends = [p.shape for p in arrays], np.cumsum([p.size for p in arrays])[:-1]
     theta0 = np.concatenate([p.ravel() for p in arrays])
-    # The simulation at the parameters that were asked about last.
+    # Last simulation, with its parameters.
     known = theta0, driven.summed(s, start.x0)
 
     def response(theta: Array) -> Response | LongResponse:
@@ -285,7 +285,7 @@ def refine(
         last = current.x0.size
         normal[-last:, -last:] += prior * np.eye(last)
         gradient[-last:] -= prior * current.x0.ravel()
-        # Entries of A that are held.
+        # Held entries of A.
         normal[: free.size] *= free[:, None]
         normal[:, : free.size] *= free
         gradient[: free.size] *= free

@@ -19,10 +19,10 @@ from asia.models._linear.windows import (
     refined,
 )
 
-# Against the mean squared error in z-scores, from strong to weak.
+# Ridges against the mean squared error in z-scores, from strong to weak.
 _RIDGES = (1.0, 1e-1, 1e-2, 1e-4)
 _QUICK_ITERATIONS = 4
-# Bounds on the numbers a refinement handles: samples times squared parameters.
+# Limits on the work of a refinement: samples times squared parameters.
 _SELECTION_WORK, _FINAL_WORK = 4e9, 2e10
 _FEWEST, MOST_WINDOWS = 24, 2000
 
@@ -147,7 +147,7 @@ def _refined(
 
 
 def _one_step_ridge(ridge: float) -> float:
-    # One-step errors are smaller than those over a horizon, and so is what holds against them.
+    # One-step errors are smaller than those over a horizon, and so is their ridge.
     return max(1e-4 * ridge, 1e-9)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from asia.data import Array
 from asia.models._arrays import AnyArray, namespace
 
-# Records whose inputs are further apart than this ratio are of different levels.
+# Least ratio of the input sizes of two levels.
 _APART = 1.2
 
 

@@ -20,7 +20,7 @@ from asia.models._data.records import ScaledData
 from asia.models._linear.powers import Powers
 from asia.models._linear.system import LinearSystem
 
-# Numbers of the derivatives from which records are long, those of one block, and its samples.
+# Numbers in the derivatives above which records are processed in blocks, and those of one block.
 _LONG, _BLOCK = 4_000_000, 500_000
 _SHORTEST, _LONGEST = 1024, 16384
 
@@ -139,7 +139,8 @@ class LongResponse:
         record, powers, n = self.records[i], self._powers, self.system.order
         outputs, kernel = self._outputs
         signals = record.u.shape[1] + n * poles
-        # Of the state at the start of a block: by the entries of [A B] or B, then by x0.
+        # Derivatives of the state at the start of a block: by the entries of [A B] or B, then by
+        # x0.
         carried = np.concatenate([np.zeros((n, n * signals)), np.eye(n)], axis=1)
         for rows, states, residual in self._blocks(i):
             length, u = len(states), record.u[rows]

@@ -22,7 +22,7 @@ from asia.models._linear.powers import Powers, Spectrum, transform_size
 from asia.models._linear.system import LinearSystem
 from asia.models._noise.weighting import ErrorWeighting
 
-# Records whose lengths differ by less share the transforms of a system.
+# Rounding of record lengths: records of the same rounded length share the transforms of a system.
 _ROUNDED = 64
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from asia.data import Array
 from asia.models._data.records import ScaledData
 
-# Columns of the Hankel matrices that are held at a time.
+# Columns of the Hankel matrices in memory at a time.
 _CHUNK = 8192
 
 

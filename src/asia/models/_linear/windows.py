@@ -193,7 +193,8 @@ def _regressors(x: Array, u: Array) -> Array:
 
 def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
     """Compute J' J (P, P) and J' e (P,) without storing a Jacobian."""
-    # Either way is as dear as its largest products: by lags samples^2, by steps samples ny^3.
+    # The cost of each way is that of its largest products: by lags samples^2, by steps samples
+    # ny^3.
     if windows.weight is None and windows.u.shape[1] < 2 * model.lags.ny**3:
         return normal_by_lags(model, windows)
     return normal_by_steps(model, windows)

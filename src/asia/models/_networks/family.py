@@ -131,6 +131,6 @@ def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C
         return train_network(replace(model, cell=cell), trajectories, context, method, start)
 
     for function in (build, train):
-        # Part of the family's module, for whom reads it and for pickles by reference.
+        # Attribute the function to the family's module, for readers and for pickles by reference.
         function.__module__, function.__qualname__ = config.__module__, function.__name__
     return build, train

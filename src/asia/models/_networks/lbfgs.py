@@ -94,7 +94,7 @@ class _BestPoint:
         loss, slope = self._value_of(x)
         value, gradient = float(loss), np.asarray(slope, np.float64)
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
-            # Finite and large: the line search then shortens its step.
+            # A finite large loss, with which the line search shortens its step.
             return 1e10, np.zeros_like(x)
         if value < self.loss:
             self.best, self.loss = np.array(x), value

@@ -104,7 +104,7 @@ class NetworkModel:
             return members
         import jax
 
-        # What depends on parameters alone is then found by the same functions.
+        # The parts that depend only on parameters are then found by the same functions.
         return [jax.tree.map(jax.numpy.asarray, params) for params in members]
 
     def _scaling(self) -> Scaling:
@@ -154,8 +154,8 @@ def train_network(
             "its data and not from a seed; leave members at 1"
         )
     members: list[Params] = []
-    # One after the other, by one compiled program: three at a time, by jax.vmap, take 0.8 times as
-    # long where 8 short chunks are side by side, but 1.0 to 1.25 times where 31 are.
+    # Members are trained sequentially by one compiled program: three in parallel, by jax.vmap, take
+    # 0.8 times as long where 8 short chunks are side by side, but 1.0 to 1.25 times where 31 are.
     for i in range(method.members):
         params, own = model.params, replace(context, seed=context.seed + i)
         if i > 0 and isinstance(cell, Restartable):

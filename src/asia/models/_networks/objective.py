@@ -29,7 +29,7 @@ from asia.models._noise.whitening import (
 )
 from asia.models.methods import Adam, Loss
 
-# Their random numbers come from keys of their own, so that other fits keep theirs.
+# Separate random keys, so that other fits keep their random numbers.
 _SHIFT, _DRAWN = 3, 4
 
 

@@ -19,14 +19,15 @@ NOISE_ROUNDS = 3
 LEAST_DEVIATION = 1e-6
 """Share of the output's deviation below which a residual is rounding."""
 
-# Candidates: time constants, and the slow part over the white one, both even in the logarithm.
+# Numbers of candidates: time constants, and ratios of the slow part to the white one, both spaced
+# logarithmically.
 _TIMES, _RATIOS = 9, 9
 _RATIO_LIMITS = (0.1, 100.0)
-# In samples the shortest time constant, the longest one as a share of the longest segment, and how
-# long that may be in any case. A longer one would leave the level of the output without weight, and
-# the errors of a poor model ask for it.
+# Shortest time constant in samples, longest one as a share of the longest segment, and least upper
+# bound of it in samples. A longer one would leave the level of the output without weight, which the
+# errors of a poor model favour.
 _FASTEST, _LONGEST_SHARE, _LEAST_LONGEST = 3.0, 0.25, 20.0
-# A grid around the best candidate, again and again with half the spacing.
+# Rounds of a grid around the best candidate, each with half the spacing.
 _ROUNDS, _WAYS = 4, np.array([-1.0, 0.0, 1.0])
 _MOST_SAMPLES = 20_000
 _SCALE_ROUNDS = 12

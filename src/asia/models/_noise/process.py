@@ -20,15 +20,16 @@ from scipy.signal import lfilter
 from asia.data import Array
 
 _MOST_LAGS = 30
-# Of the length of the records: more lags would be fitted to chance.
+# Greatest number of lags as a share of the record length: more would be fitted to chance.
 _SHARE_OF_LAGS = 0.1
-# What a filter remembers below this share of its beginning does not count.
+# Share of the initial response below which a filter has forgotten.
 _FORGOTTEN = 1e-3
-# Samples in which the correlation of any residual has gone.
+# Samples after which the correlation of any residual has vanished.
 _LONG = 4096
-# Samples of a record that is filtered block by block, and of a block.
+# Least length of a record that is filtered block by block, and length of a block.
 _MANY, _BLOCK = 65_536, 8192
-# Values times lags of one restricted likelihood: with more of them the fit takes hardly anything.
+# Limit on values times lags of one restricted likelihood, and on its lags: on longer records the
+# fit absorbs hardly any noise.
 _MOST_WORK, _MOST_RESTRICTED_LAGS = 5_000_000, 8
 _STABLE = 0.999
 

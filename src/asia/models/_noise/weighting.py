@@ -49,7 +49,7 @@ class ErrorWeighting:
 
     def jacobian(self, error: Array, derivatives: Array) -> Array:
         """Derivatives (S, T, ny, P) of the whitened errors, from those of the errors (S, T, ny)."""
-        # One column at a time: the filter's temporary arrays are then small.
+        # Column by column, so that the filter's temporary arrays are small.
         columns = [innovations(self.through, column) for column in np.moveaxis(derivatives, -1, 0)]
         found = self.unit * np.stack(columns, axis=-1)
         if self.huber is None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from asia.models._arrays import AnyArray, namespace, scan
 
-# What is left of a prediction, as a share, when it no longer counts.
+# Share of a prediction below which it no longer counts.
 _FORGOTTEN = 1e-30
 
 

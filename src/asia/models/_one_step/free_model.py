@@ -22,7 +22,7 @@ from asia.models._one_step.polynomial import Polynomial, PolynomialRun, all_term
 C = TypeVar("C")
 
 RIDGES = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2)
-# Choosing takes hundreds of fits; this many samples tell candidates apart.
+# Samples for choices of lags, which take hundreds of fits; this many distinguish candidates.
 _SELECTION_SAMPLES = 6000
 
 

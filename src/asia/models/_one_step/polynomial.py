@@ -23,7 +23,7 @@ Terms = NDArray[np.intp]
 
 # Numbers in a block of Jacobian rows.
 _BLOCK = 4_000_000
-# Products in a Gauss-Newton matrix, and the samples it is made from, at least and at most.
+# Limit on the products in a Gauss-Newton matrix, and on its samples, at least and at most.
 _WORK = 1e10
 _SAMPLES = (1000, 10_000)
 

@@ -75,7 +75,7 @@ def fit_members(
         )
         begin, x0 = [one.params for one in before], [one.x0 for one in before]
         fits = fit_states(structure, starts, samples, ridge, method, log, time, begin=begin, x0=x0)
-        # Pieces may mislead as well: one start goes without.
+        # One start begins with whole records, since segments may mislead too.
         starts = starts[:1]
     fits += fit_states(structure, starts, samples, ridge, method, log, time)
     fits.sort(key=lambda one: one.cost)

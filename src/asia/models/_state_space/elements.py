@@ -18,7 +18,7 @@ from asia.models._arrays import AnyArray, bounded, namespace, relu
 
 Coefficients = Mapping[str, Any]
 
-# Of the exponents of learned ratios, which keeps them numbers.
+# Limit on the exponents of learned ratios, which keeps them finite.
 _LARGEST = 8.0
 
 

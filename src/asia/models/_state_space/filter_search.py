@@ -31,20 +31,21 @@ from asia.models._state_space.filters import (
 )
 from asia.models._state_space.wiener_hammerstein_starts import LinearFilter, shares
 
-# Orders of the linear model where none is given, iterations of its fit, and the samples for it.
+# Orders of the linear model if none is given, iterations of its fit, and its samples.
 _ORDERS = (2, 3, 4, 5, 6, 7, 8)
 _LINEAR, _LINEAR_SAMPLES = Refinement(iterations=15), 4000
-# Samples of the short fits, the share of them left out, and samples that judge a split.
+# Samples of the short fits, share of them left out, and samples for the evaluation of a split.
 _SEARCHED_SAMPLES, _LEFT_OUT, _JUDGED_SAMPLES, _SETTLE = 12_000, 0.3, 3000, 50
-# Samples at the start of a record that no fit counts, so that none bends its filters to make up for
-# initial states, which it finds slowly; at most this share of a record.
+# Samples at the start of a record that no fit counts, at most this share of a record. Otherwise the
+# filters would compensate for initial states, which the fit finds slowly.
 _TRANSIENT, _TRANSIENT_SHARE = 200, 0.1
-# A single extreme value, beyond all that was fitted, says nothing of the filters.
+# Share of the errors that counts: a single extreme value, beyond all that was fitted, carries no
+# information on the filters.
 _TRIMMED = 0.99
-# Splits that are judged of an order, that are fitted, and those that are fitted further.
+# Splits evaluated for each order, splits fitted, and splits fitted further.
 _MOST_SPLITS, _FITTED, _FITTED_ON = 600, 4, 6
 _FEW, _MORE = 20, 100
-# The static function's grid reaches so many deviations of its argument.
+# Range of the static function's grid, in deviations of its argument.
 _REACH = 3.5
 
 

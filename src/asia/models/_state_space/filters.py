@@ -22,7 +22,7 @@ from asia.models._data.records import ScaledData, ScaledTrajectory
 from asia.models._least_squares import NormalEquations
 from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
 
-# Samples of a chunk. Derivatives by initial states are taken in the first one only: they have
+# Samples of a chunk. Derivatives by initial states are computed only in the first one: they have
 # decayed after it.
 _CHUNK = 8192
 

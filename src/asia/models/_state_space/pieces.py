@@ -35,13 +35,12 @@ class _Lengths(NamedTuple):
     """Factor from one length to the next."""
 
 
-# Samples of a piece, at least and for each state, and the factor by which pieces grow. Pieces of a
-# whole period already miss the minimum of a strong oscillator, but elements of friction and play
-# show only in pieces in which the motion turns.
+# Lengths of the segments. Segments of a whole period already miss the minimum of a strong
+# oscillator, but elements of friction and play show only in segments with a reversal.
 _SMOOTH, _WITH_ELEMENTS = _Lengths(20, 4, 3), _Lengths(40, 8, 4)
-# How many pieces are fitted.
+# Greatest number of segments.
 _MOST = 60
-# Iterations on pieces, the ridge of their states, and what holds the first guess of these.
+# Iterations on segments, the ridge of their states, and that of the first guess of these.
 _ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
 
 

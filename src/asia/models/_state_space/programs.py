@@ -24,7 +24,7 @@ from asia.models._noise.weighting import ErrorWeighting
 from asia.models._noise.whitening import InnovationFilter, huber_root
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Numbers in the derivatives of one chunk of samples, and of each chunk where one is not enough.
+# Limits on the numbers in the derivatives of one chunk, and of each of several chunks.
 _CHUNK_VALUES, _FEWER_VALUES = 4_000_000, 400_000
 _ITERATIONS_BETWEEN_LOGS = 5
 

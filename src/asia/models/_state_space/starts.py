@@ -15,10 +15,10 @@ from asia.models._linear.fit import LinearFit, Refinement, refine
 from asia.models._linear.system import LinearSystem
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Stiffness that a start has, in turn, for motions of unit size, and width of a play.
+# Stiffness of the elements of a start, by turns, for motions of unit size, and width of a play.
 _STIFFNESS = (30.0, 2.0, 0.5)
 _WIDTH = 0.5
-# Samples that tell how large the signals are which elements act on.
+# Samples for the size of the signals that elements act on.
 _SIZED = 4000
 
 

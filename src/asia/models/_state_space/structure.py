@@ -28,8 +28,8 @@ Nonlinearity = Literal["state", "input", "output", "both", "none"]
 Basis = Literal["tanh", "polynomial"]
 Coefficients = Mapping[str, Any]
 
-# Monomials are evaluated on signals of unit size limited to this, so that a simulation which
-# leaves the training range grows linearly at most.
+# Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
+# grows linearly at most.
 _RANGE = 4.0
 
 
@@ -199,7 +199,7 @@ class StateSpaceStructure:
         return states.swapaxes(0, 1), self.output(p, outputs.swapaxes(0, 1))
 
 
-# Asked for at every sample of a simulation.
+# Called at every sample of a simulation.
 @cache
 def _monomials(signals: int, degree: int) -> tuple[NDArray[np.intp], ...]:
     """Indices (monomials, degree) of the signals that are multiplied, for each degree from 2 on."""

@@ -26,7 +26,7 @@ from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructu
 
 Roots = NDArray[np.complex128]
 
-# Shares of poles and zeros that are tried at most, and samples that judge one.
+# Greatest number of distributions of poles and zeros, and samples for the evaluation of one.
 _MOST_SHARES = 200
 _JUDGED_SAMPLES = 4000
 _SETTLE = 50
@@ -68,7 +68,7 @@ class LinearFilter(NamedTuple):
         requires."""
         numerator, denominator = signal.zpk2tf(self.zeros, self.poles, self.gain)
         delayed = np.zeros(len(self.poles) - len(self.zeros))
-        # A constant comes back as a number.
+        # A constant polynomial is returned as a number.
         up, down = (np.asarray(c, np.float64).reshape(-1) for c in (numerator, denominator))
         return np.concatenate([delayed, up]), down
 
@@ -107,7 +107,7 @@ def shares(
     a second filter, in at most `most` ways."""
     zeros, poles, gain = signal.ss2zpk(system.a, system.b, system.c, system.d)
     zeros, poles = np.asarray(zeros, complex), np.asarray(poles, complex)
-    # A zero this far out is the rounding of a delay.
+    # A zero this far out is the rounding error of a delay.
     far = np.abs(zeros) > 1e3
     gain = float(np.real(gain * np.prod(-zeros[far])))
     poles, zeros = _settled(poles, zeros[~far])

@@ -27,12 +27,12 @@ from asia.models._least_squares import LevenbergMarquardt, minimise
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
 
-# A term is taken, and kept, where it lowers the cost by this share: less is often luck, because
-# errors of a model that lacks something are alike from one sample to the next.
+# Least relative decrease of the cost for a term to be added or kept. A smaller one is often due to
+# chance, because errors of an incomplete model are correlated in time.
 _LEAST_GAIN = 0.02
-# Of a term's squared sensitivity, what parameters and other terms cannot imitate.
+# Least share of a term's squared sensitivity that parameters and other terms cannot reproduce.
 _LEAST_OWN = 1e-6
-# Terms that are tried by a fit before one is taken, and the iterations of such a fit.
+# Terms tried by a fit before one is added, and the iterations of such a fit.
 _TRIED, _ITERATIONS = 3, 15
 # Simulations of one call of the compiled program.
 _ROWS = 32

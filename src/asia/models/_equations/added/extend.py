@@ -31,11 +31,12 @@ from asia.problem.physics.expressions import Binary, Expression, Name, Node, Num
 
 Range = tuple[float, float]
 
-# Of a sensor: its zero in spans, the logarithms of its power and of its slopes.
+# Prior deviations of a sensor: of its zero in spans, of the logarithms of its power and of its
+# slopes.
 _ZERO_DEVIATION, _POWER_DEVIATION, _SLOPE_DEVIATION = 0.1, 0.5, 0.5
-# Of the logarithm of a time constant, about one sample.
+# Prior deviation of the logarithm of a time constant, about one sample.
 _LAG_DEVIATION = 0.7
-# Keeps the slope of a power finite at zero, in spans.
+# Shift in spans that keeps the slope of a power finite at zero.
 _POWER_SHIFT = 0.02
 
 
@@ -74,7 +75,7 @@ class _Builder:
             place = system.states.index(velocity)
             dynamics[place] = Binary("-", dynamics[place], force.node)
         dynamics += [self._lag(name) for name in late]
-        # States of additions, each with its derivative, behind those of the lags.
+        # States of additions, each with its derivative, after those of the lags.
         new = [*behind.values(), *(pair for _, force in forces for pair in force.states)]
         dynamics += [derivative for _, derivative in new]
         observation = [_inlined(system, e) for e in system.observation]
@@ -114,7 +115,7 @@ class _Builder:
         return found + [(name, bouc_wen(self._extension, name, step)) for name in config.hysteresis]
 
     def _play(self, name: str) -> tuple[str, Node]:
-        # As fast as steps of Runge and Kutta follow without a swing.
+        # Fastest time constant that Runge-Kutta steps follow without oscillation.
         time = self._structure.sampling_time / (1.5 * self._config.substeps)
         return play(self._extension, name, self._span(name)[1], time)
 
@@ -147,7 +148,7 @@ class _Builder:
     def _lag(self, name: str) -> Node:
         step = self._structure.sampling_time
         time = self._extension.number(f"{name} lag", step, _LAG_DEVIATION, positive=True)
-        # Shorter ones would make an explicit step unstable.
+        # A shorter lag would make an explicit step unstable.
         least = Number(0.5 * step / self._config.substeps)
         return formula(
             "(x - late) / max(time, least)",

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 from asia.models._equations.added.numbers import Extension, formula
 from asia.problem.physics.expressions import Name, Node, Number
 
-# Of levels, in the usual rate of the velocity, of how much more than sliding sticking takes, and
-# of a bristle's damping.
+# Prior deviations: of levels, in the usual rate of the velocity; of the excess of sticking over
+# sliding friction; of a bristle's damping.
 _LEVEL_DEVIATION, _STRIBECK_DEVIATION, _DAMPING_DEVIATION = 2.0, 0.5, 1.0
-# Velocities over the velocity's span, and displacements over the square of that span by its rate.
+# Velocities relative to the velocity's span, and displacements relative to the square of that span
+# divided by its rate.
 _STRIBECK_VELOCITY, _WIDTH, _BREAKAWAY, _YIELD = 0.1, 0.01, 0.01, 0.1
 _SIZE_DEVIATION = 1.2
-# Half the width of a play over the span of its signal, and the deviation of the logarithm.
+# Half width of a play relative to the span of its signal, and the deviation of its logarithm.
 _PLAY, _PLAY_DEVIATION = 0.02, 2.0
 BOUND = 3.0
 """Bound of states that are relative to a level."""

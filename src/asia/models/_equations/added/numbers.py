@@ -24,7 +24,7 @@ from asia.problem.physics.expressions import (
 )
 
 KNOTS = 6
-# Of a kernel, in spans of the signal: a correction bends about once over the span.
+# Length scale of a kernel, in spans of the signal: a correction bends about once over the span.
 LENGTH = 0.4
 
 

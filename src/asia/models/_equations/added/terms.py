@@ -14,12 +14,13 @@ from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.ode import functions
 from asia.problem.physics.expressions import Binary, Expression, Name, parse_expression
 
-# A library of more has no cubes, and then no products of two signals of its own.
+# Greatest size of a library; a larger one is built without cubes, and then without products of two
+# signals.
 _MOST_TERMS = 120
-# Of the numbers, in usual rates of the state over usual sizes of the product: wide, since the ridge
-# on them is there to keep the search bounded and not to say that a term is small.
+# Prior deviation of the numbers, in usual rates of the state over usual sizes of the product. It is
+# wide, since the ridge only bounds the search and does not claim that a term is small.
 _DEVIATION = 10.0
-# Cosine of the angle between two products over the records from which on they are one.
+# Least cosine of the angle between two products over the records at which they count as equal.
 _ALIKE = 0.9999
 
 

@@ -45,7 +45,7 @@ class Around:
         Raises:
             ValueError: if these are not the records of the fit.
         """
-        # Imports JAX, which a trained model does without.
+        # Import of JAX, which a trained model does not need.
         from asia.models._equations.programs import CompiledSimulator
 
         structure, segments = self.structure, self.segments

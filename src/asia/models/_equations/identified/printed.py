@@ -79,7 +79,8 @@ def _text(node: Node, values: Mapping[str, float]) -> tuple[str, int]:
             strength = _STRENGTH[symbol]
             power = symbol == "**"
             first = _inside(left, values, strength + power)
-            # a - (b + c), a / (b c): the right side of what does not commute keeps its own.
+            # a - (b + c), a / (b c): the right operand of a non-commutative operator keeps its
+            # parentheses.
             second = _inside(right, values, strength + (symbol in "-/"))
             return f"{first}{symbol}{second}" if power else _pair(first, symbol, second), strength
         case Call(function, arguments):

@@ -26,11 +26,11 @@ from asia.models._linear.periodic.modes import in_blocks, resolvent
 from asia.models._linear.periodic.subspace import observability
 from asia.models._linear.system import LinearSystem
 
-# Every third line is left out while the order is chosen.
+# Step of the lines left out while the order is chosen.
 _EVERY = 3
-# Past windows that the initial state is learned from, in numbers of these.
+# Limits on the past windows of the encoder: in numbers, and in windows.
 _WINDOW_NUMBERS, _MOST_WINDOWS = 6_000_000, 20_000
-# Orders are tried in steps of this share.
+# Relative step between orders that are tried.
 _STEP = 0.12
 
 

@@ -19,7 +19,7 @@ from asia.models._linear.periodic.lines import ExcitedLines, Spectrum
 from asia.models._linear.periodic.modes import block_entries, readout, resolvent
 from asia.models._linear.system import LinearSystem
 
-# Complex numbers of a piece of the Jacobian.
+# Complex numbers in one segment of the Jacobian.
 _PIECE = 4_000_000
 _TINY = 1e-12
 

@@ -14,11 +14,11 @@ from asia.data.frequency.periods import common_period
 from asia.models._data.records import ScaledData
 
 Spectrum = NDArray[np.complex128]
-# Of the largest amplitude: an input line below it is not excited.
+# Least amplitude of an excited input line, relative to the largest one.
 _EXCITED = 1e-3
-# Of the variance of an output: what the periods may differ by in steady state.
+# Greatest difference of the periods in steady state, relative to the variance of an output.
 _UNSTEADY = 0.1
-# Fewer lines say too little of what lies between them.
+# Least number of lines: fewer leave the response between them undetermined.
 FEWEST_LINES = 30
 
 

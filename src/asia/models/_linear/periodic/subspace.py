@@ -10,7 +10,7 @@ from asia.data import Array
 from asia.models._linear.periodic.lines import ExcitedLines
 from asia.models._linear.subspace import Observability
 
-# Lines that are looked at, spread over all; columns are these times the realisations.
+# Greatest number of columns, which are lines times realisations; the lines are spread over all.
 _MOST_COLUMNS = 30_000
 
 

@@ -22,7 +22,7 @@ from asia.models._state_space.pieces import fit_pieces
 from asia.models._state_space.structure import StateSpaceStructure
 
 _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
-# Share of the iterations that every start gets, and how many starts go on.
+# Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
 
 
@@ -145,6 +145,6 @@ class _Fits:
             self.context.sampling_time, [now.params], [now.x0],
         )[0]  # fmt: skip
         count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
-        # Akaike's final prediction error: more states have to earn their place.
+        # Akaike's final prediction error penalises further states.
         p = min(float(tree_size(one.params)), 0.9 * count)
         return _Fit(core, structure, start, one, one.cost * (count + p) / (count - p))

@@ -20,18 +20,19 @@ from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Samples that judge a reading, random signals that are tried, how many of the best are varied, and
-# by how much in each round.
+# Samples for the evaluation of regressors, random signals tried, best ones varied, and the size of
+# the variation in each round.
 _JUDGED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
-# Readings that are judged at once, and the numbers that these may take.
+# Sets of regressors evaluated together, and the greatest size of their arrays.
 _BATCH, _NUMBERS = 16, 3e7
-# Ridge of the functions' weights, relative to the size of what they multiply.
+# Ridge of the functions' weights, relative to the size of their factors.
 _RIDGE = 1e-4
-# Of the output's variance: sensor noise that the observer believes in beside the model's error.
+# Assumed sensor noise of the observer, as a share of the output's variance, in addition to the
+# model's error.
 _SENSOR = 0.01
-# Signals this much alike count as one.
+# Least correlation of signals that count as equal.
 _ALIKE = 0.97
-# Relative size below which a direction of the linear terms is none.
+# Relative size below which a direction of the linear terms is rounding.
 RANK = 1e-7
 
 
@@ -151,9 +152,9 @@ class ReadingSearch:
     ) -> None:
         self.structure, self.system, self.records, self.rng = structure, system, records, rng
         self.m = structure.channels or 1
-        # States that may be read: what drifts visits each level once.
+        # Number of states that may be read: a drifting state visits each level only once.
         self.free = structure.order - structure.integrators
-        # The same of every reading, so that these are compared by what they read.
+        # Common random units of all regressors, so that only the regressors differ.
         self.drawn = rng.standard_normal((self.m, structure.hidden)), rng.random(structure.hidden)
 
     def best(self, count: int, observed: bool) -> list[Reading]:

@@ -41,8 +41,8 @@ def feedback_starts(
     """Find up to `count` starting points whose functions read different signals, the best first."""
     search = ReadingSearch(structure, found.system, judged_records(records, found), rng)
     starts = _Starts(search)
-    # Signals read from the observer explain an output by itself: of both kinds of state some are
-    # simulated, and the simulation decides.
+    # Signals read from the observer explain an output by itself, so starts with both kinds of
+    # states are simulated and compared.
     each = [
         sorted((starts.start(r) for r in search.best(count, observed)), key=_by_error)
         for observed in (False, True)
@@ -91,7 +91,7 @@ class _Starts:
                 r.read(reading.directions, reading.observed) @ layer["w1"] + layer["b1"]
             )
             both = responses(s, units @ theta)
-            # Signal i acts on state or output i alone.
+            # Signal i acts only on state or output i.
             explained = np.einsum("tyii->ty", both) * r.weight[:, None]
             rest, terms, start = (
                 (r.residual - explained).ravel(),
