@@ -52,11 +52,11 @@ def content(source: str, tree: ast.Module) -> SourceContent:
     Raises:
         CandidateError: as for `without_words`.
     """
-    words = _docstrings(tree)
+    docstrings = _docstrings(tree)
     literals: list[bytes] = []
     names: dict[str, None] = {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and node not in words:
+        if isinstance(node, ast.Constant) and node not in docstrings:
             literals.append(_literal(node.value))
         names.update(dict.fromkeys(_names(node)))
     return SourceContent(
@@ -153,8 +153,8 @@ def _docstrings(tree: ast.Module) -> set[ast.Constant]:
             several = not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
             for statement in node.body if several else node.body[:1]:
                 match statement:
-                    case ast.Expr(value=ast.Constant(value=str()) as words):
-                        found.add(words)
+                    case ast.Expr(value=ast.Constant(value=str()) as text):
+                        found.add(text)
                     case _:
                         pass
     return found
@@ -162,11 +162,11 @@ def _docstrings(tree: ast.Module) -> set[ast.Constant]:
 
 def _nodes(tree: ast.Module) -> list[str]:
     """Descriptions of the tree's nodes, without docstrings."""
-    words = _docstrings(tree)
+    docstrings = _docstrings(tree)
     return [
         repr(node.value) if isinstance(node, ast.Constant) else _shape(node)
         for node in ast.walk(tree)
-        if node not in words
+        if node not in docstrings
     ]
 
 

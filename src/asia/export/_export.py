@@ -111,7 +111,11 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
         files.update({} if row.holds else without)
     rows = [row if row.holds else replace(row, note=_REFUSED) for row, _ in rows]
     files["USE.md"] = usage_page(one, ready.model, rows).encode()
-    files["model.json"] = _json({**ready.model.facts(), **_counted(printed)})
+    facts = ready.model.facts()
+    if printed.sizes:
+        facts["sizes"] = printed.sizes
+    text = json.dumps(facts, indent=2, allow_nan=False) + "\n"
+    files["model.json"] = text.encode()
     _put(folder, files)
     paths = tuple(folder / name for name in files)
     return Exported(one.name, folder, paths, tuple(rows))
@@ -243,14 +247,6 @@ def _bands(run: Run, use: Use, first: TrainingWindow, every: int) -> tuple[Band,
 
 def _range(values: Array) -> Array:
     return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
-
-
-def _counted(printed: Printed) -> dict[str, object]:
-    return {"sizes": printed.sizes} if printed.sizes else {}
-
-
-def _json(facts: dict[str, object]) -> bytes:
-    return (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode()
 
 
 def _put(folder: Path, files: dict[str, bytes]) -> None:

@@ -63,8 +63,8 @@ def dynamic_slice(at: Step, v: Values) -> Values:
             "cannot be exported: dynamic_slice at a place that is computed; shift a buffer instead"
         )
     sizes, shape = at.params["slice_sizes"], at.shape_of(v[0])
-    asked = [int(np.asarray(i)) for i in v[1:]]
-    starts = [min(max(i, 0), n - m) for i, n, m in zip(asked, shape, sizes, strict=True)]
+    requested = [int(np.asarray(i)) for i in v[1:]]
+    starts = [min(max(i, 0), n - m) for i, n, m in zip(requested, shape, sizes, strict=True)]
     ends = [a + n for a, n in zip(starts, sizes, strict=True)]
     return [at.add("slice", v[0], attrs=(*starts, *ends, *(1 for _ in sizes)))]
 

@@ -53,9 +53,9 @@ def shape_of(op: str, attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
     return found
 
 
-def _demand(holds: bool, words: str) -> None:
+def _demand(holds: bool, message: str) -> None:
     if not holds:
-        raise ShapeError(words)
+        raise ShapeError(message)
 
 
 def _elementwise(count: int) -> Callable[[Attributes, Sequence[Shape]], Shape]:

@@ -259,7 +259,7 @@ def check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None)
     length, same, carried = attrs
     whole, rows = list(shapes[: same + carried]), shapes[same + carried :]
     if any(len(s) == 0 or s[0] != length for s in rows) or len(whole) != same + carried:
-        raise ShapeError(f"a loop of {length} turns reads rows of {tuple(rows)}")
+        raise ShapeError(f"a loop of {length} iterations reads rows of {tuple(rows)}")
     if list(body.inputs) != whole + [s[1:] for s in rows]:
         raise ShapeError("the body of a loop reads other shapes")
     if list(body.output_shapes[:carried]) != whole[same:]:

@@ -45,9 +45,9 @@ def pack(model: LoweredModel) -> bytes:
     return b"".join(out)
 
 
-def pack_refusal(words: str) -> bytes:
+def pack_refusal(reason: str) -> bytes:
     """Pack the reason why there is no lowered model."""
-    return REFUSED + words.encode("ascii", "replace")[:REFUSAL_BYTES]
+    return REFUSED + reason.encode("ascii", "replace")[:REFUSAL_BYTES]
 
 
 def unpack(data: bytes) -> LoweredModel | str:

@@ -45,8 +45,8 @@ def check_choice(settings: object, name: str, known: Sequence[object]) -> None:
     Raises:
         UserError: if it is not.
     """
-    words = [str(value) for value in known]
-    expected = f"{', '.join(words[:-1])} or {words[-1]}"
+    values = [str(value) for value in known]
+    expected = f"{', '.join(values[:-1])} or {values[-1]}"
     demand(settings, name, getattr(settings, name) in known, expected)
 
 

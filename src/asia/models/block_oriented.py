@@ -123,16 +123,16 @@ def train(
         UserError: for records too short or mis-shaped.
     """
     check(trajectories, context)
-    pieces = window_pieces(trajectories, context, _WINDOWS)
+    segments = window_pieces(trajectories, context, _WINDOWS)
     blocks = model.blocks
     series = blocks.structure == "wiener_hammerstein" and blocks.basis == "tanh"
     if blocks.searched and series and context.nu == context.ny == 1:
-        fitted = _searched(blocks, pieces, context, method)
+        fitted = _searched(blocks, segments, context, method)
     elif blocks.structure != "wiener_hammerstein":
         plain = neural_ss.build(model.config, context)
-        fitted = neural_ss.train(plain, pieces, context, method).fitted
+        fitted = neural_ss.train(plain, segments, context, method).fitted
     else:
-        fitted = _wiener_hammerstein(blocks, pieces, context, method)
+        fitted = _wiener_hammerstein(blocks, segments, context, method)
     return replace(model, fitted=fitted)
 
 

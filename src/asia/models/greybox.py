@@ -184,16 +184,18 @@ def _priors(system: Equations, config: Config, physics: Physics) -> ParameterPri
 
 
 def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:
-    asked = structure.config.initial
+    requested = structure.config.initial
     bent = structure.config.sensor is not None
     seen = len(structure.measured_states) == structure.nx and not bent
     possible = context.n_past_y > 0 and seen and not structure.config.hides
-    if asked == "measured" and not possible:
+    if requested == "measured" and not possible:
         raise UserError(
             'greybox.Config: initial is "measured", but the past window does not show every '
             'state; use "estimated" or None'
         )
-    measured = possible and (asked == "measured" or (asked is None and context.horizon is not None))
+    measured = possible and (
+        requested == "measured" or (requested is None and context.horizon is not None)
+    )
     driven = [name for name in structure.config.lag if name in structure.equations.inputs]
     if measured and driven:
         raise UserError(

@@ -196,7 +196,7 @@ def train(
     if isinstance(method, LevenbergMarquardt):
         if config.network is not None:
             raise UserError(
-                "physics_net: LevenbergMarquardt fits the equations alone; train the network by "
+                "physics_net: LevenbergMarquardt fits only the equations; train the network by "
                 "Adam or leave network at None"
             )
         refuse_noise(method, "physics_net without a network method")

@@ -301,16 +301,16 @@ def _shapes(jacobians: Sequence[Array]) -> list[list[Array]]:
     """Lags, products, cubes and bends (T, ny, columns) of the sensitivities of each record."""
     flat = np.concatenate([j.reshape(-1, j.shape[-1]) for j in jacobians])
     size = np.std(flat, axis=0)
-    turned = np.diag(1.0 / np.where(size > 0, size, 1.0))
+    transform = np.diag(1.0 / np.where(size > 0, size, 1.0))
     if len(size) > _MISFIT_DIRECTIONS:
-        scaled = flat @ turned
+        scaled = flat @ transform
         _, ways = np.linalg.eigh(scaled.T @ scaled)
-        turned = turned @ ways[:, -_MISFIT_DIRECTIONS:]
-        size = np.std(flat @ turned, axis=0)
-        turned = turned / np.where(size > 0, size, 1.0)
+        transform = transform @ ways[:, -_MISFIT_DIRECTIONS:]
+        size = np.std(flat @ transform, axis=0)
+        transform = transform / np.where(size > 0, size, 1.0)
     found: list[list[Array]] = []
     for j in jacobians:
-        z = j @ turned
+        z = j @ transform
         first, second = np.triu_indices(z.shape[-1])
         lags = [np.concatenate([np.zeros_like(z[:n]), z[:-n]]) for n in _MISFIT_LAGS]
         cubes = (z[..., :, None] * z[..., None, :] ** 2).reshape(*z.shape[:2], -1)

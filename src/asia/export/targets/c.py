@@ -154,13 +154,11 @@ def _function(
     if code.loops:
         lines.append(f"    int {', '.join(f'i{d}' for d in range(code.loops))};")
     text = "\n".join(code.lines)
-    unused = [n for n in re.findall(r"\*(\w+)[,)]", _HEADS[name]) if not _used(n, text)]
+    unused = [
+        n for n in re.findall(r"\*(\w+)[,)]", _HEADS[name]) if not re.search(rf"\b{n}\b", text)
+    ]
     lines += [text, *(f"    (void){n};" for n in unused), "}", ""]
     return "\n".join(lines), code.memory.size
-
-
-def _used(name: str, text: str) -> bool:
-    return re.search(rf"\b{name}\b", text) is not None
 
 
 def _place(name: str, start: int, shape: tuple[int, ...]) -> Value:
@@ -235,8 +233,8 @@ def _code_bytes(files: dict[str, bytes]) -> int | None:
         done = subprocess.run(command, cwd=made, capture_output=True, check=False, timeout=300)
         if done.returncode != 0:
             return None
-        told = subprocess.run(
+        completed = subprocess.run(
             [size, "model.o"], cwd=made, capture_output=True, text=True, check=False, timeout=60
         )
-        found = re.search(r"\n\s*(\d+)\s+(\d+)", told.stdout)
+        found = re.search(r"\n\s*(\d+)\s+(\d+)", completed.stdout)
         return int(found[1]) + int(found[2]) if found else None

@@ -266,16 +266,16 @@ class Statements:
         """Print target[put] = source[read]; None counts up from 0."""
         places = put if put is not None else read
         assert places is not None
-        stretches = runs(places)
+        segments = runs(places)
         i = self.counter(0)
-        if len(stretches) > _MOST_RUNS and len(places) > 2 * _MOST_RUNS:
+        if len(segments) > _MOST_RUNS and len(places) > 2 * _MOST_RUNS:
             name = self.constants.places(places)
             there = (f"{name}[{i}]", i) if put is not None else (i, f"{name}[{i}]")
             loop = f"for ({i} = 0; {i} < {len(places)}; ++{i})"
             self.line(f"{loop} {target(there[0])} = {source(there[1])};")
             return
         done = 0
-        for start, step, count in stretches:
+        for start, step, count in segments:
 
             def moving(j: str, start: int = start, step: int = step) -> str:
                 return f"{start} + {j} * {step}" if step != 1 else f"{start} + {j}"
@@ -298,13 +298,13 @@ class Statements:
         rows = [self._placed(o) for o in operands[same + carried :]]
         fixed = [self._placed(o) for o in operands[:same]]
         self._deepest += 1
-        turn = f"t{self._deepest}"
-        self.line(f"{{ int {turn}; for ({turn} = 0; {turn} < {length}; ++{turn}) {{")
+        index = f"t{self._deepest}"
+        self.line(f"{{ int {index}; for ({index} = 0; {index} < {length}; ++{index}) {{")
         self._indent += 1
-        read = [Value(_row(r, turn), r.shape[1:], places=r.places) for r in rows]
+        read = [Value(_row(r, index), r.shape[1:], places=r.places) for r in rows]
         found = self.run(body, [*fixed, *carry, *read])
         for place, value in zip(stacked, found[carried:], strict=True):
-            self.copy(_row(place, turn), value.at, math.prod(value.shape))
+            self.copy(_row(place, index), value.at, math.prod(value.shape))
         after = [self._kept(value) for value in found[:carried]]
         for place, value in zip(carry, after, strict=True):
             self.copy(place.at, value.at, math.prod(value.shape))
@@ -326,9 +326,9 @@ def _offset(name: str, start: int) -> Element:
     return lambda i: f"{name}[{start} + {i}]" if start else f"{name}[{i}]"
 
 
-def _row(value: Value, turn: str) -> Element:
+def _row(value: Value, index: str) -> Element:
     size = math.prod(value.shape[1:])
-    return lambda i: value.at(f"{turn} * {size} + {i}")
+    return lambda i: value.at(f"{index} * {size} + {i}")
 
 
 def _through(element: Element, place: Callable[[str], str]) -> Element:

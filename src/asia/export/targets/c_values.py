@@ -43,8 +43,8 @@ class Constants:
 
     def places(self, array: NDArray[np.int64]) -> str:
         """Name of an array of whole numbers."""
-        words = [str(v) for v in array.tolist()]
-        return self._named(b"p" + array.tobytes(), "p", "long", words)
+        literals = [str(v) for v in array.tolist()]
+        return self._named(b"p" + array.tobytes(), "p", "long", literals)
 
     def used_in(self, text: str) -> list[str]:
         """Definitions of the constants that a text names."""
@@ -53,13 +53,13 @@ class Constants:
             x for x, name in zip(self.lines, self._names.values(), strict=True) if name in names
         ]
 
-    def _named(self, key: bytes, prefix: str, kind: str, words: Sequence[str]) -> str:
+    def _named(self, key: bytes, prefix: str, kind: str, literals: Sequence[str]) -> str:
         if key not in self._names:
             name = f"{prefix}{len(self._names)}"
             self._names[key] = name
-            rows = [", ".join(words[i : i + 4]) for i in range(0, len(words), 4)]
+            rows = [", ".join(literals[i : i + 4]) for i in range(0, len(literals), 4)]
             text = ",\n    ".join(rows)
-            self.lines.append(f"static const {kind} {name}[{len(words)}] = {{\n    {text}\n}};")
+            self.lines.append(f"static const {kind} {name}[{len(literals)}] = {{\n    {text}\n}};")
         return self._names[key]
 
 

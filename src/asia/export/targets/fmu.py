@@ -241,9 +241,9 @@ fixedInternalStepSize="{step}"/>
 def _variable(reference: int, row: tuple[str, str, str, float | None], version: int) -> str:
     name, causality, unit, start = row
     varies = {"parameter": "fixed"}.get(causality, "continuous")
-    words = f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
-    words += f'variability="{varies}" description={quoteattr(unit)}'
+    attributes = f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
+    attributes += f'variability="{varies}" description={quoteattr(unit)}'
     value = "" if start is None else f' start="{start!r}"'
     if version == 3:
-        return f"<Float64 {words}{value}/>"
-    return f"<ScalarVariable {words}><Real{value}/></ScalarVariable>"
+        return f"<Float64 {attributes}{value}/>"
+    return f"<ScalarVariable {attributes}><Real{value}/></ScalarVariable>"

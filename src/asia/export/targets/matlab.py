@@ -297,18 +297,18 @@ class _MatlabBody:
         stacked = [self._named(f"zeros({length * math.prod(s)}, 1)") for s in ends]
         rows = [self._value(r) for r in read[same + carried :]]
         self._count += 1
-        turn = f"n{self._count}"
-        self.lines.append(f"{self._indent}for {turn} = 1:{length}")
+        index = f"n{self._count}"
+        self.lines.append(f"{self._indent}for {index} = 1:{length}")
         self._indent += "    "
         sizes = [math.prod(s[1:]) for s in shapes[same + carried :]]
         now = [
-            self._named(f"{r}(({turn} - 1) * {n} + (1:{n}), 1)")
+            self._named(f"{r}(({index} - 1) * {n} + (1:{n}), 1)")
             for r, n in zip(rows, sizes, strict=True)
         ]
         found = node.body and self.run(node.body, [*read[:same], *carry, *now])
         for place, value, shape in zip(stacked, found[carried:], ends, strict=True):
             n = math.prod(shape)
-            self.lines.append(f"{self._indent}{place}(({turn} - 1) * {n} + (1:{n}), 1) = {value};")
+            self.lines.append(f"{self._indent}{place}(({index} - 1) * {n} + (1:{n}), 1) = {value};")
         after = [self._named(value) for value in found[:carried]]
         for place, value in zip(carry, after, strict=True):
             self.lines.append(f"{self._indent}{place} = {value};")

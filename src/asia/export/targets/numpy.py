@@ -248,10 +248,10 @@ def _broadcast(a: Sequence[int], read: list[str]) -> str:
 
 def _slice(a: Sequence[int], read: list[str]) -> str:
     rank = len(a) // 3
-    words: list[str] = []
+    indices: list[str] = []
     for start, end, step in zip(a[:rank], a[rank : 2 * rank], a[2 * rank :], strict=True):
-        words.append(f"{start}:{end}" + (f":{step}" if step != 1 else ""))
-    return f"{read[0]}[{', '.join(words)}]"
+        indices.append(f"{start}:{end}" + (f":{step}" if step != 1 else ""))
+    return f"{read[0]}[{', '.join(indices)}]"
 
 
 def _pick(a: Sequence[int], read: list[str]) -> str:

@@ -78,12 +78,12 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
         session = ort.InferenceSession(
             str(folder / "simulate.onnx"), options, providers=["CPUExecutionProvider"]
         )
-        asked = {i.name for i in session.get_inputs()}
+        expected = {i.name for i in session.get_inputs()}
         y_hat: list[Any] = []
         begin = time.perf_counter()
         for w in windows:
             given = {"past_u": w.past_u, "past_y": w.past_y, "u": w.u}
-            y_hat.append(session.run(None, {k: v for k, v in given.items() if k in asked})[0])
+            y_hat.append(session.run(None, {k: v for k, v in given.items() if k in expected})[0])
         return [Answers("double", tuple(y_hat), time.perf_counter() - begin)]
 
 
@@ -186,11 +186,11 @@ class _Graph:
         shapes = node.body.output_shapes
         carry = read[same : same + carried]
         inner = _Graph(f"{self.name()}_")
-        turn, going = inner.name(), inner.name()
+        iteration, going = inner.name(), inner.name()
         given = [inner.name() for _ in carry]
-        rows = [inner.add("Gather", r, turn, axis=0) for r in read[same + carried :]]
+        rows = [inner.add("Gather", r, iteration, axis=0) for r in read[same + carried :]]
         found = inner.run(node.body, [*read[:same], *given, *rows])
-        graph = inner.loop_body(turn, going, given, found, shapes, carried)
+        graph = inner.loop_body(iteration, going, given, found, shapes, carried)
         names = [self.name() for _ in found]
         count, true = self.constant(np.int64(length)), self.constant(np.bool_(True))
         self.add("Loop", count, true, *carry, outputs=names, body=graph)
@@ -198,7 +198,7 @@ class _Graph:
 
     def loop_body(
         self,
-        turn: str,
+        iteration: str,
         going: str,
         given: list[str],
         found: list[str],
@@ -212,7 +212,7 @@ class _Graph:
         # Each output needs a separate name.
         ends = [self.add("Identity", name) for name in found]
         still = self.add("Identity", going)
-        inputs = [info(turn, TensorProto.INT64, []), info(going, TensorProto.BOOL, [])]
+        inputs = [info(iteration, TensorProto.INT64, []), info(going, TensorProto.BOOL, [])]
         kinds = list(zip(given, shapes[:carried], strict=True))
         inputs += [info(n, TensorProto.DOUBLE, list(s)) for n, s in kinds]
         outputs = [info(still, TensorProto.BOOL, [])]
@@ -238,11 +238,13 @@ def _simulation(low: LoweredModel, model: ExportModel) -> bytes:
     first = graph.add("Gather", "u", zero, axis=0)
     states = graph.run(low.initial, ["past_u", "past_y", first])
     inner = _Graph("s_")
-    turn, going = inner.name(), inner.name()
+    iteration, going = inner.name(), inner.name()
     given = [inner.name() for _ in states]
-    now = inner.add("Gather", "u", turn, axis=0)
+    now = inner.add("Gather", "u", iteration, axis=0)
     y, *after = inner.run(low.step, [*given, now])
-    body = inner.loop_body(turn, going, given, [*after, y], [*low.states, (low.ny,)], len(given))
+    body = inner.loop_body(
+        iteration, going, given, [*after, y], [*low.states, (low.ny,)], len(given)
+    )
     length = graph.add("Gather", graph.add("Shape", "u"), zero, axis=0)
     names = [*(graph.name() for _ in states), "y_hat"]
     true = graph.constant(np.bool_(True))

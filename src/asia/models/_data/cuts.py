@@ -39,7 +39,7 @@ def padded(values: Array, length: int, how: Literal["constant", "edge"] = "const
     return np.pad(values, missing, mode=how)
 
 
-def side_by_side(pieces: Sequence[Array], how: Literal["constant", "edge"] = "constant") -> Array:
+def side_by_side(segments: Sequence[Array], how: Literal["constant", "edge"] = "constant") -> Array:
     """Stack segments (T_i, ...) -> (N, T, ...), padded to the longest."""
-    longest = max(len(piece) for piece in pieces)
-    return np.stack([padded(piece, longest, how) for piece in pieces])
+    longest = max(len(segment) for segment in segments)
+    return np.stack([padded(segment, longest, how) for segment in segments])

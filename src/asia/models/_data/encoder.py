@@ -44,7 +44,8 @@ class Encoder:
 
 def affine(weights: Array, bias: Array) -> Encoder:
     """Make an encoder without tanh functions from weights (d, n) and bias (n,)."""
-    return Encoder(weights, bias, *_no_bend(*weights.shape))
+    inputs, outputs = weights.shape
+    return Encoder(weights, bias, np.zeros((inputs, 0)), np.zeros(0), np.zeros((0, outputs)))
 
 
 def fit_encoder(
@@ -87,10 +88,6 @@ def random_bend(inputs: int, hidden: int, seed: int) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
     inner = rng.standard_normal((inputs, hidden)) / np.sqrt(inputs)
     return inner, rng.uniform(-1.0, 1.0, hidden)
-
-
-def _no_bend(inputs: int, outputs: int) -> tuple[Array, Array, Array]:
-    return np.zeros((inputs, 0)), np.zeros(0), np.zeros((0, outputs))
 
 
 class BlockedRidge:

@@ -214,21 +214,22 @@ def contiguous_splits(
     """Pairs (kept, left out): whole records left out in turn when there are at least `parts`, else
     segments of each record of at least `shortest` samples."""
     if len(records) >= parts:
-        pieces = list(records)
-        groups = [list(range(i, len(pieces), parts)) for i in range(parts)]
+        segments = list(records)
+        groups = [list(range(i, len(segments), parts)) for i in range(parts)]
     else:
-        pieces = []
+        segments = []
         membership: list[int] = []
         for r in records:
             count = max(1, min(parts, len(r) // max(shortest, 1)))
             for i, rows in enumerate(np.array_split(np.arange(len(r)), count)):
-                pieces.append(r.part(int(rows[0]), len(rows)))
+                segments.append(r.part(int(rows[0]), len(rows)))
                 membership.append(i)
         groups = [[k for k, m in enumerate(membership) if m == i] for i in sorted(set(membership))]
     if len(groups) < 2:
-        return [(pieces, pieces)]
+        return [(segments, segments)]
     return [
-        ([p for k, p in enumerate(pieces) if k not in g], [pieces[k] for k in g]) for g in groups
+        ([p for k, p in enumerate(segments) if k not in g], [segments[k] for k in g])
+        for g in groups
     ]
 
 
@@ -287,8 +288,8 @@ def batch_weight(records: ScaledData, context: Context) -> AnyArray:
     return _single([r.weight[past_length(context) :] for r in records])
 
 
-def _single(pieces: Sequence[Array]) -> AnyArray:
-    single: list[AnyArray] = [np.asarray(piece, _SINGLE) for piece in pieces]
+def _single(segments: Sequence[Array]) -> AnyArray:
+    single: list[AnyArray] = [np.asarray(segment, _SINGLE) for segment in segments]
     return side_by_side(single)
 
 

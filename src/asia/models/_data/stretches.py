@@ -68,13 +68,13 @@ def segments(
     lengths = [min(longest, len(r) - first) for r, first in places]
     most = max(1, samples // max(lengths))
     chosen = spread(len(places), most)
-    pieces = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
+    cuts = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
     return Stretches(
-        np.stack([r.measured_u[k - context.n_past_u : k] for r, k, _ in pieces]),
-        np.stack([r.y[k - context.n_past_y : k] for r, k, _ in pieces]),
-        side_by_side([r.u[k:end] for r, k, end in pieces]),
-        side_by_side([r.y[k:end] for r, k, end in pieces]),
-        side_by_side([r.counts[k:end] for r, k, end in pieces]),
+        np.stack([r.measured_u[k - context.n_past_u : k] for r, k, _ in cuts]),
+        np.stack([r.y[k - context.n_past_y : k] for r, k, _ in cuts]),
+        side_by_side([r.u[k:end] for r, k, end in cuts]),
+        side_by_side([r.y[k:end] for r, k, end in cuts]),
+        side_by_side([r.counts[k:end] for r, k, end in cuts]),
     )
 
 

@@ -13,7 +13,7 @@ from asia.models._data.cuts import rows, spread
 from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, windows
 
 # Greatest number of segments from one record: few long ones, so that slow modes show.
-_PIECES = 4
+_MOST_SEGMENTS = 4
 
 
 class HorizonWindows(NamedTuple):
@@ -65,12 +65,12 @@ def whole_windows(records: ScaledData, context: Context, horizon: int, most: int
     stride = max(1, round(sum(max(count, 1) for count in counts) / most))
     places = [(i, k * horizon) for i, count in enumerate(counts) for k in range(count)][::stride]
     features = [windows(r, context) for r in records]
-    pieces = [records[i].part(past + k, horizon) for i, k in places]
+    segments = [records[i].part(past + k, horizon) for i, k in places]
     return HorizonWindows(
         np.stack([features[i][k] for i, k in places]),
-        np.stack([piece.u for piece in pieces]),
-        np.stack([piece.y for piece in pieces]),
-        _weight(np.stack([piece.counts for piece in pieces])),
+        np.stack([segment.u for segment in segments]),
+        np.stack([segment.y for segment in segments]),
+        _weight(np.stack([segment.counts for segment in segments])),
     )
 
 
@@ -100,10 +100,10 @@ def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTr
     most = max(1, samples // shortest)
     kept = [records[i] for i in spread(len(records), most)]
     share = samples / sum(len(r) for r in kept)
-    pieces: list[ScaledTrajectory] = []
+    segments: list[ScaledTrajectory] = []
     for r in kept:
-        count = int(np.clip(share * len(r) // shortest, 1, _PIECES))
+        count = int(np.clip(share * len(r) // shortest, 1, _MOST_SEGMENTS))
         length = min(len(r), max(shortest, int(share * len(r) / count)))
         starts = np.linspace(0, len(r) - length, count).round().astype(int)
-        pieces += [r.part(int(start), length) for start in starts]
-    return pieces
+        segments += [r.part(int(start), length) for start in starts]
+    return segments

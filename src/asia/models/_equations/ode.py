@@ -124,25 +124,25 @@ class Equations:
         return frozenset(found)
 
     def _values(
-        self, wanted: str | tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
+        self, requested: str | tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
     ) -> AnyArray:
         xp = namespace(parameters, x, u)
-        return _evaluator(self, wanted, xp.__name__, np.dtype(x.dtype))(parameters, x, u)
+        return _evaluator(self, requested, xp.__name__, np.dtype(x.dtype))(parameters, x, u)
 
 
 @lru_cache(maxsize=256)
 def _evaluator(
-    system: Equations, wanted: str | tuple[str, ...], library: str, dtype: np.dtype[Any]
+    system: Equations, requested: str | tuple[str, ...], library: str, dtype: np.dtype[Any]
 ) -> Evaluator:
     """Compile a Python function of a field's expressions, or of names.
 
     Its source holds nothing of the user's text: every name becomes a numbered variable, and the
     tree knows only numbers, + - * / ** and the functions of the table.
     """
-    if isinstance(wanted, str):
-        expressions: tuple[Expression, ...] = getattr(system, wanted)
+    if isinstance(requested, str):
+        expressions: tuple[Expression, ...] = getattr(system, requested)
     else:
-        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in wanted)
+        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in requested)
     scope: dict[str, Any] = {"rows": rows}
     scope |= {f"f_{k}": f for k, f in functions(importlib.import_module(library)).items()}
     source = _Source({})

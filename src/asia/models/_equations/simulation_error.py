@@ -119,8 +119,8 @@ class SimulationError:
         with np.errstate(all="ignore"):
             for part in self._simulate.pieces():
                 e, jacobian = self._derivatives(chosen, z, shift, part)
-                turned = jacobian.swapaxes(2, 3)
-                own, pull = turned @ jacobian, (turned @ e[..., None])[..., 0]
+                transposed = jacobian.swapaxes(2, 3)
+                own, pull = transposed @ jacobian, (transposed @ e[..., None])[..., 0]
                 cost += np.einsum("rsm,rsm->r", e, e)
                 shared = slice(len(fitted))
                 gram[:, fitted[:, None], fitted] += own[..., shared, shared].sum(axis=1)
@@ -218,10 +218,10 @@ class SimulationError:
         found = self._knowledge(z)
         e, (up, down) = found[..., 0], np.split(found[..., 1:], 2, axis=2)
         jacobian = ((up - down) / (2.0 * _STEP))[..., : len(fitted)].transpose(1, 0, 2)
-        turned = jacobian.swapaxes(1, 2)
+        transposed = jacobian.swapaxes(1, 2)
         cost += (e**2).sum(axis=0)
-        gram[:, fitted[:, None], fitted] += turned @ jacobian
-        gradient[:, fitted] += (turned @ e.T[..., None])[..., 0]
+        gram[:, fitted[:, None], fitted] += transposed @ jacobian
+        gradient[:, fitted] += (transposed @ e.T[..., None])[..., 0]
 
     def _knowledge(self, z: Array) -> Array:
         """Weighted deviations (n, R, K) of expressions in the parameters from their priors, at

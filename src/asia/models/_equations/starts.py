@@ -83,19 +83,19 @@ def cut_segments(
     the
     initial state is measured the last past sample and the horizon.
     """
-    pieces: list[Trajectory] = list(trajectories)
+    cuts: list[Trajectory] = list(trajectories)
     if horizon is not None:
         length = (1 if structure.measured else structure.n_past) + horizon
-        pieces = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
-        pieces = [t for t in pieces if len(t) == length] or list(trajectories)
-        pieces = [pieces[i] for i in spread(len(pieces), _most_windows(structure, length))]
-    mask = side_by_side([np.ones(len(t)) for t in pieces])
-    u = side_by_side([t.u for t in pieces], "edge")
+        cuts = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
+        cuts = [t for t in cuts if len(t) == length] or list(trajectories)
+        cuts = [cuts[i] for i in spread(len(cuts), _most_windows(structure, length))]
+    mask = side_by_side([np.ones(len(t)) for t in cuts])
+    u = side_by_side([t.u for t in cuts], "edge")
     if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
         # Hold the first known input, as in simulation, where the last past input is unknown.
         u[:, 0] = u[:, 1]
-    counts = side_by_side([measured_samples(t) for t in pieces])
-    return RecordPieces(u, side_by_side([t.y for t in pieces], "edge"), mask, counts)
+    counts = side_by_side([measured_samples(t) for t in cuts])
+    return RecordPieces(u, side_by_side([t.y for t in cuts], "edge"), mask, counts)
 
 
 def _most_windows(structure: GreyBoxStructure, length: int) -> int:

@@ -70,7 +70,7 @@ def system_estimates(
     """
     theta, shapes = _packed(system)
     if len(theta) > _MOST_ENTRIES:
-        raise ValueError(f"{len(theta)} numbers: too many to tell their errors")
+        raise ValueError(f"{len(theta)} numbers: too many for standard errors; use a lower order")
     responses = [_free_response(system, len(record.u)) for record in records]
     starts = [
         _start(system, record, response)

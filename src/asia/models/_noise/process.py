@@ -59,8 +59,8 @@ class ResidualProcess:
             nuisance: derivatives (T, ny, Q) by the record's own unknowns.
         """
         outputs = range(residuals[0].shape[1])
-        pieces = [[e[:, i] for e in residuals] for i in outputs]
-        filters = tuple(burg(some) for some in pieces)
+        segments = [[e[:, i] for e in residuals] for i in outputs]
+        filters = tuple(burg(some) for some in segments)
         own = 0 if nuisance is None else nuisance[0].shape[-1] * len(nuisance)
         work = sum(e.size for e in residuals) * (jacobians[0].shape[-1] + own)
         lags = max(len(a) for a in filters) - 1
@@ -68,8 +68,8 @@ class ResidualProcess:
         columns = [[np.zeros((len(e), 0)) for e in residuals] for _ in outputs]
         if restricted:
             columns = [_columns(jacobians, nuisance, i) for i in outputs]
-            filters = tuple(map(_restricted, filters, pieces, columns))
-        white = [_innovations(*each, lags) for each in zip(filters, pieces, columns, strict=True)]
+            filters = tuple(map(_restricted, filters, segments, columns))
+        white = [_innovations(*each, lags) for each in zip(filters, segments, columns, strict=True)]
         rank = columns[0][0].shape[1] / len(filters)
         samples = np.stack(white, axis=1)
         freedom = max(len(samples) - rank, 1.0)
@@ -83,8 +83,8 @@ class ResidualProcess:
         """
         before = max(_memory(a, len(jacobian)) for a in self.filters)
         padded = np.concatenate([np.zeros((before, *jacobian.shape[1:])), jacobian])
-        turned = padded[::-1]
-        columns = [lfilter([1.0], a, turned[:, i], axis=0) for i, a in enumerate(self.filters)]
+        reverse = padded[::-1]
+        columns = [lfilter([1.0], a, reverse[:, i], axis=0) for i, a in enumerate(self.filters)]
         return np.stack(columns, axis=1)[::-1]
 
     def middle(self, jacobian: Array) -> Array:
@@ -102,12 +102,12 @@ class ResidualProcess:
         memories = [np.zeros((len(a) - 1, parameters)) for a in self.filters]
         found = np.zeros((parameters, parameters))
         for first in range(0, len(jacobian) + before, _BLOCK):
-            turned = jacobian[::-1][first : first + _BLOCK]
-            missing = min(first + _BLOCK, len(jacobian) + before) - first - len(turned)
-            turned = np.concatenate([turned, np.zeros((missing, *jacobian.shape[1:]))])
+            reverse = jacobian[::-1][first : first + _BLOCK]
+            missing = min(first + _BLOCK, len(jacobian) + before) - first - len(reverse)
+            reverse = np.concatenate([reverse, np.zeros((missing, *jacobian.shape[1:]))])
             columns = list[Array]()
             for i, a in enumerate(self.filters):
-                column, memories[i] = lfilter([1.0], a, turned[:, i], axis=0, zi=memories[i])
+                column, memories[i] = lfilter([1.0], a, reverse[:, i], axis=0, zi=memories[i])
                 columns.append(column)
             white = np.stack(columns, axis=1)
             found += np.einsum("tip,ij,tjq->pq", white, self.covariance, white, optimize=True)
@@ -119,14 +119,14 @@ class ResidualProcess:
         return samples * float(np.mean([_variance_share(a) for a in self.filters]))
 
 
-def burg(pieces: Sequence[Array]) -> Array:
+def burg(segments: Sequence[Array]) -> Array:
     """Filter (1, a_1, ...) that whitens the segments (T,), its order by the criterion of Hannan and
     Quinn."""
-    longest = max(len(piece) for piece in pieces)
-    samples = sum(len(piece) for piece in pieces)
+    longest = max(len(segment) for segment in segments)
+    samples = sum(len(segment) for segment in segments)
     most = min(_MOST_LAGS, int(_SHARE_OF_LAGS * longest))
-    forward, backward = [np.array(p) for p in pieces], [np.array(p) for p in pieces]
-    power = sum(float(p @ p) for p in pieces) / samples
+    forward, backward = [np.array(p) for p in segments], [np.array(p) for p in segments]
+    power = sum(float(p @ p) for p in segments) / samples
     best, chosen = samples * np.log(max(power, 1e-300)), np.ones(1)
     a, penalty = np.ones(1), 2.0 * np.log(np.log(max(samples, 16)))
     for order in range(1, most + 1):
@@ -181,7 +181,7 @@ def _columns(
     return [np.hstack(both) for both in zip(found, wide, strict=True)]
 
 
-def _restricted(a: Array, pieces: Sequence[Array], columns: Sequence[Array]) -> Array:
+def _restricted(a: Array, segments: Sequence[Array], columns: Sequence[Array]) -> Array:
     """Filter of restricted maximum likelihood, of the same order."""
     order = len(a) - 1
     if not order:
@@ -189,7 +189,7 @@ def _restricted(a: Array, pieces: Sequence[Array], columns: Sequence[Array]) -> 
 
     def criterion(points: Array) -> float:
         through = _filter(_STABLE * np.tanh(points))
-        e, x = _filtered(through, pieces, columns, order)
+        e, x = _filtered(through, segments, columns, order)
         left, sizes, _ = np.linalg.svd(x, full_matrices=False)
         kept = sizes > 1e-7 * sizes.max(initial=1e-300)
         e = e - left[:, kept] @ (left[:, kept].T @ e)
@@ -203,20 +203,20 @@ def _restricted(a: Array, pieces: Sequence[Array], columns: Sequence[Array]) -> 
 
 
 def _filtered(
-    a: Array, pieces: Sequence[Array], columns: Sequence[Array], lags: int
+    a: Array, segments: Sequence[Array], columns: Sequence[Array], lags: int
 ) -> tuple[Array, Array]:
     """Residuals (N,) and columns (N, K) through a filter, without the samples before which the past
     is missing."""
-    lags = min(lags, min(map(len, pieces)) - 1)
-    e = np.concatenate([lfilter(a, [1.0], piece)[lags:] for piece in pieces])
+    lags = min(lags, min(map(len, segments)) - 1)
+    e = np.concatenate([lfilter(a, [1.0], segment)[lags:] for segment in segments])
     if not columns[0].shape[1]:
         return e, np.zeros((len(e), 0))
     return e, np.concatenate([lfilter(a, [1.0], part, axis=0)[lags:] for part in columns])
 
 
-def _innovations(a: Array, pieces: Sequence[Array], columns: Sequence[Array], lags: int) -> Array:
+def _innovations(a: Array, segments: Sequence[Array], columns: Sequence[Array], lags: int) -> Array:
     """Filtered residuals (N,) without the part that a change of the columns explains."""
-    e, x = _filtered(a, pieces, columns, lags)
+    e, x = _filtered(a, segments, columns, lags)
     return e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e
 
 

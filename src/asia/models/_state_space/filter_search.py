@@ -35,7 +35,7 @@ from asia.models._state_space.wiener_hammerstein_starts import LinearFilter, sha
 _ORDERS = (2, 3, 4, 5, 6, 7, 8)
 _LINEAR, _LINEAR_SAMPLES = Refinement(iterations=15), 4000
 # Samples of the short fits, share of them left out, and samples for the evaluation of a split.
-_SEARCHED_SAMPLES, _LEFT_OUT, _JUDGED_SAMPLES, _SETTLE = 12_000, 0.3, 3000, 50
+_SEARCHED_SAMPLES, _LEFT_OUT, _EVALUATION_SAMPLES, _SETTLE = 12_000, 0.3, 3000, 50
 # Samples at the start of a record that no fit counts, at most this share of a record. Otherwise the
 # filters would compensate for initial states, which the fit finds slowly.
 _TRANSIENT, _TRANSIENT_SHARE = 200, 0.1
@@ -127,14 +127,10 @@ def _linear_models(
     for delay in sorted(delays):
         for order in orders:
             known = linear.Config(order=order, delay=delay)
-            quiet = replace(context, log=_unheard)
+            quiet = replace(context, log=lambda step, loss: None)
             fit, _, _ = linear.fit_records(short, quiet, known, _LINEAR)
             found.append((delay, fit.system))
     return found
-
-
-def _unheard(step: float, loss: float) -> None:
-    del step, loss
 
 
 def _shortened(records: ScaledData, samples: int) -> list[ScaledTrajectory]:
@@ -154,13 +150,13 @@ def _divided(part: ScaledData) -> tuple[list[ScaledTrajectory], list[ScaledTraje
 
 def _split(late: ScaledData, system: LinearSystem, hidden: int) -> list[TwoFilters]:
     """Best splits of a linear model."""
-    judged = [
+    evaluated = [
         start
         for pair in shares(system, _MOST_SPLITS)
         if (start := _start(late, system, pair, hidden)) is not None
     ]
-    judged.sort(key=lambda pair: pair[0])
-    return [filters for _, filters in judged[:_FITTED]]
+    evaluated.sort(key=lambda pair: pair[0])
+    return [filters for _, filters in evaluated[:_FITTED]]
 
 
 def _start(
@@ -168,7 +164,7 @@ def _start(
 ) -> tuple[float, TwoFilters] | None:
     """Solve the static function of a split; return its mean squared error too."""
     one, two = pair
-    parts = [r.part(0, _JUDGED_SAMPLES) for r in late[:2]]
+    parts = [r.part(0, _EVALUATION_SAMPLES) for r in late[:2]]
     with np.errstate(all="ignore"):
         middles = [one(r.u)[:, 0] for r in parts]
         size = float(np.concatenate(middles).std())

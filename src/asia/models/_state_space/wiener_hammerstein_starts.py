@@ -28,9 +28,9 @@ Roots = NDArray[np.complex128]
 
 # Greatest number of distributions of poles and zeros, and samples for the evaluation of one.
 _MOST_SHARES = 200
-_JUDGED_SAMPLES = 4000
+_EVALUATION_SAMPLES = 4000
 _SETTLE = 50
-_SLOW, _ELSEWHERE = 0.98, 0.7
+_SLOW, _FREE_ROOT = 0.98, 0.7
 
 
 class WienerHammersteinStart(NamedTuple):
@@ -128,8 +128,8 @@ def _settled(poles: Roots, zeros: Roots) -> tuple[Roots, Roots]:
     for i in np.flatnonzero((np.abs(poles) > _SLOW) & (np.abs(poles.imag) < 1e-9)):
         near = np.flatnonzero((np.abs(zeros - poles[i]) < 2 * (1 - _SLOW)) & (zeros.imag == 0))
         if len(near):
-            zeros[near[0]] += _ELSEWHERE - poles[i]
-            poles[i] = _ELSEWHERE
+            zeros[near[0]] += _FREE_ROOT - poles[i]
+            poles[i] = _FREE_ROOT
     return poles, zeros
 
 
@@ -157,7 +157,7 @@ def _shared_start(
     function: dict[str, Any],
 ) -> WienerHammersteinStart | None:
     one, two = pair
-    middles = [one(r.u[:_JUDGED_SAMPLES]) for r in records]
+    middles = [one(r.u[:_EVALUATION_SAMPLES]) for r in records]
     size = float(np.concatenate(middles).std())
     if not np.isfinite(size) or size < 1e-12:
         return None

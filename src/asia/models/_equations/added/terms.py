@@ -107,16 +107,13 @@ def _with_products(expression: Expression, terms: Sequence[Term]) -> Expression:
 
 def _texts(names: Sequence[str], states: int) -> list[str]:
     """Texts of the expressions, the simplest first."""
-    products = [_square(a, b) for a, b in combinations_with_replacement(names, 2)]
+    pairs = combinations_with_replacement(names, 2)
+    products = [f"{a}**2" if a == b else f"{a} * {b}" for a, b in pairs]
     found = ["1", *names, *products, *(f"{a} * abs({a})" for a in names)]
     cubes = [f"{a}**3" for a in names]
     if states * (len(found) + len(cubes)) <= _MOST_TERMS:
         found += cubes
     return found[: max(1, _MOST_TERMS // states)]
-
-
-def _square(a: str, b: str) -> str:
-    return f"{a}**2" if a == b else f"{a} * {b}"
 
 
 def _distinct(values: Mapping[str, Array]) -> dict[str, float]:

@@ -20,7 +20,7 @@ from asia.models._linear.periodic.modes import block_entries, readout, resolvent
 from asia.models._linear.system import LinearSystem
 
 # Complex numbers in one segment of the Jacobian.
-_PIECE = 4_000_000
+_SEGMENT = 4_000_000
 _TINY = 1e-12
 
 
@@ -43,12 +43,9 @@ def with_inputs(lines: ExcitedLines, a: Array, c: Array) -> LinearSystem:
 
 def error(lines: ExcitedLines, system: LinearSystem) -> float:
     """Sum of squared output errors of the columns."""
-    left = _left(lines, system)
+    s = system
+    left = lines.y - (s.c @ resolvent(s.a, lines.z, s.b) + s.d) @ lines.u
     return float((abs(left) ** 2).sum())
-
-
-def _left(lines: ExcitedLines, s: LinearSystem) -> Spectrum:
-    return lines.y - (s.c @ resolvent(s.a, lines.z, s.b) + s.d) @ lines.u
 
 
 def refined(
@@ -104,10 +101,10 @@ def _normal(lines: ExcitedLines, s: LinearSystem) -> tuple[float, Array, Array]:
     square, normal, gradient = 0.0, np.zeros((size, size)), np.zeros(size)
     each = lines.u.shape[2] * ny * size
     eye = np.eye(ny)
-    for piece in np.array_split(np.arange(len(lines.z)), 1 + len(lines.z) * each // _PIECE):
-        z, u = lines.z[piece], lines.u[piece]
+    for segment in np.array_split(np.arange(len(lines.z)), 1 + len(lines.z) * each // _SEGMENT):
+        z, u = lines.z[segment], lines.u[segment]
         x, w = resolvent(s.a, z, s.b) @ u, readout(s.a, z, s.c)
-        residual = lines.y[piece] - s.c @ x - s.d @ u
+        residual = lines.y[segment] - s.c @ x - s.d @ u
         parts = [
             np.einsum("foi,fim->fomi", w[:, :, rows], x[:, columns]),
             np.einsum("foi,fjm->fomij", w, u),

@@ -64,7 +64,7 @@ class _Fit(NamedTuple):
     structure: StateSpaceStructure
     start: dict[str, object]
     now: StateFit
-    judged: float
+    expected_error: float
     """Final prediction error: estimate of the error on new records."""
 
 
@@ -77,8 +77,10 @@ def fit_feedback(
 ) -> FittedStateSpace:
     """Best of the fits from `method.starts` starts for each linear model."""
     fits = _Fits(options, context, method)
-    tried = sorted((one for core in cores for one in fits.begun(core)), key=lambda t: t.judged)
-    best = min((fits.ended(one) for one in tried[:_GO_ON]), key=lambda t: t.judged)
+    tried = sorted(
+        (one for core in cores for one in fits.begun(core)), key=lambda t: t.expected_error
+    )
+    best = min((fits.ended(one) for one in tried[:_GO_ON]), key=lambda t: t.expected_error)
     each = best.structure, best.now, best.core.records, context, options.encoder
     if window_samples(context):
         encoder, how = past_fit(*each)

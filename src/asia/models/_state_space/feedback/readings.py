@@ -22,7 +22,7 @@ from asia.models._state_space.structure import StateSpaceStructure
 
 # Samples for the evaluation of regressors, random signals tried, best ones varied, and the size of
 # the variation in each round.
-_JUDGED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
+_EVALUATED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
 # Sets of regressors evaluated together, and the greatest size of their arrays.
 _BATCH, _NUMBERS = 16, 3e7
 # Ridge of the functions' weights, relative to the size of their factors.
@@ -73,11 +73,11 @@ class JudgedRecord(NamedTuple):
 
 def judged_records(records: ScaledData, found: LinearFit) -> list[JudgedRecord]:
     """Prepare the first samples of each record."""
-    each = max(_JUDGED // len(records), 200)
+    each = max(_EVALUATED // len(records), 200)
     return [
         _record(found.system, x0, r.part(0, min(each, len(r))))
         for r, x0 in zip(records, found.x0, strict=True)
-    ][: max(_JUDGED // 200, 1)]
+    ][: max(_EVALUATED // 200, 1)]
 
 
 def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> JudgedRecord:
@@ -159,14 +159,14 @@ class ReadingSearch:
 
     def best(self, count: int, observed: bool) -> list[Reading]:
         """Best regressors that differ from each other, the least error first."""
-        pool = self.judged([(d, observed) for d in [*self._known(), *self._random()]])
+        pool = self.evaluated([(d, observed) for d in [*self._known(), *self._random()]])
         for size in _ROUNDS:
             pool.sort(key=lambda r: r.error)
             kept = self._different(pool, _KEPT)
             moved = [
                 (self._varied(r.directions, size), r.observed) for r in kept for _ in range(_VARIED)
             ]
-            pool = [*kept, *self.judged(moved)]
+            pool = [*kept, *self.evaluated(moved)]
         pool.sort(key=lambda r: r.error)
         return self._different(pool, count)
 
@@ -201,25 +201,25 @@ class ReadingSearch:
 
     def _different(self, pool: Sequence[Reading], count: int) -> list[Reading]:
         chosen: list[tuple[Reading, Array]] = []
-        for reading in pool:
-            z = self._read(reading.directions, reading.observed)
+        for regressors in pool:
+            z = self._read(regressors.directions, regressors.observed)
             z = (z - z.mean(axis=0)) / z.std(axis=0)
             alike = (np.linalg.svd(z.T @ other / len(z))[1].min() > _ALIKE for _, other in chosen)
             if not any(alike):
-                chosen.append((reading, z))
+                chosen.append((regressors, z))
             if len(chosen) == count:
                 break
-        return [reading for reading, _ in chosen]
+        return [regressors for regressors, _ in chosen]
 
-    def judged(self, readings: Sequence[tuple[Array, bool]]) -> list[Reading]:
+    def evaluated(self, candidates: Sequence[tuple[Array, bool]]) -> list[Reading]:
         """Evaluate regressors; those without any variation are left out."""
         found: list[Reading] = []
         s, longest = self.structure, max(len(r.u) for r in self.records)
         each = longest * s.ny * s.hidden * (s.order + s.ny)
         batch = int(np.clip(_NUMBERS / each, 1, _BATCH))
-        for first in range(0, len(readings), batch):
+        for first in range(0, len(candidates), batch):
             part: list[tuple[Array, bool, dict[str, Array]]] = []
-            for d, o in readings[first : first + batch]:
+            for d, o in candidates[first : first + batch]:
                 scaled = self._scaled(d, o)
                 if scaled is not None:
                     part.append((scaled, o, self.layer(scaled, o)))
@@ -253,7 +253,7 @@ class ReadingSearch:
         return {"w1": w1, "b1": -(centres * w1.T).sum(axis=1)}
 
     def normal(
-        self, readings: Sequence[tuple[Array, bool, dict[str, Array]]]
+        self, candidates: Sequence[tuple[Array, bool, dict[str, Array]]]
     ) -> list[tuple[Array, Array, float]]:
         """Normal equations of each set of regressors.
 
@@ -263,17 +263,19 @@ class ReadingSearch:
         """
         h, n_act = self.structure.hidden, self.structure.order + self.structure.ny
         size = h * n_act
-        grams = [np.zeros((size, size)) for _ in readings]
-        sides = [np.zeros(size) for _ in readings]
+        grams = [np.zeros((size, size)) for _ in candidates]
+        sides = [np.zeros(size) for _ in candidates]
         power, samples = 0.0, 0
         for r in self.records:
-            units = [np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in readings]
+            units = [
+                np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in candidates
+            ]
             every = responses(self.system, np.hstack(units))
             weight = np.repeat(r.weight, self.structure.ny)[:, None]
             rest = r.residual.ravel()
             rest = rest - r.basis @ (r.basis.T @ rest)
             power, samples = power + float(rest @ rest), samples + len(rest)
-            for i in range(len(readings)):
+            for i in range(len(candidates)):
                 columns = every[:, :, i * h : (i + 1) * h].reshape(len(rest), size) * weight
                 columns -= r.basis @ (r.basis.T @ columns)
                 grams[i] += columns.T @ columns

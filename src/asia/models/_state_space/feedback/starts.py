@@ -62,25 +62,27 @@ class _Starts:
     def __init__(self, search: ReadingSearch) -> None:
         self.search, self.structure, self.system = search, search.structure, search.system
 
-    def start(self, reading: Reading) -> tuple[float, dict[str, Any]]:
+    def start(self, regressors: Reading) -> tuple[float, dict[str, Any]]:
         """Make a starting point: the share of the functions that simulates best, with its linear
         terms.
 
         Returns:
             The error of its simulation, and its parameters.
         """
-        layer = self.search.layer(reading.directions, reading.observed)
-        ((gram, rhs, _),) = self.search.normal([(reading.directions, reading.observed, layer)])
+        layer = self.search.layer(regressors.directions, regressors.observed)
+        ((gram, rhs, _),) = self.search.normal(
+            [(regressors.directions, regressors.observed, layer)]
+        )
         w2, act = self._factors(gram, rhs)
         found: list[tuple[float, dict[str, Any]]] = []
         for scale in _SCALES:
-            moved = self._moved(reading, layer, scale * w2 @ act)
+            moved = self._moved(regressors, layer, scale * w2 @ act)
             params = self.structure.start(moved, self.search.rng)
-            params |= {"read": reading.directions, "act": act, "f": {**layer, "w2": scale * w2}}
+            params |= {"read": regressors.directions, "act": act, "f": {**layer, "w2": scale * w2}}
             found.append((self._error(params), params))
         return min(found, key=lambda one: one[0])
 
-    def _moved(self, reading: Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
+    def _moved(self, regressors: Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
         """Linear system that goes with functions of weights theta (h, n + ny)."""
         s, nu = self.system, self.structure.nu
         n, ny = s.order, len(s.c)
@@ -88,7 +90,7 @@ class _Starts:
         gram, side = np.zeros((some, some)), np.zeros(some)
         for r in self.search.records:
             units = np.tanh(
-                r.read(reading.directions, reading.observed) @ layer["w1"] + layer["b1"]
+                r.read(regressors.directions, regressors.observed) @ layer["w1"] + layer["b1"]
             )
             both = responses(s, units @ theta)
             # Signal i acts only on state or output i.
