@@ -1,5 +1,4 @@
-"""What a grey-box says of its parameters: errors, correlations, what the records do not determine,
-and its equations with the numbers in them."""
+"""Estimates of a grey-box: errors, correlations, undetermined parameters, printed equations."""
 
 from __future__ import annotations
 
