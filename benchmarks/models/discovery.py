@@ -70,7 +70,7 @@ SYSTEMS = (
 
 
 def record(system: System, seed: int, noise: float) -> Trajectory:
-    """From rest, the input held over 8 samples."""
+    """Record from rest, the input held over 8 samples."""
     rng = np.random.default_rng(seed)
     low = -2.0 if "v" in system.given else 0.1
     u = np.repeat(rng.uniform(low, 2.0, LENGTH // 8 + 1), 8)[:LENGTH, None]
@@ -88,7 +88,7 @@ def record(system: System, seed: int, noise: float) -> Trajectory:
 
 
 def context_of(system: System, given: dict[str, str]) -> Context:
-    """With positive parameters in a wide range, terms of any sign."""
+    """Context with positive parameters in a wide range and terms of any sign."""
     names = [f"p{k}" for k in range(6) if any(f"p{k}" in e for e in given.values())]
     terms = [f"t{k}" for k in range(3) if any(f"t{k}" in e for e in given.values())]
     ranges = {n: ParameterRange(0.05, 10.0) for n in names}
@@ -108,13 +108,13 @@ def complete(system: System) -> dict[str, str]:
 
 
 def error(model: greybox.GreyBox, new: Trajectory) -> float:
-    """In deviations of the output, the mean over outputs."""
+    """Simulation error in deviations of the output, the mean over outputs."""
     y = model.simulate(new.u[None, :5], new.y[None, :5], new.u[None, 5:])[0]
     return float((np.sqrt(((y - new.y[5:]) ** 2).mean(0)) / new.y.std(0)).mean())
 
 
 def case(system: System, noise: float, seed: int) -> tuple[bool, list[float]]:
-    """Whether exactly what is missing was found, and the four errors."""
+    """Return whether exactly the missing terms were found, and the four errors."""
     train, new = record(system, seed, noise), record(system, 1000 + seed, 0.0)
     plain, full = context_of(system, system.given), context_of(system, complete(system))
     terms = greybox.build(greybox.Config(discover=tuple(system.given)), plain)

@@ -43,7 +43,7 @@ TIMES = (4.0, 20.0, 100.0)
 
 
 def equations(hardening: bool) -> Physics:
-    """Of the mass, parameters unknown."""
+    """Equations of the mass, parameters unknown."""
     cube = " - hardening*position**3" if hardening else ""
     names = ("damping", "spring", "gain", *(("hardening",) if hardening else ()))
     return Physics(
@@ -111,7 +111,7 @@ def disturbance(rng: np.random.Generator, slow_time: float | None) -> Array:
 
 
 def error(row: Row, method: LevenbergMarquardt, slow_time: float | None, seed: int) -> float:
-    """In percent of the deviation of the truth."""
+    """Simulation error in percent of the deviation of the truth."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.standard_normal((2, SAMPLES // 5)), 5, axis=1)
     truths = [motion(force, row.hardening) for force in u]

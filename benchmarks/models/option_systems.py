@@ -31,7 +31,7 @@ TANKS = Physics(
     observation={"y": "x2"},
     bounds={"x1": Bounds(0.0), "x2": Bounds(0.0)},
 )
-"""What the person knows of the tanks."""
+"""Equations of the tanks as the user knows them."""
 ALIKE = replace(
     TANKS,
     priors={
@@ -39,13 +39,13 @@ ALIKE = replace(
         "k3/k1": Prior(1.0, 0.1, "alike outlets"),
     },
 )
-"""The same, and that the tanks are alike."""
+"""Equations of the tanks, with the prior knowledge that the tanks are alike."""
 UNLIKE = replace(
     TANKS, priors={"k2/k1": Prior(1.5, 0.1, "a mistake"), "k3/k1": Prior(0.7, 0.1, "a mistake")}
 )
-"""The same, with priors that are wrong."""
+"""Equations of the tanks, with priors that are wrong."""
 LEVELS = replace(TANKS, observation={"upper": "x1", "lower": "x2"})
-"""The same, both levels measured."""
+"""Equations of the tanks, both levels measured."""
 
 PLANAR = Physics(
     states=("v", "roll", "w"),
@@ -54,26 +54,26 @@ PLANAR = Physics(
     definitions={"difference": "left**2 - right**2"},
     dynamics={"v": "-9.81*roll + force", "roll": "w", "w": "gain*difference + torque"},
 )
-"""What the person knows of a planar vehicle."""
+"""Equations of a planar vehicle as the user knows them."""
 
 
 @dataclass(frozen=True)
 class System:
-    """Records of a system, and what is known of it."""
+    """Records of a system, with the context of a fit."""
 
     training: list[Trajectory]
     """Measured."""
     fresh: Trajectory
     """Measured, never trained on."""
     truth: Array
-    """Its noise-free outputs (T, ny)."""
+    """Noise-free outputs of the fresh record (T, ny)."""
     context: Context
-    """What a candidate may know."""
+    """Context that a candidate receives."""
 
 
 @dataclass(frozen=True)
 class TankEffects:
-    """What the equations of the tanks do not know; as it stands, nothing."""
+    """Effects that the equations of the tanks do not contain; the defaults are without effect."""
 
     sensor: float = 1.0
     """Exponent of the sensor's curve."""
@@ -81,7 +81,7 @@ class TankEffects:
     """Standard deviation of a slow (Ornstein-Uhlenbeck) disturbance of the output, relative to
     that of the output."""
     drift_time: float = 40.0
-    """Its time constant, in s."""
+    """Time constant of the disturbance, in s."""
     pipe: float = 0.0
     """Time constant of the flow between the tanks, in s."""
     rim: float = np.inf
@@ -95,7 +95,7 @@ class TankEffects:
     noise: float = 0.01
     """Standard deviation of white noise, relative to that of the output."""
     samples: int = 500
-    """Of the record to train on."""
+    """Number of samples of the training record."""
     past: int = 10
     """Samples of a past window."""
 

@@ -1,15 +1,4 @@
-"""What each option of the library brings, and whether it does harm.
-
-    python benchmarks/models/options.py [--rows sensor,lag] [--seeds 0 1 2]
-    python benchmarks/models/options.py --tanks | --nanodrone [--seeds 0 1 2]
-
-On systems that have the effect an option is for, and on the same systems without it, a family is
-fitted with and without the option. The figure is the error of its simulation of a fresh record,
-against the noise-free truth, relative to the truth's standard deviation; median over the seeds.
-
-With --tanks or --nanodrone the options of the candidate in `benchmarks/rebuilt` are left out one at
-a time; the figure is V on the training data.
-"""
+"""Benefit and harm of each option of the library."""
 
 from __future__ import annotations
 
@@ -64,15 +53,15 @@ class Fit:
     method: Any
 
     def with_config(self, **option: Any) -> Fit:
-        """With settings of the model changed."""
+        """Change settings of the model."""
         return replace(self, config={**self.config, **option})
 
     def with_method(self, **option: Any) -> Fit:
-        """With settings of the method changed."""
+        """Change settings of the method."""
         return replace(self, method=replace(self.method, **option))
 
     def error(self, system: System) -> float:
-        """Of the simulation of the fresh record, relative; mean over the outputs."""
+        """Relative simulation error on the fresh record, mean over the outputs."""
         known = system.context
         model = self.family.build(self.family.Config(**self.config), known)
         model = self.family.train(model, system.training, known, self.method)

@@ -1,13 +1,4 @@
-"""Where fits of neural state-space models begin, and where their simulations do.
-
-python benchmarks/models/state_space_starts.py [--systems duffing,mimo] [--seeds 100,101]
-    [--configs 0,4]
-
-Fits each configuration to the first half, the second half and all of a synthetic training record,
-as in a search with two folds, and prints the simulation error against the noise-free output over
-the standard deviation of the noise: on the half left out, and on the second record. Nothing here
-is chosen on that second record.
-"""
+"""Starts of neural state-space fits, and initial states of their simulations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The candidate contract: what a `candidate.py` is given and what it gives back."""
+"""Contract of a candidate: the arguments that `candidate.py` receives and the model that it
+returns."""
 
 from asia.candidate._contract import VALIDATION_SCORES, Context, Fit, Model
 from asia.candidate._estimates import ParameterEstimate, ParameterEstimates

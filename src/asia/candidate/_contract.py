@@ -1,4 +1,4 @@
-"""What a candidate is given and what it gives back."""
+"""Contract of a candidate: the context of a fit and the interface of a fitted model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _no_log(step: float, loss: float) -> None:
 
 @dataclass(frozen=True)
 class Context:
-    """All a candidate may know beside its training trajectories."""
+    """Everything that a candidate knows apart from its training trajectories."""
 
     inputs: tuple[Signal, ...]
     """Names and units of the inputs."""
@@ -36,9 +36,9 @@ class Context:
     metric: str = "rmse"
     """Name of the metric that V is computed with."""
     physics: Physics | None = None
-    """The person's equations."""
+    """Equations from the problem file."""
     seed: int = 0
-    """One per search, fold and repeat, the same for every candidate."""
+    """Seed for one search, fold and repeat, the same for every candidate."""
     deadline: float = float("inf")
     """Value of `time.monotonic()` after which the worker is killed."""
     threads: int = 1
@@ -74,12 +74,20 @@ class Model(Protocol):
     """
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Open-loop simulation in physical units.
+        """Simulate in open loop, in physical units.
 
-        past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> y_hat (B, H, ny).
         `u[:, k]` and `y_hat[:, k]` are the same sample; `past_*[:, -1]` is the one before. B and H
-        are 1 or more, whatever the context's horizon. A row's answer depends on this row alone,
+        are 1 or more, whatever the context's horizon. The result for a row depends on that row
+        only,
         y_hat[:, k] on no later input, and neither on earlier calls.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Simulated outputs y_hat (B, H, ny).
         """
         ...
 

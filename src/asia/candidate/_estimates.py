@@ -1,4 +1,4 @@
-"""What a fitted model may say of its parameters beside their values."""
+"""Estimates of a fitted model's parameters: standard errors, intervals and correlations."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ class ParameterEstimate:
     """A parameter with its uncertainty."""
 
     name: str
-    """As in `parameters()`; at most 48 characters are kept."""
+    """Name as in `parameters()`; at most 48 characters are kept."""
     value: float
-    """In its unit."""
+    """Estimate in the parameter's unit."""
     standard_error: float
-    """In the same unit; infinite where the records say nothing of it."""
+    """Standard error in the same unit; infinite where the records carry no information on it."""
     low: float
     """Lower end of the 95 % interval."""
     high: float
-    """Upper end."""
+    """Upper end of the 95 % interval."""
     unit: str = ""
-    """Its unit; at most 16 characters are kept."""
+    """Unit of the parameter; at most 16 characters are kept."""
     lower: float = float("-inf")
-    """The least value that the fit looked for; infinite where it is open."""
+    """Least value that the fit searched; -inf for an open range."""
     upper: float = float("inf")
-    """The greatest one."""
+    """Greatest value that the fit searched; inf for an open range."""
     data_share: float = 1.0
-    """The part of what is known of it that comes from the records, from 0 to 1; the rest is a prior
-    or a ridge."""
+    """Share of the information on the parameter that comes from the records, from 0 to 1; the rest
+    comes from a prior or a ridge."""
     misfit_error: float = 0.0
-    """How far a missing effect may have moved it: half the width of an interval around the value;
-    0 where the residuals show no missing effect."""
+    """Possible shift by a missing effect: half the width of an interval around the value; 0 where
+    the residuals show no missing effect."""
 
 
 @dataclass(frozen=True)
 class ParameterEstimates:
-    """What the records say of a model's parameters."""
+    """Estimates of all parameters of a model, with their correlations."""
 
     parameters: tuple[ParameterEstimate, ...]
-    """At most 64 are kept."""
+    """Estimates, one a parameter; at most 64 are kept."""
     correlation: Array
-    """(n, n), of their errors; nan where one is not known."""
+    """Correlations (n, n) of the errors; nan where one is not known."""
     equations: tuple[str, ...] = ()
     """The model's equations with the numbers put in, one a line; 8000 characters are kept."""

@@ -1,4 +1,4 @@
-"""What a candidate will import, read from its source and from that of the model library."""
+"""Libraries that a candidate will import, read from its source and from the model library."""
 
 from __future__ import annotations
 
@@ -19,27 +19,34 @@ _MODELS = "asia.models"
 
 @dataclass(frozen=True)
 class _Imports:
-    """Names of modules, and of what is imported from them, which may be modules too."""
+    """Names of imported modules, and of what is imported from them, which may be modules too."""
 
     first: frozenset[str]
-    """By statements that run when the module is imported."""
+    """Imports by statements that run when the module is imported."""
     later: frozenset[str]
-    """By statements inside functions."""
+    """Imports by statements inside functions."""
 
 
 @lru_cache(64)
 def imported_libraries(source: str, *, fitting: bool) -> frozenset[str]:
-    """`JAX` where executing a source loads it, else nothing: no other library takes long to load.
-    fitting: also where what it imports from `asia.models` does so when it is called; modules there
-    import at their top what they cannot do without."""
+    """Return `JAX` if executing a source loads it, else nothing: no other library takes long to
+    load.
+
+    Args:
+        source: Python source of a candidate.
+        fitting: include what modules of `asia.models` import when they are called; at their top
+            those modules import what they cannot do without.
+    """
     found = _reached(_imports(source), fitting=fitting)
     return JAX if any(name.split(".")[0] in _LOAD_JAX for name in found) else frozenset()
 
 
 @lru_cache(64)
 def trains_network(source: str) -> bool:
-    """Whether fitting a candidate trains a network: with a family of the library that does, or with
-    JAX in its own source. Those are the fits that a GPU can shorten."""
+    """Return whether fitting a candidate trains a network, which a GPU can shorten.
+
+    It does with a family of the library that trains one, or with JAX in its own source.
+    """
     own = _imports(source)
     if any(name.split(".")[0] in _LOAD_JAX for name in own.first | own.later):
         return True
@@ -47,7 +54,7 @@ def trains_network(source: str) -> bool:
 
 
 def _reached(own: _Imports, *, fitting: bool) -> set[str]:
-    """Modules that a source imports, and that the library does for it."""
+    """Modules that a source imports directly or through the library."""
     found, queue, seen = set(own.first), [*own.first], set[str]()
     while queue:
         name = queue.pop()
@@ -62,7 +69,7 @@ def _reached(own: _Imports, *, fitting: bool) -> set[str]:
 
 @cache
 def _imports_of_module(name: str) -> _Imports:
-    """Of a module of this package; none where there is no such module."""
+    """Imports of a module of this package; none if there is no such module."""
     place = Path(asia.__file__).parent.joinpath(*name.split(".")[1:])
     for path in (place.with_suffix(".py"), place / "__init__.py"):
         if path.is_file():
@@ -80,8 +87,8 @@ def _imports(source: str) -> _Imports:
 
 
 def _names(body: list[ast.stmt], *, inside: bool) -> Iterator[str]:
-    """Of the statements, those in functions only if `inside`. Statements for type checkers are
-    left out."""
+    """Names that the statements import, those in functions only if `inside`. Statements for type
+    checkers are left out."""
     for node in body:
         match node:
             case ast.Import():

@@ -8,5 +8,5 @@ _LIBRARIES = ("numpy", "scipy", "jax", "equinox", "optax")
 
 
 def installed_libraries() -> tuple[str, ...]:
-    """Those of them that are installed here, as agents and people read them."""
+    """Names of these libraries that are installed here, as agents and users read them."""
     return tuple(name for name in _LIBRARIES if find_spec(name) is not None)

@@ -1,5 +1,5 @@
-"""How much data a source carries. A candidate learns from its training records; one that brings
-its numbers along may have read them off the answers."""
+"""Limits on the data that a source carries. A candidate learns from its training records; one that
+contains numbers may have copied them from the answers."""
 
 from __future__ import annotations
 
@@ -25,30 +25,38 @@ _SIGNS = (ast.operator, ast.unaryop, ast.cmpop, ast.boolop)
 
 @dataclass(frozen=True)
 class SourceContent:
-    """Information in a source, as bytes of DEFLATE: of the numbers, strings and bytes that it
-    writes out, of the names it uses, of those of its statements that are most alike, and of all of
-    it. Comments and docstrings do not count, since a candidate runs without them."""
+    """Information in a source, in bytes after DEFLATE compression.
+
+    Comments and docstrings do not count, since a candidate runs without them.
+    """
 
     literals: int
-    """Of numbers, strings and bytes."""
+    """Bytes of numbers, strings and bytes literals."""
     names: int
-    """Of names."""
+    """Bytes of names."""
     alike: int
-    """Of names, operators and order in the statements that are built of the same parts, the most
-    that any kind of them has; a table, in names or in operators, of one statement or of many, is
-    one kind."""
+    """Bytes of names, operators and order in statements of the same structure, for the structure
+    with the most; a table, in names or in operators, of one statement or of many, is one structure.
+    """
     code: int
-    """Of the whole source."""
+    """Bytes of the whole source."""
 
 
 def content(source: str, tree: ast.Module) -> SourceContent:
-    """What a source carries; `tree` is the source, parsed. Raises CandidateError as
-    `without_words`."""
-    words = _docstrings(tree)
+    """Measure the information in a source.
+
+    Args:
+        source: Python source.
+        tree: the same source, parsed.
+
+    Raises:
+        CandidateError: as for `without_words`.
+    """
+    docstrings = _docstrings(tree)
     literals: list[bytes] = []
     names: dict[str, None] = {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and node not in words:
+        if isinstance(node, ast.Constant) and node not in docstrings:
             literals.append(_literal(node.value))
         names.update(dict.fromkeys(_names(node)))
     return SourceContent(
@@ -60,7 +68,11 @@ def content(source: str, tree: ast.Module) -> SourceContent:
 
 
 def check_content(source: str, tree: ast.Module) -> None:
-    """Raises CandidateError, LITERAL_DATA, where a source carries more than a model needs."""
+    """Refuse a source that carries more data than a model needs.
+
+    Raises:
+        CandidateError: LITERAL_DATA.
+    """
     found = content(source, tree)
     for what, size, most in (
         ("numbers and strings", found.literals, MOST_LITERALS),
@@ -76,9 +88,13 @@ def check_content(source: str, tree: ast.Module) -> None:
 
 
 def without_words(source: str, tree: ast.Module) -> str:
-    """The source with empty docstrings and no comments, so that neither can carry data into a
-    worker. Lines keep their numbers. Raises CandidateError, SYNTAX, where the layout is too odd to
-    tell comments apart."""
+    """Remove comments and docstrings from a source, so that neither can carry data into a worker.
+
+    Lines keep their numbers.
+
+    Raises:
+        CandidateError: SYNTAX, if the layout does not permit telling comments from code.
+    """
     lines = source.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     spans = [(w.lineno, w.col_offset, w.end_lineno, w.end_col_offset) for w in _docstrings(tree)]
     for first, start, last, end in sorted(spans, key=lambda span: span[:2], reverse=True):
@@ -114,7 +130,7 @@ def _alike(tree: ast.Module) -> int:
 
 
 def _parts(statement: ast.stmt) -> Iterator[ast.AST]:
-    """Its nodes in the order they are written, without the statements inside it."""
+    """Nodes of a statement in the order they are written, without the statements inside it."""
     left: list[ast.AST] = [statement]
     while left:
         node = left.pop()
@@ -130,27 +146,27 @@ def _parsed(text: str) -> ast.Module:
 
 
 def _docstrings(tree: ast.Module) -> set[ast.Constant]:
-    """Texts that describe: of modules, functions and classes, and below a field or a constant."""
+    """Docstrings of modules, functions and classes, and strings below a field or a constant."""
     found: set[ast.Constant] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             several = not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
             for statement in node.body if several else node.body[:1]:
                 match statement:
-                    case ast.Expr(value=ast.Constant(value=str()) as words):
-                        found.add(words)
+                    case ast.Expr(value=ast.Constant(value=str()) as text):
+                        found.add(text)
                     case _:
                         pass
     return found
 
 
 def _nodes(tree: ast.Module) -> list[str]:
-    """What the tree is made of, docstrings apart."""
-    words = _docstrings(tree)
+    """Descriptions of the tree's nodes, without docstrings."""
+    docstrings = _docstrings(tree)
     return [
         repr(node.value) if isinstance(node, ast.Constant) else _shape(node)
         for node in ast.walk(tree)
-        if node not in words
+        if node not in docstrings
     ]
 
 

@@ -1,4 +1,4 @@
-"""Source of a candidate: what is refused before anything runs, and its identity."""
+"""Check and identify the source of a candidate before anything of it runs."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ LARGEST_SOURCE = 64 * 1024
 
 
 def check_source(source: str) -> None:
-    """Refuse a source that cannot be a candidate; nothing of it is executed.
+    """Refuse a source that cannot be a candidate, without executing it.
 
-    Raises CandidateError: SYNTAX if it does not parse, CONTRACT if it defines no top-level name
-    `fit`, LITERAL_DATA if it is over 64 KB or carries more data than a model needs.
+    Raises:
+        CandidateError: SYNTAX if it does not parse, CONTRACT if it defines no top-level name `fit`,
+            LITERAL_DATA if it is over 64 KB or carries more data than a model needs.
     """
     tree = _parse(source)
     if "fit" not in _defined(tree.body):
@@ -28,15 +29,24 @@ def check_source(source: str) -> None:
 
 
 def executed_source(source: str) -> str:
-    """What a worker executes: the source without comments and docstrings, which could carry data;
-    lines keep their numbers. Raises CandidateError as `check_source` does."""
+    """Source that a worker executes: without comments and docstrings, which could carry data.
+
+    Lines keep their numbers.
+
+    Raises:
+        CandidateError: as for `check_source`.
+    """
     return without_words(source, _parse(source))
 
 
 def source_digest(source: str) -> str:
-    """sha256 in hex of the normalised syntax tree: comments, docstrings and layout do not count.
+    """Digest of the normalised syntax tree: comments, docstrings and layout do not count.
 
-    Raises CandidateError as `check_source` does for a source that does not parse.
+    Returns:
+        sha256 in hex.
+
+    Raises:
+        CandidateError: as for `check_source`, if the source does not parse.
     """
     tree = _parse(source)
     for node in ast.walk(tree):

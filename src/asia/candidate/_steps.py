@@ -1,4 +1,4 @@
-"""A fitted model one sample at a time: simulation and `asia export` derive from this contract."""
+"""State-space step contract of a fitted model, used for simulation and for `asia export`."""
 
 from __future__ import annotations
 
@@ -11,28 +11,49 @@ from asia.data import Array
 
 @runtime_checkable
 class StepModel(Protocol):
-    """A fitted sequential model, in physical units, for a batch of B cases.
+    """Fitted model that simulates sample by sample, in physical units, for a batch of B cases.
 
     Both methods compute with NumPy arrays, and with JAX arrays where they are traced (`asia
     export`): they choose nothing by the values of signals. A state is any tree (tuples, lists,
     dicts) of arrays (B, ...) whose shapes stay the same; constants of float64 keep their precision.
-    A row's answer depends on this row alone.
+    The result for a row depends on that row only.
     """
 
     def initial(self, past_u: Any, past_y: Any, u: Any) -> Any:
-        """State at the first sample, from past_u (B, n_past_u, nu), past_y (B, n_past_y, ny) and
-        the input u (B, nu) of that sample, for models that continue it into the past."""
+        """State at the first sample, continued into the past by models that need it.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: input (B, nu) of the first sample.
+        """
         ...
 
     def step(self, state: Any, u: Any) -> tuple[Any, Any]:
-        """State at the next sample, and the output (B, ny) of this one, whose input is u
-        (B, nu)."""
+        """Advance the state by one sample.
+
+        Args:
+            state: state at this sample.
+            u: input (B, nu) of this sample.
+
+        Returns:
+            State at the next sample, and the output (B, ny) of this one.
+        """
         ...
 
 
 def simulate_steps(model: StepModel, past_u: Array, past_y: Array, u: Array) -> Array:
-    """Simulate step by step: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) ->
-    (B, H, ny), with H of 1 or more. The `simulate` of a model that has no faster one."""
+    """Simulate step by step: the `simulate` of a model that has no faster one.
+
+    Args:
+        model: fitted model.
+        past_u: past inputs (B, n_past_u, nu).
+        past_y: past outputs (B, n_past_y, ny).
+        u: inputs (B, H, nu), H at least 1.
+
+    Returns:
+        Outputs (B, H, ny).
+    """
     state, outputs = model.initial(past_u, past_y, u[:, 0]), list[Array]()
     for k in range(u.shape[1]):
         state, y = model.step(state, u[:, k])

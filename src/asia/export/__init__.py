@@ -1,4 +1,4 @@
-"""Print a fitted model for other programs: one lowering, one printer a target."""
+"""Print a fitted model for other programs: one lowering, one printer for each target."""
 
 from asia.export._export import Exported, Ready, export, lowered_run, write
 from asia.export._model import ExportModel, Printed, TrainingWindow

@@ -1,4 +1,4 @@
-"""The model to use from the models that it is made of: a weighted mean, as one program.
+"""Weighted mean of lowered models, as one program.
 
 This is also the place for what happens to signals outside the candidate: maps of inputs and of the
 past window before a model reads them, and of outputs after it, are composed here, once for all
@@ -15,7 +15,7 @@ from asia.lowering import Builder, LoweredModel, Program
 
 
 def weighted_mean(parts: Sequence[tuple[float, LoweredModel]]) -> LoweredModel:
-    """Of models of the same signals, side by side; the weights add up to 1."""
+    """Combine models of the same signals; the weights add up to 1."""
     first = parts[0][1]
     if len(parts) == 1:
         return first
@@ -45,7 +45,7 @@ def weighted_mean(parts: Sequence[tuple[float, LoweredModel]]) -> LoweredModel:
 
 
 def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int]:
-    """Numbers of what the program gives, computed in another one."""
+    """Inline a program into another one and return the numbers of its outputs there."""
     values = [*inputs, *(build.constant(c) for c in program.constants)]
     for node in program.nodes:
         operands = [values[i] for i in node.operands]

@@ -1,4 +1,4 @@
-"""A model of a run, printed for other programs."""
+"""Export of a model of a run: lower it, print it for each target, compare the files."""
 
 from __future__ import annotations
 
@@ -43,26 +43,26 @@ _REFUSED = "differs too much: the files refuse it"
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written."""
+    """Files that were written for one target."""
 
     target: str
-    """As in `--to`."""
+    """Target as in `--to`."""
     folder: Path
-    """Where."""
+    """Folder of the files."""
     files: tuple[Path, ...]
-    """All of them."""
+    """Paths of all files."""
     parity: tuple[ParityRow, ...]
-    """How they compare with ASIA's own simulation."""
+    """Comparison with ASIA's own simulation, one row a variant."""
 
 
 @dataclass(frozen=True)
 class Ready:
-    """A lowered model of a run, with the windows that every target is compared on."""
+    """Lowered model of a run, with the windows that every target is compared on."""
 
     model: ExportModel
-    """As the printers are given it."""
+    """Model as the printers receive it."""
     windows: tuple[TrainingWindow, ...]
-    """From the training records."""
+    """Windows from the training records."""
 
 
 def export(
@@ -70,10 +70,16 @@ def export(
 ) -> list[Exported]:
     """Print a model of a finished run for each target and compare it with ASIA's own simulation.
 
-    model: `ensemble`, `refit`, `stack`, or the number of an experiment, whose fold models are
-    averaged; None for the one that the search names as the model to use. out: folder for a folder
-    a target; None for `export` in the run. Raises UserError for an unknown target, a model that
-    cannot be exported, and files that differ from ASIA's simulation, which are not written.
+    Args:
+        directory: folder of the run.
+        targets: names of the targets.
+        model: `ensemble`, `refit`, `stack`, or the number of an experiment, whose fold models are
+            averaged; None for the model that the search recommends.
+        out: folder that receives a folder for each target; None for `export` in the run.
+
+    Raises:
+        UserError: for an unknown target, a model that cannot be exported, and files that differ
+            from ASIA's simulation, which are not written.
     """
     chosen = [find_target(name) for name in dict.fromkeys(targets)]
     run = open_run(Path(directory))
@@ -83,7 +89,11 @@ def export(
 
 
 def write(one: Target, ready: Ready, folder: Path) -> Exported:
-    """Print, compare, then write. Raises UserError where they differ by more than may be."""
+    """Print for one target, compare, then write.
+
+    Raises:
+        UserError: if the difference exceeds the limit.
+    """
     printed = one.print(ready.model)
     with tempfile.TemporaryDirectory(prefix="asia-export-") as made:
         trial = Path(made)
@@ -101,7 +111,11 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
         files.update({} if row.holds else without)
     rows = [row if row.holds else replace(row, note=_REFUSED) for row, _ in rows]
     files["USE.md"] = usage_page(one, ready.model, rows).encode()
-    files["model.json"] = _json({**ready.model.facts(), **_counted(printed)})
+    facts = ready.model.facts()
+    if printed.sizes:
+        facts["sizes"] = printed.sizes
+    text = json.dumps(facts, indent=2, allow_nan=False) + "\n"
+    files["model.json"] = text.encode()
     _put(folder, files)
     paths = tuple(folder / name for name in files)
     return Exported(one.name, folder, paths, tuple(rows))
@@ -110,7 +124,7 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
 def _compared(
     one: Target, folder: Path, printed: Printed, ready: Ready
 ) -> list[tuple[ParityRow, Mapping[str, bytes]]]:
-    """Each row with the files that refuse its variant."""
+    """Parity rows, each with the files that disable its variant."""
     found = one.run(folder, ready.windows)
     if isinstance(found, str):
         return [(ParityRow(one.name, None, 0.0, None, printed.bytes, found), {})]
@@ -123,7 +137,11 @@ def _compared(
 
 
 def lowered_run(run: Run, model: str | None) -> Ready:
-    """The lowered model of a run. Raises UserError where it cannot be lowered."""
+    """Lower the model of a run.
+
+    Raises:
+        UserError: if it cannot be lowered.
+    """
     use, members = _members(run, model)
     problem = load_lock(run.directory / LOCK)
     done, inputs, outputs = problem.preprocess, problem.channels.inputs, problem.channels.outputs
@@ -190,7 +208,7 @@ def _lowered(
 def _windows(
     evaluator: Evaluator, run: Run, members: Sequence[FinalMember]
 ) -> list[TrainingWindow]:
-    """The first ones of the training windows, the last of them cut short."""
+    """First training windows, the last of them cut short."""
     blocks: list[Block] = []
     left = _MOST_SAMPLES
     for block in evaluator.training_blocks[:_MOST_WINDOWS]:
@@ -218,7 +236,7 @@ def _notes(done: Preprocess, sampling_time: float) -> tuple[str, ...]:
 
 
 def _bands(run: Run, use: Use, first: TrainingWindow, every: int) -> tuple[Band, ...]:
-    """Their mean half width on a window, where it is inside the region of validity."""
+    """Mean half width of the output bands on a window, inside the region of validity."""
     past_u, past_y, u = (
         np.repeat(side, every, axis=0) for side in (first.past_u, first.past_y, first.u)
     )
@@ -229,14 +247,6 @@ def _bands(run: Run, use: Use, first: TrainingWindow, every: int) -> tuple[Band,
 
 def _range(values: Array) -> Array:
     return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
-
-
-def _counted(printed: Printed) -> dict[str, object]:
-    return {"sizes": printed.sizes} if printed.sizes else {}
-
-
-def _json(facts: dict[str, object]) -> bytes:
-    return (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode()
 
 
 def _put(folder: Path, files: dict[str, bytes]) -> None:

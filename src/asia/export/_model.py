@@ -1,4 +1,4 @@
-"""A model as the printers are given it."""
+"""Model and facts that every printer receives."""
 
 from __future__ import annotations
 
@@ -11,45 +11,45 @@ from asia.lowering import LoweredModel
 
 @dataclass(frozen=True)
 class Band:
-    """Half the width of the output bands."""
+    """Half width of the output bands."""
 
     level: float
-    """Share of the measured outputs that they are meant to hold."""
+    """Nominal coverage: share of the measured outputs inside the band."""
     half_width: Array
     """(ny,) in physical units: the mean over the training windows."""
 
 
 @dataclass(frozen=True)
 class ExportModel:
-    """A lowered model, and what whoever uses it must know."""
+    """Lowered model, with the facts that its users need."""
 
     name: str
-    """Of the run."""
+    """Name of the run."""
     use: str
-    """Which of its models."""
+    """Name of the model in the run."""
     problem: str
-    """Its problem."""
+    """Name of the problem."""
     lowered: LoweredModel
-    """Inputs and outputs in physical units."""
+    """Lowered model, with inputs and outputs in physical units."""
     inputs: tuple[Signal, ...]
-    """Names and units."""
+    """Names and units of the inputs."""
     outputs: tuple[Signal, ...]
-    """Names and units."""
+    """Names and units of the outputs."""
     sampling_time: float
-    """In s; inputs are held in between."""
+    """Sampling time in s; inputs are held in between."""
     input_range: Array
     """(nu, 2): least and greatest in the training records."""
     output_range: Array
-    """(ny, 2): the same of the outputs."""
+    """(ny, 2): least and greatest in the training records."""
     example: TrainingWindow | None = None
-    """A short case and what ASIA says of it, for files that hold one."""
+    """Short case with ASIA's simulation of it, for files that hold one."""
     bands: tuple[Band, ...] = ()
-    """Of the simulated outputs."""
+    """Bands of the simulated outputs."""
     notes: tuple[str, ...] = ()
-    """What else is to be known, a sentence each."""
+    """Further notes, a sentence each."""
 
     def facts(self) -> dict[str, Any]:
-        """As numbers and texts, for a file beside every target."""
+        """Facts as numbers and texts, for a file next to every target."""
         return {
             "run": self.name,
             "problem": self.problem,
@@ -69,7 +69,7 @@ class ExportModel:
 
 @dataclass(frozen=True)
 class TrainingWindow:
-    """A case from the training records, and what ASIA's own simulation says of it."""
+    """Case from the training records, with ASIA's own simulation of it."""
 
     past_u: Array
     """(n_past_u, nu)."""
@@ -83,23 +83,23 @@ class TrainingWindow:
     """(H, ny), as measured."""
 
     def first(self, samples: int) -> TrainingWindow:
-        """No more than so many samples of it."""
+        """Return a window of at most so many samples."""
         cut = slice(samples)
         return TrainingWindow(self.past_u, self.past_y, self.u[cut], self.y_hat[cut], self.y[cut])
 
 
 @dataclass(frozen=True)
 class Printed:
-    """What a printer gives."""
+    """Files of a printer."""
 
     files: dict[str, bytes]
-    """By name."""
+    """Contents by file name."""
     sizes: dict[str, int] = field(default_factory=dict[str, int])
-    """What else is counted, in bytes, by its name."""
+    """Further sizes in bytes, by name."""
 
     @property
     def bytes(self) -> int:
-        """Of all files."""
+        """Total size of all files."""
         return sum(len(data) for data in self.files.values())
 
 

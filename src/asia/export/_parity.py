@@ -1,4 +1,4 @@
-"""Whether printed files simulate as ASIA does, on the training windows."""
+"""Comparison of printed files with ASIA's own simulation, on the training windows."""
 
 from __future__ import annotations
 
@@ -12,37 +12,45 @@ from asia.export._model import TrainingWindow
 from asia.export._target import Answers
 
 DOUBLE, SINGLE = 1e-9, 1e-4
-"""Largest differences, relative to the spread of the measured output."""
+"""Largest allowed differences, relative to the spread of the measured output."""
 
 
 @dataclass(frozen=True)
 class ParityRow:
-    """One line of the table."""
+    """One row of the comparison table."""
 
     target: str
-    """What was printed."""
+    """Target and variant."""
     difference: float | None
     """Largest |difference| of an output over the standard deviation of its measured values; None
     where the files could not be run here."""
     limit: float
-    """What it may be."""
+    """Largest allowed difference."""
     microseconds: float | None
-    """For each sample."""
+    """Computing time for each sample."""
     bytes: int
-    """Of the files."""
+    """Size of the files."""
     note: str = ""
-    """Why there is no difference, or what came of it."""
+    """Reason for a missing difference, or a remark on the result."""
 
     @property
     def holds(self) -> bool:
-        """Whether the files may be written."""
+        """The files may be written."""
         return self.difference is None or self.difference <= self.limit
 
 
 def parity_row(
     target: str, answers: Answers, windows: Sequence[TrainingWindow], single: bool, size: int
 ) -> ParityRow:
-    """single: whether the model itself computes in single precision."""
+    """Compare the answers of printed files with ASIA's simulation.
+
+    Args:
+        target: name of the target.
+        answers: simulations by the printed files.
+        windows: training windows.
+        single: whether the model itself computes in single precision.
+        size: size of the files in bytes.
+    """
     name = target if answers.variant == "double" else f"{target} {answers.variant}"
     samples = sum(len(w.u) for w in windows)
     limit = SINGLE if single or answers.single else DOUBLE
@@ -51,7 +59,8 @@ def parity_row(
 
 
 def difference(y_hat: Sequence[Array], windows: Sequence[TrainingWindow]) -> float:
-    """The largest one of all windows and outputs; infinite where one is no number."""
+    """Largest relative difference over all windows and outputs; infinite where a value is no
+    number."""
     spread = spread_of(np.concatenate([w.y for w in windows]))
     largest = np.abs(np.concatenate([w.y_hat for w in windows])).max(axis=0)
     spread = np.where(spread > 0, spread, np.where(largest > 0, largest, 1.0))

@@ -1,4 +1,4 @@
-"""`[preprocess]` composed into a model, so that exported files read and give what was measured.
+"""`[preprocess]` composed into a model, so that exported files read and return measured signals.
 
 The files step at the rate of the samples that were kept. Their state holds the inputs that a delay
 still keeps back.
@@ -20,7 +20,11 @@ from asia.lowering import Builder, LoweredModel, Program
 
 
 def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
-    """Of each input, in samples that are kept. Raises UserError where one is no whole number."""
+    """Delay of each input, in samples that are kept.
+
+    Raises:
+        UserError: if one is no whole number.
+    """
     every = done.decimate
     for signal in inputs:
         delay = done.delay.get(signal.name, 0)
@@ -36,8 +40,11 @@ def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
 def measured(
     low: LoweredModel, done: Preprocess, inputs: Sequence[Signal], outputs: Sequence[Signal]
 ) -> LoweredModel:
-    """The model of measured signals, from that of preprocessed ones. Raises UserError as
-    `kept_delays`."""
+    """Convert a model of preprocessed signals to one of measured signals.
+
+    Raises:
+        UserError: as for `kept_delays`.
+    """
     if not done:
         return low
     late = np.array(kept_delays(done, inputs))
@@ -70,7 +77,8 @@ def _begins(
     signals: tuple[Sequence[Signal], Sequence[Signal]],
     late: NDArray[np.int64],
 ) -> Program:
-    """States from the measured past window, the inputs that delays keep back before them."""
+    """Program for the states from the measured past window, before them the inputs that delays keep
+    back."""
     longest, n, nu = int(late.max()), low.n_past_u, low.nu
     build = Builder(((n + longest, nu), (low.n_past_y, low.ny), (nu,)))
     known, channels = _stacked(build, 0, 2), np.arange(nu)
@@ -93,8 +101,10 @@ def measured_window(
     inputs: Sequence[Signal],
     outputs: Sequence[Signal],
 ) -> TrainingWindow:
-    """The window as it was measured, at the samples that are kept. It is shorter by the longest
-    delay; inputs before it that no model reads are made up."""
+    """Window in measured units, at the samples that are kept.
+
+    It is shorter by the longest delay; inputs before it that no model reads are made up.
+    """
     late = kept_delays(done, inputs)
     longest, n = max(late), len(window.past_u)
     acting = physical(np.concatenate([window.past_u, window.u]), done, inputs)
@@ -108,7 +118,7 @@ def measured_window(
 
 
 def physical(values: Array, done: Preprocess, signals: Sequence[Signal]) -> Array:
-    """Preprocessed values (T, n) in the units they were measured in."""
+    """Convert preprocessed values (T, n) to the units they were measured in."""
     offset, scale = _numbers(done, signals)
     return values * scale + offset
 
@@ -120,14 +130,14 @@ def _numbers(done: Preprocess, signals: Sequence[Signal]) -> tuple[Array, Array]
 
 
 def _standard(build: Builder, value: int, done: Preprocess, signals: Sequence[Signal]) -> int:
-    """(value - offset) / scale."""
+    """Compute (value - offset) / scale."""
     shape = build.shape(value)
     offset, scale = (build.constant(np.broadcast_to(a, shape)) for a in _numbers(done, signals))
     return build.add("div", (build.add("sub", (value, offset)), scale))
 
 
 def _stacked(build: Builder, rows: int, last: int) -> int:
-    """Rows (R, n) and one more (n,) -> (R + 1, n)."""
+    """Append a row: rows (R, n) and (n,) -> (R + 1, n)."""
     (n,) = build.shape(last)
     return build.add("concat", (rows, build.add("reshape", (last,), (1, n))), (0,))
 

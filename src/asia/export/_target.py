@@ -16,16 +16,16 @@ class Answers:
     """Simulations of the training windows by printed files."""
 
     variant: str
-    """"double", "float", or what else there is more than one of."""
+    """Name of the variant: "double", "float", or another one of the target."""
     y_hat: tuple[Array, ...]
-    """(H, ny) of each window."""
+    """Simulated outputs (H, ny) of each window."""
     seconds: float
-    """For all samples together."""
+    """Computing time of all samples together."""
     single: bool = False
-    """Whether it computes in single precision."""
+    """The variant computes in single precision."""
     without: Mapping[str, bytes] = field(default_factory=dict[str, bytes])
-    """Files that take the place of printed ones where this variant differs too much, and refuse it;
-    empty where nothing is to be written then."""
+    """Files that replace printed ones and refuse this variant, if it differs too much; empty if
+    nothing is to be written then."""
 
 
 class Target(Protocol):
@@ -35,18 +35,22 @@ class Target(Protocol):
     """
 
     name: str
-    """As in `--to`."""
+    """Name as in `--to`."""
     usage: str
-    """How to use the files, some lines of Markdown."""
+    """Instructions for the files, some lines of Markdown."""
 
     def missing(self) -> str | None:
-        """What must be installed to print, as a sentence; None where nothing is."""
+        """Requirement that is not installed, as a sentence; None if printing is possible."""
         ...
 
     def print(self, model: ExportModel) -> Printed:
-        """The files. Raises UserError where this target cannot hold the model."""
+        """Print the files.
+
+        Raises:
+            UserError: if this target cannot hold the model.
+        """
         ...
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """Simulations by the files in a folder, or why they cannot be run here."""
+        """Simulate with the files in a folder, or return why they cannot be run here."""
         ...

@@ -1,4 +1,4 @@
-"""USE.md, which lies beside every target."""
+"""Page USE.md, which is written next to every target."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from asia.export._target import Target
 
 
 def usage_page(target: Target, model: ExportModel, rows: Sequence[ParityRow]) -> str:
-    """What the model is, how the files are used and how they compare."""
+    """Describe the model, the use of the files and the comparison with ASIA."""
     low = model.lowered
     lines = [
         f"# {model.problem}: {model.use} of run {model.name}",
@@ -41,7 +41,7 @@ def usage_page(target: Target, model: ExportModel, rows: Sequence[ParityRow]) ->
 
 
 def table(rows: Sequence[ParityRow]) -> list[str]:
-    """The same for a terminal."""
+    """Comparison as lines for a terminal."""
     found = [f"{'target':16}{'difference':>12}{'us/sample':>12}{'bytes':>10}"]
     for row in rows:
         gap = "not run" if row.difference is None else f"{row.difference:.1e}"

@@ -1,4 +1,4 @@
-"""What the rules build programs with."""
+"""Building blocks of the lowering rules: values, steps and their errors."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ Values: TypeAlias = Sequence[Value]
 
 
 class CannotLowerError(Exception):
-    """What stands in the way, and what to do."""
+    """Model that cannot be lowered, with the obstacle and the remedy."""
 
 
 def number(build: Builder, value: Value) -> int:
-    """Number of a value, a constant among them."""
+    """Number of a value in a program; a constant is added to it."""
     return value if isinstance(value, int) else build.constant(value)
 
 
 class Step:
-    """What the rules build with."""
+    """One operation of a jaxpr under lowering, with the program that it is added to."""
 
     def __init__(self, build: Builder, equation: Any) -> None:
         self.build = build
@@ -40,7 +40,7 @@ class Step:
         return self.build.add(op, numbers, tuple(int(a) for a in attrs))
 
     def wise(self, op: str, *values: Value) -> int:
-        """Number by number; what is one number spread out stays one."""
+        """Apply an operation elementwise; a scalar that was broadcast stays a scalar."""
         narrow = [self.narrowed(v) for v in values]
         shapes = [self.shape_of(v) for v in narrow if self.shape_of(v)]
         wide = np.broadcast_shapes(*shapes)
@@ -48,7 +48,7 @@ class Step:
         return self.spread(found, np.broadcast_shapes(*(self.shape_of(v) for v in values)))
 
     def filling(self, value: Value, shape: Shape) -> Value:
-        """Of this shape, unless it is one number."""
+        """Broadcast a value to this shape, unless it is a scalar."""
         own = self.shape_of(value)
         if own in ((), shape):
             return value
@@ -91,7 +91,7 @@ Rule = Callable[[Step, Values], Values]
 
 
 def picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> int:
-    """Moves numbers as `move` moves those of an array."""
+    """Rearrange the numbers of a value as `move` rearranges those of an array."""
     shape = at.build.shape(value)
     places = np.asarray(move(np.arange(math.prod(shape)).reshape(shape)))
     attrs = (places.ndim, *places.shape, *places.reshape(-1))

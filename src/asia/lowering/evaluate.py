@@ -1,4 +1,4 @@
-"""Lowered programs computed by NumPy, operation by operation: what every printer is held to."""
+"""NumPy interpreter of lowered programs: the reference for every printer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from asia.lowering.program import LoweredModel, Node, Program
 
 
 def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
-    """What the program gives for these inputs."""
+    """Compute the outputs of a program for these inputs."""
     values: list[object] = [*(np.asarray(x, np.float64) for x in inputs), *program.constants]
     with np.errstate(all="ignore"):
         for node in program.nodes:
@@ -22,7 +22,17 @@ def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
 
 
 def simulate(model: LoweredModel, past_u: Array, past_y: Array, u: Array) -> Array:
-    """One case: past_u (n_past_u, nu), past_y (n_past_y, ny), u (H, nu) -> (H, ny)."""
+    """Simulate one case.
+
+    Args:
+        model: lowered model.
+        past_u: past inputs (n_past_u, nu).
+        past_y: past outputs (n_past_y, ny).
+        u: inputs (H, nu).
+
+    Returns:
+        Outputs (H, ny).
+    """
     states = evaluate(model.initial, [past_u, past_y, u[0]])
     result = np.empty((len(u), model.ny))
     for k, row in enumerate(u):
@@ -128,7 +138,8 @@ _COMPUTED: dict[str, Callable[..., Array]] = {
 
 
 def operations(program: Program) -> int:
-    """Numbers that the program computes, a loop's as often as it turns: a measure of its cost."""
+    """Count the numbers that the program computes, those of a loop once an iteration: a measure of
+    its cost."""
     shapes, total = program.shapes, 0
     for node in program.nodes:
         if node.op == "loop" and node.body is not None:

@@ -1,4 +1,4 @@
-"""Rules for primitives that move, sum and multiply arrays."""
+"""Lowering rules for primitives that move, sum and multiply arrays."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from asia.lowering.building import CannotLowerError, Rule, Step, Value, Values, 
 
 
 def reshape(at: Step, v: Values) -> Values:
-    """Also squeeze and expand_dims."""
+    """Lower `reshape`, `squeeze` and `expand_dims`."""
     return [at.add("reshape", v[0], attrs=at.shape)]
 
 
 def broadcast(at: Step, v: Values) -> Values:
-    """Along axes of the result."""
+    """Lower `broadcast_in_dim`: the operand lies along given axes of the result."""
     axes, shape = at.params["broadcast_dimensions"], at.params["shape"]
     if math.prod(at.shape_of(v[0])) == math.prod(shape):
         return [at.add("reshape", v[0], attrs=shape)]
@@ -25,12 +25,12 @@ def broadcast(at: Step, v: Values) -> Values:
 
 
 def transpose(at: Step, v: Values) -> Values:
-    """Of the axes."""
+    """Lower `transpose`."""
     return [transposed(at, v[0], at.params["permutation"])]
 
 
 def transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
-    """A value with its axes in another order."""
+    """Permute the axes of a value."""
     if list(axes) == sorted(axes):
         return value
     if not isinstance(value, int):
@@ -43,34 +43,34 @@ def transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
 
 
 def reshaped(at: Step, value: Value, shape: Sequence[int]) -> Value:
-    """A value of another shape."""
+    """Reshape a value."""
     if not isinstance(value, int):
         return np.reshape(value, shape)
     return at.add("reshape", value, attrs=shape)
 
 
 def sliced(at: Step, v: Values) -> Values:
-    """A part."""
+    """Lower `slice`."""
     starts, ends = at.params["start_indices"], at.params["limit_indices"]
     steps = at.params["strides"] or (1,) * len(starts)
     return [at.add("slice", v[0], attrs=(*starts, *ends, *steps))]
 
 
 def dynamic_slice(at: Step, v: Values) -> Values:
-    """A part that begins at a constant place."""
+    """Lower `dynamic_slice` with constant start indices."""
     if any(isinstance(i, int) for i in v[1:]):
         raise CannotLowerError(
             "cannot be exported: dynamic_slice at a place that is computed; shift a buffer instead"
         )
     sizes, shape = at.params["slice_sizes"], at.shape_of(v[0])
-    asked = [int(np.asarray(i)) for i in v[1:]]
-    starts = [min(max(i, 0), n - m) for i, n, m in zip(asked, shape, sizes, strict=True)]
+    requested = [int(np.asarray(i)) for i in v[1:]]
+    starts = [min(max(i, 0), n - m) for i, n, m in zip(requested, shape, sizes, strict=True)]
     ends = [a + n for a, n in zip(starts, sizes, strict=True)]
     return [at.add("slice", v[0], attrs=(*starts, *ends, *(1 for _ in sizes)))]
 
 
 def gather(at: Step, v: Values) -> Values:
-    """Numbers at places that are constant: which ones, JAX says itself."""
+    """Lower `gather` with constant indices, which JAX itself evaluates."""
     if not isinstance(v[0], int) or isinstance(v[1], int):
         raise CannotLowerError(
             "cannot be exported: gather at places that are computed; use a sum over a one-hot row"
@@ -80,7 +80,7 @@ def gather(at: Step, v: Values) -> Values:
     equation = at.equation
 
     def move(places: NDArray[np.int64]) -> NDArray[np.int64]:
-        # A place that does not exist is filled, which shows as no number.
+        # Indices outside the array give the fill value, nan.
         with jax.ensure_compile_time_eval():
             operand = jax.numpy.asarray(places, np.float64)
             found = equation.primitive.bind(operand, jax.numpy.asarray(v[1]), **equation.params)
@@ -90,13 +90,13 @@ def gather(at: Step, v: Values) -> Values:
 
 
 def reverse(at: Step, v: Values) -> Values:
-    """Along axes."""
+    """Lower `rev`: flip along axes."""
     assert isinstance(v[0], int)
     return [picked(at, v[0], lambda x: np.flip(x, at.params["dimensions"]))]
 
 
 def concat(at: Step, v: Values) -> Values:
-    """One behind the other."""
+    """Lower `concatenate`."""
     axis = at.params["dimension"]
     full = [x for x in v if count(at, x)]
     if len(full) == 1:
@@ -105,7 +105,7 @@ def concat(at: Step, v: Values) -> Values:
 
 
 def stack(at: Step, v: Values) -> Values:
-    """Along a new axis."""
+    """Stack values along a new axis."""
     axis, shape = at.params["axis"], at.shape
     one = (*shape[:axis], 1, *shape[axis + 1 :])
     rows = [at.add("reshape", x, attrs=one) for x in v]
@@ -113,12 +113,12 @@ def stack(at: Step, v: Values) -> Values:
 
 
 def count(at: Step, value: Value) -> int:
-    """How many numbers it has."""
+    """Number of elements of a value."""
     return math.prod(at.shape_of(value))
 
 
 def split(at: Step, v: Values) -> Values:
-    """Into parts along an axis."""
+    """Lower `split` along an axis."""
     axis, shape, found, start = at.params["axis"], at.shape_of(v[0]), list[Value](), 0
     for size in at.params["sizes"]:
         starts = [start if a == axis else 0 for a in range(len(shape))]
@@ -129,7 +129,7 @@ def split(at: Step, v: Values) -> Values:
 
 
 def pad(at: Step, v: Values) -> Values:
-    """With a number around it."""
+    """Lower `pad` with a constant around the array."""
     counts = at.params["padding_config"]
     if any(inner for _, _, inner in counts):
         raise CannotLowerError("cannot be exported: pad between the numbers of an array")
@@ -145,7 +145,7 @@ def pad(at: Step, v: Values) -> Values:
 
 
 def reduce(op: str) -> Rule:
-    """Over axes."""
+    """Make the rule of a reduction over axes."""
 
     def rule(at: Step, v: Values) -> Values:
         axes, shape = at.params["axes"], at.shape_of(v[0])
@@ -157,7 +157,7 @@ def reduce(op: str) -> Rule:
 
 
 def dot(at: Step, v: Values) -> Values:
-    """Any product of arrays, as one of matrices."""
+    """Lower `dot_general` to a product of matrices."""
     (left_sum, right_sum), (left_batch, right_batch) = at.params["dimension_numbers"]
     shapes = [at.shape_of(x) for x in v]
     sides: list[Value] = []

@@ -1,7 +1,7 @@
-"""The operations of a lowered program, and the shapes they give.
+"""Operations of a lowered program, and the shapes of their results.
 
-Every value is an array of float64; truth is 1.0 and 0.0. The table is all there is: a program with
-another operation, or with shapes that do not follow from it, is refused.
+Every value is an array of float64; truth is 1.0 and 0.0. The table is complete: a program with
+another operation, or with inconsistent shapes, is refused.
 """
 
 from __future__ import annotations
@@ -18,39 +18,44 @@ _UNARY = (
 _BINARY = "add sub mul div max min pow atan2 lt le gt ge eq ne"
 _MOVES = "reshape broadcast transpose slice pick concat pad"
 UNARY = frozenset(_UNARY.split())
-"""Of one array, number by number."""
+"""Elementwise operations of one array."""
 BINARY = frozenset(_BINARY.split())
-"""Of two arrays of one shape, or of an array and a number."""
+"""Elementwise operations of two arrays of one shape, or of an array and a number."""
 REDUCTIONS = frozenset(("rsum", "rmax", "rmin", "rprod"))
 """Sum, greatest, least and product over the axes that the attributes name."""
 MOVES = frozenset(_MOVES.split())
-"""What only moves numbers."""
+"""Operations that only rearrange numbers."""
 OPERATIONS = (
     *sorted(UNARY | BINARY | REDUCTIONS | MOVES),
     *("select", "matmul", "loop", "part"),
 )
-"""All names; their order is that of the numbers in packed programs."""
+"""All operations; their order gives their numbers in packed programs."""
 
 LARGEST_RANK = 8
 LARGEST_SIZE = 1 << 26
 
 
 class ShapeError(ValueError):
-    """An operation that does not go with its operands."""
+    """Operation that does not fit its operands."""
 
 
 def shape_of(op: str, attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
-    """The shape of a result; raises ShapeError where operands and attributes do not go together.
-    `loop` and `part` are known by the program that holds them."""
+    """Shape of the result of an operation.
+
+    The program that holds `loop` and `part` gives their shapes.
+
+    Raises:
+        ShapeError: if operands and attributes do not fit together.
+    """
     found = _RULES[op](attrs, shapes)
     if len(found) > LARGEST_RANK or any(n < 0 for n in found) or math.prod(found) > LARGEST_SIZE:
         raise ShapeError(f"{op} gives shape {found}")
     return found
 
 
-def _demand(holds: bool, words: str) -> None:
+def _demand(holds: bool, message: str) -> None:
     if not holds:
-        raise ShapeError(words)
+        raise ShapeError(message)
 
 
 def _elementwise(count: int) -> Callable[[Attributes, Sequence[Shape]], Shape]:
@@ -113,7 +118,7 @@ def _slice(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
 
 
 def _pick(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
-    """attrs: rank of the result, its shape, for each number its place in the flattened operand."""
+    """attrs: rank of the result, its shape, and each number's index in the flattened operand."""
     size = math.prod(_one(shapes))
     wide, places = attrs[1 : 1 + attrs[0]], attrs[1 + attrs[0] :]
     _demand(len(places) == math.prod(wide), "takes a place a number")
@@ -133,8 +138,8 @@ def _concat(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
 
 
 def _pad(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
-    """attrs: numbers put before, and numbers put behind, for each axis; the second operand is what
-    is put there."""
+    """attrs: numbers put before, and numbers put behind, for each axis; the second operand is the
+    fill value."""
     _demand(len(shapes) == 2 and shapes[1] == (), "takes an array and a number")
     rank = len(shapes[0])
     _demand(len(attrs) == 2 * rank and min(attrs, default=0) >= 0, "takes two counts an axis")

@@ -1,4 +1,4 @@
-"""A lowered program: inputs, constants and operations in the order they are computed.
+"""Lowered program: inputs, constants and operations in the order they are computed.
 
 Values are numbered: first the inputs, then the constants, then one a node. A node `loop` repeats
 its body; its results are read by nodes `part`.
@@ -17,33 +17,33 @@ from asia.lowering.ops import Attributes, Shape, ShapeError, shape_of
 
 @dataclass(frozen=True)
 class Node:
-    """One operation."""
+    """One operation of a program."""
 
     op: str
-    """Its name, of `ops.OPERATIONS`."""
+    """Operation, one of `ops.OPERATIONS`."""
     operands: tuple[int, ...]
-    """Numbers of the values it reads."""
+    """Numbers of the values that the operation reads."""
     attrs: Attributes
-    """What it needs beside them. Of a loop: how often, how many values stay the same, how many are
-    carried from turn to turn; the operands that follow these are read row by row."""
+    """Constant attributes. Those of a loop are the number of iterations, of constant values and of
+    carried values; the operands that follow these are read row by row."""
     shape: Shape
-    """Of its result; () for a loop."""
+    """Shape of the result; () for a loop."""
     body: Program | None = None
-    """Of a loop: (same, carried, rows) -> (carried, results that are stacked)."""
+    """Body of a loop: (constant, carried, rows) -> (carried, results that are stacked)."""
 
 
 @dataclass(frozen=True)
 class Program:
-    """Arrays to arrays."""
+    """Function of arrays as a list of operations."""
 
     inputs: tuple[Shape, ...]
-    """Shapes of what it is given."""
+    """Shapes of the inputs."""
     constants: tuple[Array, ...]
-    """Numbers in it."""
+    """Constant arrays."""
     nodes: tuple[Node, ...]
     """Operations, each after those it reads."""
     outputs: tuple[int, ...]
-    """Numbers of the values it gives."""
+    """Numbers of the output values."""
 
     @property
     def first_node(self) -> int:
@@ -52,18 +52,19 @@ class Program:
 
     @property
     def shapes(self) -> list[Shape]:
-        """Of all values."""
+        """Shapes of all values."""
         constants = [c.shape for c in self.constants]
         return [*self.inputs, *constants, *(n.shape for n in self.nodes)]
 
     @property
     def output_shapes(self) -> tuple[Shape, ...]:
-        """Of what it gives."""
+        """Shapes of the outputs."""
         shapes = self.shapes
         return tuple(shapes[i] for i in self.outputs)
 
     def with_outputs(self, outputs: Sequence[int]) -> Program:
-        """The same inputs, other values given, without what these do not need."""
+        """Make a program of the same inputs with other outputs, without the nodes that they do not
+        need."""
         needed, nodes = set(outputs), list[int]()
         for place in range(len(self.nodes) - 1, -1, -1):
             if self.first_node + place in needed:
@@ -83,18 +84,18 @@ class Program:
 
 @dataclass(frozen=True)
 class LoweredModel:
-    """A fitted model that simulates one sample after the other."""
+    """Lowered model that simulates one sample after the other."""
 
     n_past_u: int
-    """Inputs in the past window."""
+    """Number of inputs in the past window."""
     n_past_y: int
-    """Outputs in the past window."""
+    """Number of outputs in the past window."""
     nu: int
-    """Inputs."""
+    """Number of inputs."""
     ny: int
-    """Outputs."""
+    """Number of outputs."""
     single: bool
-    """Whether the model itself computes in single precision."""
+    """The model itself computes in single precision."""
     initial: Program
     """past_u (n_past_u, nu), past_y (n_past_y, ny), first input (nu,) -> states."""
     step: Program
@@ -107,16 +108,20 @@ class LoweredModel:
 
     @property
     def output(self) -> Program:
-        """States and input -> output."""
+        """Program from states and input to the output."""
         return self.step.with_outputs(self.step.outputs[:1])
 
     @property
     def update(self) -> Program:
-        """States and input -> states at the next sample."""
+        """Program from states and input to the states at the next sample."""
         return self.step.with_outputs(self.step.outputs[1:])
 
     def check(self) -> None:
-        """Raises ShapeError where the parts do not fit together."""
+        """Check that the parts fit together.
+
+        Raises:
+            ShapeError: if they do not.
+        """
         window = ((self.n_past_u, self.nu), (self.n_past_y, self.ny), (self.nu,))
         if self.initial.inputs != window or self.step.inputs[-1:] != ((self.nu,),):
             raise ShapeError("programs read other signals than the model has")
@@ -128,14 +133,14 @@ class LoweredModel:
 
 @dataclass
 class Builder:
-    """Makes a program; what is computed twice is kept once."""
+    """Builder of a program that keeps equal values once."""
 
     inputs: tuple[Shape, ...]
     _values: list[Array | Node] = field(default_factory=list[Array | Node])
     _known: dict[object, int] = field(default_factory=dict[object, int])
 
     def constant(self, value: object) -> int:
-        """Number of a constant."""
+        """Add a constant and return its number."""
         array = np.array(value, np.float64, order="C")
         if np.isnan(array).any():
             raise ShapeError("a constant is no number")
@@ -144,7 +149,11 @@ class Builder:
     def add(
         self, op: str, operands: Sequence[int], attrs: Attributes = (), body: Program | None = None
     ) -> int:
-        """Number of the result of an operation. Raises ShapeError."""
+        """Add an operation and return the number of its result.
+
+        Raises:
+            ShapeError: if operands and attributes do not fit together.
+        """
         shapes = [self.shape(i) for i in operands]
         if op == "loop":
             check_loop(attrs, shapes, body)
@@ -165,7 +174,7 @@ class Builder:
     def _without_effect(
         self, op: str, operands: Sequence[int], attrs: Attributes, shape: Shape
     ) -> int | None:
-        """The operand that is the result already; None where something is computed."""
+        """Operand that already equals the result; None if something is computed."""
         if op in ("reshape", "broadcast") and shape == self.shape(operands[0]):
             return operands[0]
         if op == "concat" and len(operands) == 1:
@@ -184,23 +193,24 @@ class Builder:
         return None
 
     def shape(self, value: int) -> Shape:
-        """Of a value."""
+        """Shape of a value."""
         if value < len(self.inputs):
             return self.inputs[value]
         return self._values[value - len(self.inputs)].shape
 
     def node(self, value: int) -> Node | None:
-        """What computes a value; None for an input or a constant."""
+        """Node that computes a value; None for an input or a constant."""
         found = self._values[value - len(self.inputs)] if value >= len(self.inputs) else None
         return found if isinstance(found, Node) else None
 
     def known(self, value: int) -> Array | None:
-        """A constant's numbers."""
+        """Array of a constant; None for other values."""
         found = self._values[value - len(self.inputs)] if value >= len(self.inputs) else None
         return None if isinstance(found, Node) else found
 
     def program(self, outputs: Sequence[int]) -> Program:
-        """What was built, constants before nodes, without what the outputs do not need."""
+        """Finish the program: constants before nodes, without the nodes that the outputs do not
+        need."""
         first, needed = len(self.inputs), set(outputs)
         for i in range(len(self._values) - 1, -1, -1):
             value = self._values[i]
@@ -228,7 +238,8 @@ class Builder:
         return self._known[key]
 
 
-# By operation, for each operand the number that the other one has where it is the result.
+# Neutral elements of the operations: for each operand, the value of the other one with which the
+# result equals the operand.
 _NEUTRAL = {
     "add": {0: 0.0, 1: 0.0},
     "sub": {0: 0.0},
@@ -238,13 +249,17 @@ _NEUTRAL = {
 
 
 def check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:
-    """Raises ShapeError unless the body goes with the operands."""
+    """Check that the body of a loop fits its operands.
+
+    Raises:
+        ShapeError: if it does not.
+    """
     if body is None or len(attrs) != 3 or min(attrs) < 0:
         raise ShapeError("a loop takes a body and three counts")
     length, same, carried = attrs
     whole, rows = list(shapes[: same + carried]), shapes[same + carried :]
     if any(len(s) == 0 or s[0] != length for s in rows) or len(whole) != same + carried:
-        raise ShapeError(f"a loop of {length} turns reads rows of {tuple(rows)}")
+        raise ShapeError(f"a loop of {length} iterations reads rows of {tuple(rows)}")
     if list(body.inputs) != whole + [s[1:] for s in rows]:
         raise ShapeError("the body of a loop reads other shapes")
     if list(body.output_shapes[:carried]) != whole[same:]:
@@ -252,7 +267,11 @@ def check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None)
 
 
 def part_shape(attrs: Attributes, operands: Sequence[object]) -> Shape:
-    """Shape of a result of a loop. Raises ShapeError."""
+    """Shape of one result of a loop.
+
+    Raises:
+        ShapeError: if the loop has no such result.
+    """
     loop = operands[0] if len(operands) == 1 else None
     if not isinstance(loop, Node) or loop.body is None or len(attrs) != 1:
         raise ShapeError("a part belongs to a loop")

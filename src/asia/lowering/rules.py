@@ -1,5 +1,8 @@
-"""One rule a JAX primitive. What depends on constants alone is computed here, by JAX itself, so
-that rules are needed only for what the signals pass through."""
+"""Lowering rules, one a JAX primitive.
+
+JAX itself computes the values that depend on constants only, so that only primitives which signals
+pass through need a rule.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from asia.lowering.program import Builder
 
 
 def in_single_precision(jaxpr: Any) -> bool:
-    """Whether anything in it is computed in float32."""
+    """Return whether any part of a jaxpr is computed in float32."""
     for equation in jaxpr.eqns:
         if any(getattr(v.aval, "dtype", None) == np.float32 for v in equation.outvars):
             return True
@@ -36,13 +39,13 @@ def _inner(params: dict[str, Any]) -> list[Any]:
 
 
 class Lowering:
-    """Adds the operations of a jaxpr to a program."""
+    """Translation of a jaxpr into operations of a program."""
 
     def __init__(self, build: Builder) -> None:
         self.build = build
 
     def run(self, jaxpr: Any, consts: Sequence[Any], given: Values) -> Values:
-        """Values of its outputs for those of its inputs."""
+        """Compute the values of the jaxpr's outputs from those of its inputs."""
         env: dict[Any, Value] = {}
         env.update(zip(jaxpr.constvars, (np.asarray(c) for c in consts), strict=True))
         env.update(zip(jaxpr.invars, given, strict=True))
@@ -136,7 +139,7 @@ def _computed(equation: Any, values: Values) -> Values:
             jax.numpy.asarray(x, v.aval.dtype) for x, v in zip(values, equation.invars, strict=True)
         ]
         primitive = equation.primitive
-        # Of functions inside, apart in JAX before 0.8.
+        # Parameters of inner functions, separate in JAX before 0.8.
         bound = primitive.get_bind_params(equation.params)
         inside, params = bound if isinstance(bound, tuple) else ((), bound)
         found = primitive.bind(*inside, *arrays, **params)

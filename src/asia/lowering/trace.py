@@ -1,6 +1,6 @@
-"""From the functions of a fitted model to a lowered one, by the programs that JAX traces of them.
+"""Trace a fitted model with JAX and lower it to programs.
 
-It runs where the candidate runs: what comes out is bytes, which `wire` reads again in the parent.
+Tracing runs where the candidate runs; the result is bytes, which `wire` reads in the parent.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from asia.lowering.program import Builder, LoweredModel, Program
 
 
 def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
-    """The model as `wire.pack` gives it, or the reason why it cannot be lowered."""
+    """Lower a model; return it packed by `wire.pack`, or the reason why it cannot be lowered."""
     import jax
 
-    # Before the model makes arrays of its numbers.
+    # Set before the model makes arrays of its numbers.
     jax.config.update("jax_enable_x64", True)
     if not all(callable(getattr(model, name, None)) for name in ("initial", "step")):
         return wire.pack_refusal(
@@ -39,8 +39,11 @@ def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int)
 
 
 def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> LoweredModel:
-    """Programs for one case of an `asia.candidate.StepModel`; jax_enable_x64 must be on. Raises
-    CannotLowerError, which names what is in the way."""
+    """Lower an `asia.candidate.StepModel` to programs for one case; jax_enable_x64 must be on.
+
+    Raises:
+        CannotLowerError: with the obstacle.
+    """
     import jax
 
     def begin(*signals: Any) -> Any:
@@ -49,7 +52,7 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
     window = [_like((n_past_u, nu)), _like((n_past_y, ny)), _like((nu,))]
     start, state = _traced(begin, window)
     leaves, tree = jax.tree.flatten(state)
-    # Arrays of no numbers are no states.
+    # Empty arrays are no states.
     kept = [i for i, leaf in enumerate(leaves) if leaf.size]
 
     def step(*signals: Any) -> Any:
@@ -70,7 +73,7 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
 
 
 def _row(batch: Any) -> Any:
-    """The only row of a batch."""
+    """Only row of a batch."""
     import jax
 
     batch = jax.numpy.asarray(batch)

@@ -1,8 +1,8 @@
-"""A lowered model as bytes of our own layout, which the parent reads strictly.
+"""Binary format of a lowered model, which the parent reads strictly.
 
 All numbers are little-endian. A program is its inputs, constants, nodes and outputs, in this order;
-a shape is a count and its numbers. Nothing is skipped and nothing may follow: whatever does not
-check is refused before a printer sees it.
+a shape is a count and its numbers. Nothing is skipped and nothing may follow: the reader refuses
+whatever does not check before a printer sees it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,11 @@ class FormatError(ValueError):
 
 
 def pack(model: LoweredModel) -> bytes:
-    """As bytes. Raises ShapeError where the parts do not fit together."""
+    """Pack a lowered model as bytes.
+
+    Raises:
+        ShapeError: if its parts do not fit together.
+    """
     model.check()
     out = [MAGIC, _HEAD.pack(model.n_past_u, model.n_past_y, model.nu, model.ny, model.single)]
     for program in (model.initial, model.step):
@@ -41,13 +45,17 @@ def pack(model: LoweredModel) -> bytes:
     return b"".join(out)
 
 
-def pack_refusal(words: str) -> bytes:
-    """Why there is no lowered model."""
-    return REFUSED + words.encode("ascii", "replace")[:REFUSAL_BYTES]
+def pack_refusal(reason: str) -> bytes:
+    """Pack the reason why there is no lowered model."""
+    return REFUSED + reason.encode("ascii", "replace")[:REFUSAL_BYTES]
 
 
 def unpack(data: bytes) -> LoweredModel | str:
-    """The model, or why there is none. Raises FormatError."""
+    """Read a lowered model, or the reason why there is none.
+
+    Raises:
+        FormatError: if the bytes are neither.
+    """
     if data.startswith(REFUSED):
         text = data[len(REFUSED) : len(REFUSED) + REFUSAL_BYTES].decode("ascii", "replace")
         return _NO_TEXT.sub("_", text)
@@ -69,8 +77,11 @@ def unpack(data: bytes) -> LoweredModel | str:
 
 
 def unpack_for(data: bytes, sizes: tuple[int, int, int, int]) -> LoweredModel | str:
-    """`unpack`, for a model of these n_past_u, n_past_y, nu, ny. Raises FormatError also for
-    one of others."""
+    """Read a lowered model of given n_past_u, n_past_y, nu, ny, or the reason why there is none.
+
+    Raises:
+        FormatError: if the bytes are neither, or the sizes differ.
+    """
     found = unpack(data)
     if isinstance(found, str) or (found.n_past_u, found.n_past_y, found.nu, found.ny) == sizes:
         return found

@@ -1,4 +1,4 @@
-"""One arithmetic for two libraries: a model's step is written once, training runs it in JAX and
+"""Array functions for NumPy and JAX. A model's step is written once; training runs it in JAX and
 simulation in NumPy, which needs no compiler and no import of JAX.
 
     xp = namespace(x)
@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 AnyArray: TypeAlias = Any
-"""A NumPy array in simulation, a JAX array in training."""
+"""NumPy array in simulation, JAX array in training."""
 
 _PLAIN = (np.ndarray, np.generic, float, int)
 
 
 def namespace(*arrays: AnyArray) -> ModuleType:
-    """numpy where all are NumPy arrays or numbers, else jax.numpy."""
+    """Return numpy where all arguments are NumPy arrays or numbers, else jax.numpy."""
     for array in arrays:
         if not isinstance(array, _PLAIN):
             import jax.numpy
@@ -32,7 +32,7 @@ def namespace(*arrays: AnyArray) -> ModuleType:
 
 
 def sigmoid(x: AnyArray) -> AnyArray:
-    """1 / (1 + exp(-x)), without overflow."""
+    """Compute 1 / (1 + exp(-x)) without overflow."""
     if namespace(x) is not np:
         import jax
 
@@ -41,12 +41,12 @@ def sigmoid(x: AnyArray) -> AnyArray:
 
 
 def softplus(x: AnyArray) -> AnyArray:
-    """log(1 + exp(x))."""
+    """Compute log(1 + exp(x))."""
     return namespace(x).logaddexp(x, 0.0)
 
 
 def relu(x: AnyArray) -> AnyArray:
-    """max(x, 0), with derivative 0 at 0."""
+    """Compute max(x, 0), with derivative 0 at 0."""
     return namespace(x).where(x > 0, x, 0)
 
 
@@ -56,11 +56,11 @@ def gelu(x: AnyArray) -> AnyArray:
 
 
 def softmax(x: AnyArray) -> AnyArray:
-    """Over the last axis."""
+    """Compute the softmax over the last axis."""
     if namespace(x) is not np:
         import jax
 
-        # Its derivative leaves out the maximum, which cancels.
+        # The derivative in JAX omits that of the maximum, which cancels.
         return jax.nn.softmax(x, axis=-1)
     raised = x - x.max(axis=-1, keepdims=True)
     np.exp(raised, out=raised)
@@ -69,13 +69,13 @@ def softmax(x: AnyArray) -> AnyArray:
 
 
 def bounded(x: AnyArray, low: AnyArray, high: AnyArray) -> AnyArray:
-    """x within low and high."""
+    """Clip x to low and high."""
     xp = namespace(x)
     return xp.minimum(xp.maximum(x, low), high)
 
 
 def split(x: AnyArray, parts: int) -> list[AnyArray]:
-    """Equal parts of the last axis; in NumPy without the cost of `numpy.split`."""
+    """Split the last axis into equal parts; in NumPy without the cost of `numpy.split`."""
     xp = namespace(x)
     if xp is not np:
         return xp.split(x, parts, axis=-1)
@@ -84,17 +84,18 @@ def split(x: AnyArray, parts: int) -> list[AnyArray]:
 
 
 def gates(x: AnyArray, parts: int) -> list[AnyArray]:
-    """Equal parts of the last axis: the sigmoids of all but the last, and the last as it is."""
+    """Split the last axis into equal parts: the sigmoids of all but the last, and the last
+    unchanged."""
     if namespace(x) is np:
         wide = x.shape[-1] // parts * (parts - 1)
         return [*split(sigmoid(x[..., :wide]), parts - 1), x[..., wide:]]
-    # One operation for each part: the gradient of a wide one takes half as long again.
+    # One operation a part: the gradient of a joint operation takes 1.5 times as long.
     *found, last = split(x, parts)
     return [*(sigmoid(part) for part in found), last]
 
 
 def complex_number(real: AnyArray, imaginary: AnyArray) -> AnyArray:
-    """real + i imaginary, of twice the size of its parts."""
+    """Compute real + i imaginary, of twice the size of its parts."""
     if namespace(real, imaginary) is not np:
         import jax
 
@@ -103,7 +104,7 @@ def complex_number(real: AnyArray, imaginary: AnyArray) -> AnyArray:
 
 
 def rows(values: Sequence[AnyArray], like: AnyArray) -> AnyArray:
-    """Values that broadcast to like[0], stacked: (len(values), *like.shape[1:]) in its dtype."""
+    """Stack values that broadcast to like[0]: (len(values), *like.shape[1:]) in its dtype."""
     shape = (len(values), *like.shape[1:])
     if isinstance(like, np.ndarray):
         # Much faster than np.stack where the rows are short.
@@ -119,7 +120,7 @@ def rows(values: Sequence[AnyArray], like: AnyArray) -> AnyArray:
 
 
 def repeated(step: Callable[[AnyArray], AnyArray], times: int, state: AnyArray) -> AnyArray:
-    """The state after so many steps."""
+    """Apply a step so many times."""
     if times > 1 and not isinstance(state, np.ndarray):
         import jax
 
@@ -132,8 +133,11 @@ def repeated(step: Callable[[AnyArray], AnyArray], times: int, state: AnyArray) 
 def scan(
     step: Callable[[Any, AnyArray], tuple[Any, AnyArray]], state: Any, inputs: AnyArray
 ) -> tuple[Any, AnyArray]:
-    """The last state, and the results (T, ...) of `step(state, inputs[k])` -> state, result: an
-    array, or a tuple of arrays."""
+    """Apply `step(state, inputs[k])` -> state, result to all inputs.
+
+    Returns:
+        The last state, and the results (T, ...): an array, or a tuple of arrays.
+    """
     if namespace(inputs) is not np:
         import jax
 
@@ -153,7 +157,7 @@ def scan(
 
 
 def tree_size(tree: Any) -> int:
-    """Numbers in a tree of mappings, sequences and arrays."""
+    """Count the numbers in a tree of mappings, sequences and arrays."""
     if isinstance(tree, Mapping):
         tree = list(cast("Mapping[str, Any]", tree).values())
     if isinstance(tree, Sequence):
@@ -162,24 +166,26 @@ def tree_size(tree: Any) -> int:
 
 
 class Packing(NamedTuple):
-    """How a tree of arrays lies in one vector; hashable. An update is then one operation, whatever
-    the number of arrays, and a program compiles faster."""
+    """Layout of a tree of arrays in one vector; hashable.
+
+    An update is then one operation, whatever the number of arrays, and a program compiles faster.
+    """
 
     treedef: Any
-    """Names and nesting."""
+    """Names and nesting of the tree."""
     shapes: tuple[tuple[int, ...], ...]
-    """Of the leaves."""
+    """Shapes of the leaves."""
 
     @classmethod
     def of(cls, tree: Any) -> Packing:
-        """That of a tree of arrays."""
+        """Layout of a tree of arrays."""
         import jax
 
         leaves, treedef = jax.tree.flatten(tree)
         return cls(treedef, tuple(np.shape(leaf) for leaf in leaves))
 
     def unpack(self, vector: AnyArray) -> Any:
-        """The tree that lies in it, of NumPy or JAX arrays."""
+        """Unpack a vector to the tree, of NumPy or JAX arrays."""
         import jax
 
         ends = np.cumsum([int(np.prod(shape)) for shape in self.shapes]).tolist()
@@ -189,7 +195,7 @@ class Packing(NamedTuple):
 
 
 def packed(tree: Any, dtype: DTypeLike) -> Any:
-    """The tree as one NumPy vector."""
+    """Pack the tree into one NumPy vector."""
     import jax
 
     parts = [np.zeros(0), *(np.ravel(leaf) for leaf in jax.tree.leaves(tree))]

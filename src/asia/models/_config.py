@@ -8,32 +8,50 @@ from typing import TypeAlias
 from asia.errors import UserError
 
 Progress: TypeAlias = Callable[[float, float], None]
-"""Takes the number of steps or iterations done and the loss, as `Context.log` does."""
+"""Function of the number of completed steps or iterations and the loss, as `Context.log`."""
 
 
 def demand(settings: object, name: str, holds: bool, expected: str) -> None:
-    """Raises UserError, which says what `name` is and what was expected, unless it holds."""
+    """Check a condition on a setting.
+
+    Args:
+        settings: settings.
+        name: name of the setting.
+        holds: the condition.
+        expected: expected value, for the message.
+
+    Raises:
+        UserError: if the condition does not hold, with the present value.
+    """
     if not holds:
         value = getattr(settings, name)
         raise UserError(f"{owner(settings)}: {name} is {value!r}, expected {expected}")
 
 
 def check_at_least(low: int, settings: object, *names: str) -> None:
-    """Raises UserError where a setting is less than `low`; None, which leaves one open, passes."""
+    """Check that settings are not less than `low`; None, which leaves one open, passes.
+
+    Raises:
+        UserError: if one is less.
+    """
     for name in names:
         value = getattr(settings, name)
         demand(settings, name, value is None or value >= low, f"at least {low}")
 
 
 def check_choice(settings: object, name: str, known: Sequence[object]) -> None:
-    """Raises UserError where a setting is none of those known."""
-    words = [str(value) for value in known]
-    expected = f"{', '.join(words[:-1])} or {words[-1]}"
+    """Check that a setting is one of the known values.
+
+    Raises:
+        UserError: if it is not.
+    """
+    values = [str(value) for value in known]
+    expected = f"{', '.join(values[:-1])} or {values[-1]}"
     demand(settings, name, getattr(settings, name) in known, expected)
 
 
 def owner(settings: object) -> str:
-    """What a message calls these settings: "koopman.Config", "Adam"."""
+    """Name of the settings in a message: "koopman.Config", "Adam"."""
     found = type(settings)
     if found.__name__ != "Config":
         return found.__name__

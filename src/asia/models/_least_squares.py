@@ -40,7 +40,7 @@ class LevenbergMarquardt:
     every iteration, in families that can (physics_net); without such a score, or elsewhere, the
     last ones are kept."""
     noise_model: NoiseKind = "white"
-    """What the residual of a simulation is taken for: "white", or "slow" for a slow disturbance
+    """Model of the residual of a simulation: "white", or "slow" for a slow disturbance
     (Ornstein-Uhlenbeck) plus white noise. The sizes of both are estimated from the residuals of the
     fit by least squares, and generalised least squares goes on from there, in turn until they
     settle. Changes how a model is trained, not how it simulates."""
@@ -60,7 +60,7 @@ class LevenbergMarquardt:
 
 @dataclass(frozen=True)
 class DampingSchedule:
-    """How the damping follows from the success of the steps."""
+    """Rule that changes the damping by the success of the steps."""
 
     factors: tuple[float, ...]
     """Dampings tried side by side, relative to the present one, in ascending order."""
@@ -73,20 +73,20 @@ class DampingSchedule:
     greatest: float
     """Damping beyond which a row stops."""
     retries: bool
-    """Whether larger dampings are tried on the same Jacobian until one lowers the cost."""
+    """Larger dampings are tried on the same Jacobian until one lowers the cost."""
 
 
 SIDE_BY_SIDE = DampingSchedule((0.1, 1.0, 10.0, 100.0), 0.3, 10.0, 1e-12, 1e12, retries=False)
-"""For many rows, and costs that one program computes together: one Jacobian nearly always yields a
-step."""
+"""Schedule for many rows, and costs that one program computes together: one Jacobian nearly
+always yields a step."""
 SEQUENTIAL = DampingSchedule((1.0,), 0.2, 8.0, 1e-9, 1e8, retries=True)
-"""For one row and costs much cheaper than a Jacobian."""
+"""Schedule for one row and costs much cheaper than a Jacobian."""
 TRIALS = len(SIDE_BY_SIDE.factors)
-"""Points of a row whose costs are asked for together by `SIDE_BY_SIDE`."""
+"""Number of points of a row whose costs `SIDE_BY_SIDE` evaluates together."""
 
 
 class NormalEquations(NamedTuple):
-    """Of residuals e and their Jacobian J, for R rows of n unknowns."""
+    """Normal equations of residuals e and their Jacobian J, for R rows of n unknowns."""
 
     cost: AnyArray
     """e' e (R,)."""
@@ -97,7 +97,7 @@ class NormalEquations(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """What was found, one row each."""
+    """Result of a minimisation, one row a start."""
 
     theta: Array
     """Minimisers (R, n)."""
@@ -114,7 +114,7 @@ Linearise: TypeAlias = Callable[[Any], NormalEquations]
 
 
 class _RowStates(NamedTuple):
-    """Where the rows stand between two iterations."""
+    """State of the rows between two iterations."""
 
     theta: AnyArray
     """(R, n)."""
@@ -123,7 +123,7 @@ class _RowStates(NamedTuple):
     slow: AnyArray
     """Iterations in a row that gained too little (R,)."""
     done: AnyArray
-    """Whether a row has stopped (R,)."""
+    """Rows that have stopped (R,)."""
 
 
 def minimise(
@@ -140,9 +140,17 @@ def minimise(
 
     A step that does not lower a row's cost, or leads to values that are not finite, is refused: no
     cost ever rises. A row stops when its cost fell by less than `method.tolerance` in `patience`
-    iterations in a row, when its damping has grown beyond the schedule, or at zero.
-    `linearise` is called once an iteration, at points whose cost is known.
-    `after(theta, cost)` is called after each iteration. `method.starts` is the caller's affair.
+    iterations in a row, when its damping has grown beyond the schedule, or at zero. `method.starts`
+    is left to the caller.
+
+    Args:
+        cost: sums of squares at points.
+        linearise: normal equations, called once an iteration, at points whose cost is known.
+        theta0: starting points (R, n).
+        method: settings.
+        schedule: rule for the damping.
+        patience: iterations in a row with little gain before a row stops.
+        after: called as after(theta, cost) after each iteration.
     """
     theta = np.array(theta0, dtype=np.float64)
     rows = len(theta)
@@ -172,8 +180,10 @@ def traced_minimum(
     method: LevenbergMarquardt,
     schedule: DampingSchedule = SIDE_BY_SIDE,
 ) -> AnyArray:
-    """`minimise` of JAX arrays, by the operations that a lowered program has: all iterations run,
-    without retries, and a row that has stopped stays."""
+    """Minimise JAX arrays by the operations that a lowered program has.
+
+    All iterations of `minimise` run, without retries, and a row that has stopped stays.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -195,12 +205,13 @@ def _iterate(
     tolerance: float,
     patience: int,
 ) -> tuple[_RowStates, AnyArray, AnyArray]:
-    """One Jacobian, with the costs before and after it; NumPy or JAX."""
+    """Run one iteration with one Jacobian; return the costs before and after it too. NumPy or
+    JAX."""
     theta, damping, slow, done = search
     xp, n, seeking = namespace(theta), theta.shape[1], ~done
     at = linearise(theta)
     before = reached = _finite(at.cost)
-    # A row whose errors are not finite gets steps that are not, which are refused.
+    # Errors that are not finite give steps that are not finite, which are refused.
     with np.errstate(all="ignore"):
         scale = xp.sqrt(xp.diagonal(at.gram, axis1=1, axis2=2))
         scale = xp.where(scale > 0, scale, 1.0)
@@ -236,7 +247,7 @@ def _iterate(
 
 
 def _finite(costs: AnyArray) -> AnyArray:
-    """Infinity for what is not a number."""
+    """Replace costs that are no number by infinity."""
     xp = namespace(costs)
     return xp.where(xp.isfinite(costs), costs, np.inf)
 
@@ -250,9 +261,11 @@ def damped_step(gram: Array, gradient: Array, damping: float) -> Array:
 
 
 def solve(matrix: AnyArray, right: AnyArray) -> AnyArray:
-    """x (..., n) with matrix x = right, for symmetric positive definite matrices (..., n, n) and
-    right (..., n). In JAX by Cholesky's decomposition written out, which every export target can
-    compute."""
+    """Solve matrix x = right for symmetric positive definite matrices (..., n, n) and right (...,
+    n).
+
+    In JAX Cholesky's decomposition is written out, so that every export target can compute it.
+    """
     if namespace(matrix) is np:
         wide = np.broadcast_to(right, matrix.shape[:-1])
         return np.linalg.solve(matrix, wide[..., None])[..., 0]

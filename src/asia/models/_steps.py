@@ -1,4 +1,4 @@
-"""Parts of the steps of several families, batch first, for NumPy and JAX arrays alike."""
+"""Common parts of the steps of several families, batch first, for NumPy and JAX arrays alike."""
 
 from __future__ import annotations
 
@@ -10,16 +10,23 @@ from asia.models._arrays import AnyArray, namespace
 
 
 def first_of_line(past: AnyArray, u: AnyArray, delay: int) -> AnyArray:
-    """The last `delay` inputs (B, delay, nu) before the first sample, the oldest first, from past
-    (B, n_past_u, nu) and the first input u (B, nu): before the first known one it is held
-    backwards, as in `asia.models._data.records.delayed`."""
+    """Last `delay` inputs (B, delay, nu) before the first sample, the oldest first.
+
+    Before the first known input it is held backwards, as in `asia.models._data.records.delayed`.
+
+    Args:
+        past: past inputs (B, n_past_u, nu).
+        u: first input (B, nu).
+        delay: in samples.
+    """
     known = namespace(past, u).concatenate([past, u[:, None]], axis=1)
     length = past.shape[1]
     return known[:, np.maximum(np.arange(length - delay, length), 0)]
 
 
 def through_line(line: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """The line (B, delay, nu) after an input u (B, nu), and the input (B, nu) that acts now."""
+    """Advance the delay line (B, delay, nu) by an input u (B, nu); return the input (B, nu) that
+    acts now too."""
     known = namespace(line, u).concatenate([line, u[:, None]], axis=1)
     return known[:, 1:], known[:, 0]
 
@@ -30,7 +37,7 @@ def mean(values: Sequence[AnyArray]) -> AnyArray:
 
 
 def median(values: Sequence[AnyArray]) -> AnyArray:
-    """Median of arrays of one shape, number by number, without sorting, which no target has."""
+    """Median of arrays of one shape, elementwise, without sorting, which no target has."""
     xp, ranked = namespace(*values), list(values)
     for last in range(len(ranked) - 1, 0, -1):
         for i in range(last):

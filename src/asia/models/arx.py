@@ -36,7 +36,7 @@ from asia.models._one_step.free_model import (
 from asia.models._one_step.polynomial import PolynomialRun, refine, refinement_samples
 from asia.models.methods import LeastSquares
 
-# An unstable model is held within so many times the width of the training range.
+# Limit on the output of an unstable model, in widths of the training range.
 _MARGIN = 10.0
 _START_RIDGE = 1e-7
 
@@ -46,7 +46,7 @@ class Config:
     """Lags of the equation, and the error that its coefficients minimise."""
 
     na: int | None = None
-    """Lagged outputs; None chooses among 1..max_order by the simulation error on stretches left out
+    """Lagged outputs; None chooses among 1..max_order by the simulation error on segments left out
     of the training data."""
     nb: int | None = None
     """Lagged inputs, chosen alike."""
@@ -67,7 +67,7 @@ class Config:
 
 
 def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return FreeRunModel(config)
 
@@ -78,9 +78,13 @@ def train(
     context: Context,
     method: LeastSquares | LevenbergMarquardt,
 ) -> FreeRunModel[Config]:
-    """Least squares for "arx" (Levenberg-Marquardt would take the same single step), then
-    Levenberg-Marquardt on the simulation error for "oe". Raises UserError for records too short or
-    mis-shaped and for "oe" without Levenberg-Marquardt."""
+    """Fit by least squares for "arx", then by Levenberg-Marquardt on the simulation error for "oe".
+
+    For "arx" Levenberg-Marquardt would take the same single step.
+
+    Raises:
+        UserError: for records too short or mis-shaped and for "oe" without Levenberg-Marquardt.
+    """
     c = model.config
     if c.structure == "oe" and isinstance(method, LeastSquares):
         raise UserError(
@@ -138,7 +142,8 @@ def _output_error(
 
 
 def _own_history(records: ScaledData, context: Context, run: PolynomialRun) -> History:
-    """Past window -> lagged outputs of the model itself, simulated through its records."""
+    """Regression of the model's own lagged outputs, simulated through its records, on the past
+    window."""
     past = past_length(context)
     outputs: list[Array] = []
     for r in records:

@@ -47,7 +47,7 @@ class Config:
     """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
     def __post_init__(self) -> None:
-        # The inner network checks the rest.
+        # The inner network checks the other settings.
         _ = self.inner
         check_features(self)
 
@@ -68,9 +68,9 @@ class AutoregressiveCell(Driven[Config]):
     `asia.models._networks.structure`."""
 
     ny: int
-    """Outputs."""
+    """Number of outputs."""
     measured: bool
-    """Whether the past window shows the last of them."""
+    """The past window shows the last measured outputs."""
 
     @classmethod
     def of(cls, config: Config, context: Context) -> AutoregressiveCell:
@@ -86,7 +86,7 @@ class AutoregressiveCell(Driven[Config]):
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`: the output is held."""
         c = self.config
-        # Seen from inside, the inputs include y[k-1] and the past window is one sample.
+        # The inputs of the inner network include y[k-1], and its past window is one sample.
         inputs = drive_size(c.features, context.nu) + context.ny
         inner = replace(
             context,
@@ -105,7 +105,7 @@ class AutoregressiveCell(Driven[Config]):
         }
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
-        """The size of the increments comes from the records."""
+        """Take the size of the increments from the records."""
         del trajectories, context
         return _with_increments
 
@@ -118,7 +118,7 @@ class AutoregressiveCell(Driven[Config]):
     def step(
         self, params: Any, state: FeedbackState, u: AnyArray
     ) -> tuple[FeedbackState, AnyArray]:
-        """What the output is read from is the output."""
+        """Advance by one sample; the features are the output."""
         inner, y = state
         drive = namespace(u, y).concatenate([self.drive(u), y], axis=-1)
         inner, h = self.inner.step(params["net"], inner, drive)
@@ -126,25 +126,25 @@ class AutoregressiveCell(Driven[Config]):
         return (inner, y), y
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """The features."""
+        """Return the features."""
         del params, u
         return features
 
     def feed(self, params: Any, state: FeedbackState, y: AnyArray, mask: AnyArray) -> FeedbackState:
-        """The state with its output replaced where the mask is 1."""
+        """Replace the output in the state where the mask is 1."""
         del params
         inner, own = state
         return inner, mask * y + (1 - mask) * own
 
 
-# Asked for at every sample of a simulation.
+# Called at every sample of a simulation.
 @cache
 def _inner_cell(config: Config) -> recurrent.RecurrentCell:
     return recurrent.RecurrentCell(config.inner)
 
 
 def increment_sizes(records: ScaledData) -> Array:
-    """Root mean square (ny,) of the outputs' increments, 1 where they stand still."""
+    """Root mean square (ny,) of the outputs' increments, 1 for constant outputs."""
     steps = np.concatenate([np.diff(r.y, axis=0) for r in records])
     size = np.sqrt((steps**2).mean(axis=0))
     return np.where(size > 0, size, 1.0)

@@ -37,9 +37,9 @@ _PLACES: dict[str, Nonlinearity] = {
     "wiener": "output",
     "hammerstein_wiener": "both",
 }
-# Windows of a problem with a horizon that are fitted; each has an initial state of its own.
+# Greatest number of windows for a problem with a horizon; each has its own initial state.
 _WINDOWS = 40
-# Of the initial states of the two filters.
+# Ridge of the initial states of the two filters.
 _INITIAL_RIDGE = 1e-8
 
 
@@ -62,15 +62,16 @@ class Config:
     """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
     weights from their start."""
     linear_ridge: float = 1e-7
-    """The same for the linear systems."""
+    """Weight of the squared distance of the linear systems from their start."""
     encoder: int = 30
     """Units of the tanh layer of the map from the past window to the initial state."""
     delay: int | None = 0
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
     searched: bool = False
-    """For "wiener_hammerstein" with one input and output: whether order, delay and the shares of
-    poles and zeros are searched by many short fits of two filters and `hidden` units on a fixed
-    grid, which takes little time for each sample. With other structures, more inputs or outputs, or
+    """Search order, delay and the shares of poles and zeros by many short fits of two filters and
+    `hidden` units on a fixed grid, which takes little time for each sample. It applies to
+    "wiener_hammerstein" with one input and output; with other structures, more inputs or outputs,
+    or
     polynomials it changes nothing."""
 
     def __post_init__(self) -> None:
@@ -78,7 +79,7 @@ class Config:
         self.state_space()
 
     def state_space(self) -> neural_ss.Config:
-        """The same settings for the neural state-space family."""
+        """Convert the settings to those of the neural state-space family."""
         return neural_ss.Config(
             self.order,
             _PLACES.get(self.structure, "state"),
@@ -95,13 +96,13 @@ class Config:
 
 @dataclass(frozen=True)
 class BlockOriented(NeuralStateSpace):
-    """Simulated as a neural state-space model; `blocks` says how it is trained."""
+    """Block-oriented model, simulated as a neural state-space model; `blocks` are its settings."""
 
     blocks: Config = Config()
 
 
 def build(config: Config, context: Context) -> BlockOriented:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return BlockOriented(config.state_space(), None, config)
 
@@ -112,21 +113,26 @@ def train(
     context: Context,
     method: LevenbergMarquardt,
 ) -> BlockOriented:
-    """Linear model, then all parameters to the simulation error; of the fits from
-    `method.starts` starts the one with the least training cost. Where the problem has a horizon,
-    windows of that length from all over the records are fitted. Raises UserError for records too
-    short or mis-shaped."""
+    """Fit the linear model, then all parameters to the simulation error.
+
+    Of the fits from `method.starts` starts the one with the least training cost is returned. Where
+    the
+    problem has a horizon, windows of that length from all over the records are fitted.
+
+    Raises:
+        UserError: for records too short or mis-shaped.
+    """
     check(trajectories, context)
-    pieces = window_pieces(trajectories, context, _WINDOWS)
+    segments = window_pieces(trajectories, context, _WINDOWS)
     blocks = model.blocks
     series = blocks.structure == "wiener_hammerstein" and blocks.basis == "tanh"
     if blocks.searched and series and context.nu == context.ny == 1:
-        fitted = _searched(blocks, pieces, context, method)
+        fitted = _searched(blocks, segments, context, method)
     elif blocks.structure != "wiener_hammerstein":
         plain = neural_ss.build(model.config, context)
-        fitted = neural_ss.train(plain, pieces, context, method).fitted
+        fitted = neural_ss.train(plain, segments, context, method).fitted
     else:
-        fitted = _wiener_hammerstein(blocks, pieces, context, method)
+        fitted = _wiener_hammerstein(blocks, segments, context, method)
     return replace(model, fitted=fitted)
 
 

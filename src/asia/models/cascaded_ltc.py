@@ -80,7 +80,7 @@ class CascadedLTCCell(Driven[Config]):
     def step(
         self, params: Any, state: tuple[AnyArray, AnyArray], u: AnyArray
     ) -> tuple[tuple[AnyArray, AnyArray], AnyArray]:
-        """The fast layer reads the slow states of the same sample."""
+        """Advance by one sample; the fast layer reads the slow states of the same sample."""
         c, u, xp = self.config, self.drive(u), namespace(u)
         slow = _layer(params["slow"], c.slow_min, c.slow_max, state[0], u)
         drive = xp.concatenate([slow, u], axis=-1)
@@ -97,7 +97,8 @@ def _layer(p: Any, low: float, high: float, h: AnyArray, drive: AnyArray) -> Any
 
 
 def time_constants(place: AnyArray, low: float, high: float) -> AnyArray:
-    """In samples, between low and high on a log scale, for parameters of any size."""
+    """Time constants in samples, between low and high on a log scale, for parameters of any
+    size."""
     return namespace(place).exp(log(low) + sigmoid(place) * log(high / low))
 
 

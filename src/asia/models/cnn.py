@@ -1,8 +1,10 @@
 """Temporal convolutional network: dilated causal convolutions over the inputs.
 
-Blocks of gated convolutions with dilations 1, 2, 4, ... see `receptive_field` samples back. What
-the past window tells enters as channels that start from a learned function of it and decay, each
-with its own learned time constant, so that the model reaches further back than its convolutions
+Blocks of gated convolutions with dilations 1, 2, 4, ... see `receptive_field` samples back. The
+information of the past window enters as channels that start from a learned function of it and
+decay,
+each with its own learned time constant, so that the model reaches further back than its
+convolutions
 there. Sources: Bai, Kolter and Koltun, arXiv 1803.01271, 2018; Andersson et al., Deep convolutional
 networks in system identification, CDC 2019; van den Oord et al., arXiv 1609.03499, 2016 (gates).
 """
@@ -29,7 +31,7 @@ __all__ = ["Config", "NetworkModel", "build", "train"]
 
 @dataclass(frozen=True)
 class Config:
-    """Reach and size of the convolutions, and of what carries the past window."""
+    """Reach and size of the convolutions, and size of the memory of the past window."""
 
     receptive_field: int = 128
     """Samples of input that an output depends on, at least."""
@@ -52,7 +54,7 @@ class Config:
 
     @property
     def dilations(self) -> tuple[int, ...]:
-        """1, 2, 4, ...: as many as the receptive field takes."""
+        """Dilations 1, 2, 4, ...: as many as the receptive field needs."""
         found = [1]
         while 1 + (self.kernel - 1) * sum(found) < self.receptive_field:
             found.append(2 * found[-1])
@@ -88,14 +90,14 @@ class ConvolutionStack(Driven[Config]):
         return xp.concatenate([x, memory], axis=-1)
 
     def begin(self, params: Any, window: AnyArray) -> Any:
-        """The memory before the first sample, and of each block the inputs that its taps read."""
+        """Memory before the first sample, and the past inputs that the taps of each block read."""
         xp, c = namespace(window), self.config
         rows = [(c.kernel - 1) * dilation for dilation in c.dilations]
         taps = [xp.zeros((len(window), n, c.width), window.dtype) for n in rows]
         return mlp(params["encoder"], window), taps
 
     def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """One sample: what is read of a block's past lies in a line that moves on."""
+        """Advance by one sample; the past inputs of a block are in a line that moves on."""
         xp, (memory, lines) = namespace(u), state
         memory = memory * xp.exp(-xp.exp(-params["log_tau"]))
         x = mlp(params["in"], xp.concatenate([self.drive(u), memory], axis=-1))

@@ -29,39 +29,39 @@ from asia.problem import Bounds, ParameterRange, Physics
 
 Outflow = Literal["linear", "root", "power"]
 
-# Of the run-off, by sample; how much faster the whole input can fill a storage.
+# Range of the run-off a sample, and greatest ratio of the fastest filling to it.
 _RATES, _LARGEST_GAIN = (1e-3, 0.5), 10.0
 _EXPONENTS = (0.3, 1.5)
-# Below this content a power is smooth.
+# Content below which a power is smooth.
 _EMPTY = 1e-3
-# How many spans the zero of an output may be below what was seen, and the samples over which the
-# sign of an input's effect is told.
+# Greatest distance of an output's zero below its observed values, in spans, and lengths of the
+# segments for the sign of an input's effect, in samples.
 _BELOW, _LOOK_AHEAD = 0.5, (2, 5, 15, 40)
 
 
 @dataclass(frozen=True)
 class Config:
-    """The storages, and what is added to them: the settings of `greybox.Config`."""
+    """Storages, and the additions to them: settings of `greybox.Config`."""
 
     count: int = 2
     """Storages in a row, for each output."""
     outflow: Outflow = "root"
-    """How the run-off rises with the content: "linear", with its square "root", or with a learned
+    """Rise of the run-off with the content: "linear", with its square "root", or with a learned
     "power"."""
     full: bool = False
-    """Whether every storage has a learned limit."""
+    """Give every storage a learned limit."""
     spill: bool = False
-    """Whether a learned fraction of what a full storage cannot hold goes into the next."""
+    """Let a learned fraction of what a full storage cannot hold go into the next."""
     sensor: Sensor | None = None
     """A rising curve between content and output."""
     linear: bool = False
-    """Whether a linear term in contents and inputs is added to the balances."""
+    """Add a linear term in contents and inputs to the balances."""
     residual: int = 0
     """Hidden tanh units of a network added to the balances; 0 is none."""
     ridge: float = 1e-3
-    """What holds the linear term."""
+    """Weight of the squared linear term, against the mean squared error."""
     residual_ridge: float = 1e-2
-    """What holds the network."""
+    """Weight of the squared coefficients of the network."""
     substeps: int = 2
     """Runge-Kutta steps a sample."""
 
@@ -80,20 +80,39 @@ class Compartments:
     fitted: greybox.GreyBox | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny). Raises UserError before training."""
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().simulate(past_u, past_y, u)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().initial(past_u, past_y, u)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().step(state, u)
 
     def parameters(self) -> dict[str, float]:
-        """Run-offs, gains and zeros."""
+        """Run-offs, gains and zeros by name."""
         return self._trained().parameters()
 
     def _trained(self) -> greybox.GreyBox:
@@ -103,7 +122,7 @@ class Compartments:
 
 
 def build(config: Config, context: Context) -> Compartments:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return Compartments(config)
 
@@ -114,8 +133,11 @@ def train(
     context: Context,
     method: LevenbergMarquardt,
 ) -> Compartments:
-    """Writes the balances in the units of the records and fits them as `greybox.train` does.
-    Raises UserError for records too short or mis-shaped."""
+    """Write the balances in the units of the records and fit them as `greybox.train` does.
+
+    Raises:
+        UserError: for records too short or mis-shaped.
+    """
     check(trajectories, context)
     c, context = model.config, _renamed(context)
     physics = balances(c, trajectories, context)
@@ -135,7 +157,7 @@ def train(
 
 
 def balances(config: Config, trajectories: Sequence[Trajectory], context: Context) -> Physics:
-    """The equations, with ranges from the records; the names of signals stand in them."""
+    """Make the equations, with ranges from the records and the names of the signals."""
     found = _Balances(config, context, _effects(trajectories))
     for k in range(context.ny):
         values = np.concatenate([t.y[:, k] for t in trajectories])
@@ -151,14 +173,14 @@ def balances(config: Config, trajectories: Sequence[Trajectory], context: Contex
 
 
 def _renamed(context: Context) -> Context:
-    """Signals have names of any kind; those in equations must be plain and not taken."""
+    """Rename signals so that their names are plain and not taken, as equations require."""
     inputs = tuple(replace(s, name=f"u{j}") for j, s in enumerate(context.inputs))
     outputs = tuple(replace(s, name=f"y{k}") for k, s in enumerate(context.outputs))
     return replace(context, inputs=inputs, outputs=outputs)
 
 
 class _Balances:
-    """The parts of the equations, output by output."""
+    """Parts of the equations, output by output."""
 
     def __init__(self, config: Config, context: Context, signs: Array) -> None:
         self._config, self._context, self._signs = config, context, signs
@@ -176,7 +198,7 @@ class _Balances:
         return found
 
     def add(self, k: int, low: float, span: float) -> None:
-        """The storages of output k, which goes from `low` up over `span`."""
+        """Add the storages of output k, which goes from `low` up over `span`."""
         names = [f"x{k}_{i}" for i in range(self._config.count)]
         slow, fast = (rate / self._context.sampling_time for rate in _RATES)
         arrives = self._inflow(k, slow, fast)
@@ -214,8 +236,12 @@ class _Balances:
 
 
 def _effects(trajectories: Sequence[Trajectory]) -> Array:
-    """Signs (nu, ny) of the effects of the inputs: how an output changes over a stretch of samples
-    is regressed on where it begins and on the mean inputs in between."""
+    """Signs (nu, ny) of the effects of the inputs.
+
+    The change of an output over a segment of samples is regressed on its initial value and on the
+    mean
+    inputs in between.
+    """
     total = np.zeros((trajectories[0].u.shape[1], trajectories[0].y.shape[1]))
     for ahead in _LOOK_AHEAD:
         rows, changes = list[Array](), list[Array]()

@@ -47,7 +47,7 @@ class Config:
     units: int = 100
     """Units of a reservoir."""
     density: float = 0.1
-    """Share of the possible connections between them that are there."""
+    """Share of the possible connections between the units that exist."""
     radius: float = 0.9
     """Largest modulus of the eigenvalues of these connections."""
     input_scale: float = 1.0
@@ -61,7 +61,7 @@ class Config:
     washout: int = 50
     """Samples at the start of a record whose reservoir states are not used."""
     members: int = 8
-    """Reservoirs with readouts of their own, whose outputs are averaged."""
+    """Reservoirs with separate readouts, whose outputs are averaged."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "units", "members")
@@ -84,12 +84,12 @@ class Reservoir:
     """(n,), in (0, 1)."""
 
     def run(self, state: Array, u: Array) -> Array:
-        """state (B, n), u (B, T, nu) -> states after each input (B, T, n)."""
+        """States (B, T, n) after each input u (B, T, nu), from state (B, n)."""
         drive = (u @ self.drive + self.bias).swapaxes(0, 1)
         return scan(self.advanced, state, drive)[1].swapaxes(0, 1)
 
     def advanced(self, state: AnyArray, drive: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """The state (B, n) after a sample with this drive (B, n), as `scan` takes it."""
+        """Advance the state (B, n) by a sample with this drive (B, n), as `scan` requires."""
         tanh = namespace(state, drive).tanh
         state = state + self.leak * (tanh(state @ self.recurrent + drive) - state)
         return state, state
@@ -97,25 +97,25 @@ class Reservoir:
 
 @dataclass(frozen=True)
 class Member:
-    """One reservoir and what is fitted to it."""
+    """Reservoir with its fitted maps."""
 
     reservoir: Reservoir
-    """The random layer."""
+    """Random layer."""
     start: Encoder
-    """Past window -> its state."""
+    """Map from the past window to the state of the reservoir."""
     readout: Encoder
-    """Features -> outputs."""
+    """Map from features to outputs."""
     span: int | None
     """Horizon of a problem that has one, whose readout sees the past window."""
 
     def __call__(self, past: Array, u: Array) -> Array:
-        """past (B, d), u (B, H, nu) -> (B, H, ny), all z-scored."""
+        """Simulate past (B, d), u (B, H, nu) -> (B, H, ny), all z-scored."""
         features = _features(self.reservoir.run(self.start(past), u), u, past, self.span)
         batch, length = u.shape[:2]
         return self.readout(features.reshape(batch * length, -1)).reshape(batch, length, -1)
 
     def initial(self, past: AnyArray) -> tuple[AnyArray, ...]:
-        """Its state before the first sample; with a span also the window and the samples so far."""
+        """State before the first sample; with a span also the window and the samples so far."""
         x = self.start(past)
         return (x,) if self.span is None else (x, past, 0.0 * x[:, :1])
 
@@ -134,12 +134,12 @@ class Member:
 
 @dataclass(frozen=True)
 class FittedReservoirs:
-    """What training found."""
+    """Result of training an echo state network."""
 
     members: tuple[Member, ...]
-    """Their outputs are averaged."""
+    """Reservoirs whose outputs are averaged."""
     scaling: Scaling
-    """From physical units to z-scores."""
+    """Scaling from physical units to z-scores."""
 
 
 @dataclass(frozen=True)
@@ -150,22 +150,37 @@ class EchoState:
     fitted: FittedReservoirs | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny). Raises UserError before training."""
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            UserError: before training.
+        """
         f = self._trained()
         past = window(f.scaling.inputs(past_u), f.scaling.outputs(past_y))
         inputs = f.scaling.inputs(u)
         return f.scaling.physical(np.mean([m(past, inputs) for m in f.members], axis=0))
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         del u
         f = self._trained()
         past = window(f.scaling.inputs(past_u), f.scaling.outputs(past_y))
         return [member.initial(past) for member in f.members]
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """The mean over the reservoirs."""
+        """Advance by one sample; the output is the mean over the reservoirs."""
         f = self._trained()
         v = f.scaling.inputs(u)
         pairs = [m.step(s, v) for m, s in zip(f.members, state, strict=True)]
@@ -178,7 +193,7 @@ class EchoState:
 
 
 def build(config: Config, context: Context) -> EchoState:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return EchoState(config)
 
@@ -186,9 +201,13 @@ def build(config: Config, context: Context) -> EchoState:
 def train(
     model: EchoState, trajectories: Sequence[Trajectory], context: Context, method: LeastSquares
 ) -> EchoState:
-    """Draws the reservoir from `context.seed` and fits the readout. `method.ridge` None chooses
-    the ridge by the error on blocks left out. Raises UserError for records too short or
-    mis-shaped."""
+    """Draw the reservoirs from `context.seed` and fit the readouts.
+
+    `method.ridge` None chooses the ridge by the error on blocks left out.
+
+    Raises:
+        UserError: for records too short or mis-shaped.
+    """
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
@@ -208,7 +227,7 @@ def _member(
     method: LeastSquares,
     rng: np.random.Generator,
 ) -> tuple[Member, float]:
-    """A member and the root mean squared error of its readout on the training data."""
+    """Fit a member; return the root mean squared error of its readout on the training data too."""
     reservoir = draw(config, context.nu, rng)
     if context.horizon is None:
         start, features, targets = _long(config, reservoir, records, context)
@@ -221,7 +240,7 @@ def _member(
 
 
 def draw(config: Config, nu: int, rng: np.random.Generator) -> Reservoir:
-    """A random reservoir."""
+    """Draw a random reservoir."""
     n = config.units
     recurrent = rng.uniform(-1.0, 1.0, (n, n)) * (rng.random((n, n)) < config.density)
     largest = float(np.abs(np.linalg.eigvals(recurrent)).max())
@@ -233,7 +252,7 @@ def draw(config: Config, nu: int, rng: np.random.Generator) -> Reservoir:
 
 
 def _features(states: Array, u: Array, past: Array, span: int | None) -> Array:
-    """What the readout sees, (B, T, d)."""
+    """Features (B, T, d) of the readout."""
     if span is None:
         return np.concatenate([states, u], axis=2)
     length = u.shape[1]
@@ -245,7 +264,8 @@ def _features(states: Array, u: Array, past: Array, span: int | None) -> Array:
 def _long(
     config: Config, reservoir: Reservoir, records: ScaledData, context: Context
 ) -> tuple[Encoder, list[Array], list[Array]]:
-    """Whole records from an empty reservoir; no less than a quarter of each is used."""
+    """States of whole records from an empty reservoir; no less than a quarter of each record is
+    used."""
     past = past_length(context)
     features: list[Array] = []
     targets: list[Array] = []

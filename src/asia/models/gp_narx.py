@@ -50,7 +50,7 @@ class Config:
     """Lags of the regressors, and size and mean of the Gaussian process."""
 
     na: int | None = None
-    """Lagged outputs; None chooses among 1..max_order by the simulation error on stretches left out
+    """Lagged outputs; None chooses among 1..max_order by the simulation error on segments left out
     of the training data, one number for all lags left open."""
     nb: int | None = None
     """Lagged inputs, chosen alike."""
@@ -58,13 +58,14 @@ class Config:
     """Samples before the newest input that acts: 0 lets u[k] act on y[k], None chooses among 0..10
     by a linear model."""
     mean: Literal["linear", "hold"] = "linear"
-    """What the process is added to: the best ARX model, or the last output held."""
+    """Mean function of the process: the best ARX model, or the last output held."""
     points: int = 800
     """Training samples kept; the cost of a fit grows with their cube."""
     max_order: int = 4
     """Greatest number of lags tried where `na` or `nb` is None."""
     margin: float = 0.1
-    """By how many times the width of the training range outputs in free run may leave it."""
+    """Permitted excess of outputs in free run over the training range, as a multiple of its
+    width."""
 
     def __post_init__(self) -> None:
         check_choice(self, "mean", ("linear", "hold"))
@@ -84,7 +85,7 @@ class OutputProcess:
     """(N,), with the kernel's variance in them."""
 
     def __call__(self, z: AnyArray) -> AnyArray:
-        """Predictive mean, (B, d) -> (B,)."""
+        """Predictive mean (B, d) -> (B,)."""
         return namespace(z).exp(-0.5 * _distances(z / self.lengths, self.scaled)) @ self.weights
 
 
@@ -95,16 +96,16 @@ class GaussianPredictor:
     mean: Array
     """Coefficients (1 + d, ny) of [1, z]."""
     processes: tuple[OutputProcess, ...]
-    """One an output."""
+    """Gaussian processes, one an output."""
 
     def __call__(self, z: AnyArray) -> AnyArray:
-        """(B, d) -> (B, ny)."""
+        """Predict (B, d) -> (B, ny)."""
         line = self.mean[0] + z @ self.mean[1:]
         return line + namespace(z).stack([p(z) for p in self.processes], axis=1)
 
 
 def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return FreeRunModel(config)
 
@@ -115,8 +116,11 @@ def train(
     context: Context,
     method: MarginalLikelihood,
 ) -> FreeRunModel[Config]:
-    """Lags, then the hyper-parameters of each output by the evidence. Raises UserError for records
-    too short or mis-shaped."""
+    """Choose the lags, then fit the hyper-parameters of each output by the evidence.
+
+    Raises:
+        UserError: for records too short or mis-shaped.
+    """
     c = model.config
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
@@ -133,7 +137,7 @@ def train(
 def _choose(
     records: ScaledData, context: Context, config: Config, method: MarginalLikelihood
 ) -> Lags:
-    """One number for all lags left open, by the simulation error on what was left out."""
+    """Choose one number for all lags left open, by the simulation error on samples left out."""
     c = config
     delay = c.delay
     if delay is None:
@@ -187,7 +191,7 @@ def _mean(config: Config, records: ScaledData, lags: Lags, context: Context) -> 
         hold = np.zeros((1 + lags.outputs * ny + lags.inputs * context.nu, ny))
         hold[1 : 1 + ny] = np.eye(ny)
         return hold
-    # Of degree one, the products are the constant and each regressor, in order.
+    # The products of degree one are the constant and each regressor, in order.
     return linear_run(records, lags, context, _MEAN_RIDGE, config.margin).one_step.theta
 
 
@@ -198,8 +202,12 @@ def _distances(a: AnyArray, b: Array) -> AnyArray:
 
 
 def _hyper(x: Array, y: Array, method: MarginalLikelihood) -> tuple[Array, float]:
-    """Logarithms of the length scales, the signal's and the noise's standard deviation (d + 2,),
-    and the negative log evidence a sample; y (N,) has unit size."""
+    """Fit hyper-parameters; y (N,) has unit size.
+
+    Returns:
+        Logarithms of the length scales, the signal's and the noise's standard deviation (d + 2,),
+        and the negative log evidence a sample.
+    """
     d = x.shape[1]
     start = np.concatenate([np.full(d, np.log(2.0 * np.sqrt(d))), [0.0, np.log(0.5)]])
     bounds = [(np.log(_SHORTEST), np.log(_LONGEST))] * d
@@ -217,8 +225,8 @@ def _hyper(x: Array, y: Array, method: MarginalLikelihood) -> tuple[Array, float
 
 
 def negative_log_evidence(theta: Array, x: Array, y: Array) -> tuple[float, Array]:
-    """A sample's share of the negative log marginal likelihood and its gradient (d + 2,); theta
-    as `_hyper` returns it."""
+    """Negative log marginal likelihood a sample, and its gradient (d + 2,); theta as `_hyper`
+    returns it."""
     n, d = x.shape
     scaled = x / np.exp(theta[:d])
     signal, noise = np.exp(2 * theta[d]), np.exp(2 * theta[d + 1])

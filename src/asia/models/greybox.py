@@ -36,18 +36,28 @@ __all__ = ["Config", "GreyBox", "build", "train"]
 
 @dataclass(frozen=True)
 class GreyBox:
-    """A grey-box model; `fitted` is None until it is trained."""
+    """Grey-box model; `fitted` is None until it is trained."""
 
     structure: GreyBoxStructure
     fitted: FittedEquations | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Open-loop simulation in physical units.
+        """Simulate in open loop, in physical units.
 
-        past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> y_hat (B, H, ny).
-        The initial state is measured or estimated from the past window (`Config.initial`). Always
-        finite for finite input.
-        Raises ValueError when the model is not trained or a past window has another length.
+        The initial state is measured or estimated from the past window (`Config.initial`). The
+        result is
+        always finite for finite input.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            ValueError: if the model is not trained or a past window has another length.
         """
         fitted = self._trained()
         expected = (self.structure.n_past_u, self.structure.n_past_y)
@@ -61,11 +71,19 @@ class GreyBox:
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """State of the equations, and the inputs that a delay still holds back; see
-        `asia.candidate.StepModel`. Raises ValueError before training."""
+        `asia.candidate.StepModel`.
+
+        Raises:
+            ValueError: before training.
+        """
         return self._cases(u).initial(past_u, past_y, u)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """See `asia.candidate.StepModel`. Raises ValueError before training."""
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            ValueError: before training.
+        """
         return self._cases(u).step(state, u)
 
     def _cases(self, like: AnyArray) -> CaseSteps:
@@ -78,8 +96,12 @@ class GreyBox:
         return self._parameters_at(self._trained().z)
 
     def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> ParameterEstimates:
-        """What the records that it was fitted to say of the parameters: standard errors, intervals
-        and correlations, with the residuals' correlation in time, and its equations."""
+        """Estimate the uncertainty of the parameters from the records of the fit.
+
+        Returns:
+            Standard errors, intervals and correlations, with the residuals' correlation in time
+            taken into account, and the equations.
+        """
         from asia.models._equations.identified.estimates import Around
 
         fitted = self._trained()
@@ -89,7 +111,7 @@ class GreyBox:
         return around.estimates(self.equations())
 
     def equations(self) -> list[str]:
-        """The equations with the fitted numbers put in, and what is added to them, one a line."""
+        """Equations with the fitted numbers put in, and the additions to them, one a line."""
         fitted = self._trained()
         return equation_lines(self.structure, fitted.scales, self._effect(fitted.z))
 
@@ -123,9 +145,13 @@ class GreyBox:
 
 
 def build(config: Config, context: Context) -> GreyBox:
-    """The untrained model. Raises ValueError when the problem has no physics or the config names
-    an unknown state or output, UserError when the physics do not fit the signals or measured
-    initial states are asked for that are not."""
+    """Build an untrained model.
+
+    Raises:
+        ValueError: if the problem has no physics or the config names an unknown state or output.
+        UserError: if the physics do not fit the signals, or measured initial states are requested
+            for states that are not measured.
+    """
     physics = context.physics
     if physics is None:
         raise ValueError(
@@ -158,16 +184,18 @@ def _priors(system: Equations, config: Config, physics: Physics) -> ParameterPri
 
 
 def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:
-    asked = structure.config.initial
+    requested = structure.config.initial
     bent = structure.config.sensor is not None
     seen = len(structure.measured_states) == structure.nx and not bent
     possible = context.n_past_y > 0 and seen and not structure.config.hides
-    if asked == "measured" and not possible:
+    if requested == "measured" and not possible:
         raise UserError(
             'greybox.Config: initial is "measured", but the past window does not show every '
             'state; use "estimated" or None'
         )
-    measured = possible and (asked == "measured" or (asked is None and context.horizon is not None))
+    measured = possible and (
+        requested == "measured" or (requested is None and context.horizon is not None)
+    )
     driven = [name for name in structure.config.lag if name in structure.equations.inputs]
     if measured and driven:
         raise UserError(
@@ -180,7 +208,7 @@ def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:
 def train(
     model: GreyBox, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
 ) -> GreyBox:
-    """The model fitted to the simulation error of whole records (with a horizon: of windows).
+    """Fit the model to the simulation error of whole records (with a horizon: of windows).
 
     Initial states of the records are estimated with the parameters. Logs the cost, which is the
     mean squared normalised error plus the ridge.

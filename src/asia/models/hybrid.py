@@ -1,4 +1,4 @@
-"""Hybrid: a grey-box, and a small network for what its equations leave over.
+"""Hybrid: a grey-box, and a small network for the residual of its equations.
 
     model = hybrid.build(hybrid.Config(units=4), context)
     model = hybrid.train(model, trajectories, context, LevenbergMarquardt(iterations=60, starts=8))
@@ -25,10 +25,10 @@ __all__ = ["Config", "build", "train"]
 
 @dataclass(frozen=True)
 class Config:
-    """The grey-box, and the network added to its dynamics."""
+    """Grey-box, and the network added to its dynamics."""
 
     base: greybox.Config = field(default_factory=greybox.Config)
-    """The grey-box under the network."""
+    """Grey-box under the network."""
     units: int = 4
     """Hidden tanh units of the network."""
     ridge: float = 1e-2
@@ -42,8 +42,12 @@ class Config:
 
 
 def build(config: Config, context: Context) -> GreyBox:
-    """The untrained model. Raises ValueError when the problem has no physics, UserError when the
-    physics do not fit the signals."""
+    """Build an untrained model.
+
+    Raises:
+        ValueError: if the problem has no physics.
+        UserError: if the physics do not fit the signals.
+    """
     if context.physics is None:
         raise ValueError(
             "hybrid: the problem has no [physics]; give states and dynamics, or use a black-box "
@@ -56,5 +60,5 @@ def build(config: Config, context: Context) -> GreyBox:
 def train(
     model: GreyBox, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
 ) -> GreyBox:
-    """The grey-box fitted to the simulation error, then the whole with its network."""
+    """Fit the grey-box to the simulation error, then the whole with its network."""
     return greybox.train(model, trajectories, context, method)

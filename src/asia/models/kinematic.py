@@ -53,12 +53,15 @@ class KinematicCell(AutoregressiveCell):
 
     config: Config
     past: int = 0
-    """Output samples in the past window."""
+    """Number of output samples in the past window."""
 
     @classmethod
     def of(cls, config: autoregressive.Config, context: Context) -> KinematicCell:
-        """The structure for a problem. Raises UserError when there is but one output, or none of
-        the name that is to be left unread."""
+        """Structure for a problem.
+
+        Raises:
+            UserError: if there is only one output, or `blind` names an unknown output.
+        """
         assert isinstance(config, Config)
         names = [s.name for s in context.outputs]
         unknown = [name for name in config.blind or () if name not in names]
@@ -72,8 +75,11 @@ class KinematicCell(AutoregressiveCell):
         return cls(config, context.ny, past > 0, past=past, drive=drive)
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare:
-        """With the kinematics of the records. Raises UserError when no output is the integral of
-        another."""
+        """Take the kinematics from the records.
+
+        Raises:
+            UserError: if no output is the integral of another.
+        """
         rates = find_rates(trajectories, context)
         if not rates:
             raise _no_rates()
@@ -109,7 +115,7 @@ class KinematicCell(AutoregressiveCell):
     def step(
         self, params: Any, state: FeedbackState, u: AnyArray
     ) -> tuple[FeedbackState, AnyArray]:
-        """What the output is read from is the output."""
+        """Advance by one sample; the features are the output."""
         inner, y = state
         fixed = params["fixed"]
         xp = namespace(u, y)
@@ -124,7 +130,7 @@ class KinematicCell(AutoregressiveCell):
 def _read(
     blind: tuple[str, ...] | None, rates: Sequence[Rate], context: Context
 ) -> tuple[bool, ...]:
-    """For each output whether the network reads it."""
+    """Outputs that the network reads, a flag for each."""
     if blind is not None:
         return tuple(s.name not in blind for s in context.outputs)
     integrated = {r.output for r in rates}
@@ -141,7 +147,7 @@ def _with_kinematics(
     read: tuple[bool, ...],
     sampling_time: float,
 ) -> Params:
-    """The parameters with the kinematics in z-scores and the size of the other increments."""
+    """Add the kinematics in z-scores and the size of the other increments to the parameters."""
     increment = increment_sizes(records)
     ny = len(increment)
     rate, drift = np.zeros((ny, ny)), np.zeros(ny)

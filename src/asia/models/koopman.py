@@ -83,7 +83,7 @@ class KoopmanMap(Driven[Config]):
         }
 
     def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
-        """z as real numbers: (B, T, 2 * levels * states)."""
+        """Latent state z as real numbers: (B, T, 2 * levels * states)."""
         u, xp = self.drive(u), namespace(u)
         v = xp.concatenate([u, mlp(params["lift"], u)], axis=-1)
         starts = split(mlp(params["encoder"], window), self.config.levels)
@@ -97,11 +97,12 @@ class KoopmanMap(Driven[Config]):
         return below
 
     def begin(self, params: Any, window: AnyArray) -> Any:
-        """z of each level before the first sample, real parts and then imaginary ones."""
+        """Latent state z of each level before the first sample, real parts and then imaginary
+        ones."""
         return split(mlp(params["encoder"], window), self.config.levels)
 
     def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """One sample, in real numbers."""
+        """Advance by one sample, in real numbers."""
         u, xp = self.drive(u), namespace(u)
         v = xp.concatenate([u, mlp(params["lift"], u)], axis=-1)
         after = list[AnyArray]()
@@ -121,8 +122,14 @@ class KoopmanMap(Driven[Config]):
 
 
 def _level(p: Any, v: AnyArray, before: AnyArray, start: AnyArray) -> AnyArray:
-    """v (B, T, m), before (B, T, lower states) of the sample before, start (B, 2 n) ->
-    (B, T, 2 n): real parts, then imaginary parts."""
+    """States (B, T, 2 n) of one level: real parts, then imaginary parts.
+
+    Args:
+        p: parameters.
+        v: lifted inputs (B, T, m).
+        before: lower states (B, T, lower states) of the sample before.
+        start: initial states (B, 2 n).
+    """
     pole, gain = poles(p["log_rate"], p["angle"])
     drive = v @ p["b"]
     if before.shape[-1]:

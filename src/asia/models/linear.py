@@ -51,19 +51,20 @@ from asia.models._steps import first_of_line, through_line
 if TYPE_CHECKING:
     from asia.models._least_squares import LevenbergMarquardt
 
-# Choosing order and delay takes dozens of fits; this many samples tell candidates apart.
+# Samples for the choice of order and delay, which takes dozens of fits; this many distinguish
+# candidates.
 _SELECTION_SAMPLES = 3000
-# Beside the model whose state is the past window, a state-space model is tried on up to so many
-# outputs; on more it has too many parameters for simulations of whole records.
+# Greatest number of outputs for which a state-space model competes with the windowed one; with more
+# it has too many parameters for simulations of whole records.
 _MOST_OUTPUTS = 3
 _JACOBIAN_NUMBERS = 60_000_000
-# A candidate may name no more.
+# Greatest number of parameters that a candidate may report.
 _MOST_PARAMETERS = 64
 
 
 @dataclass(frozen=True)
 class Config:
-    """Order and delay of the system, or how they are chosen."""
+    """Order and delay of the system, or limits of their choice."""
 
     order: int | None = None
     """States; None chooses among 1..max_order by the simulation error on blocks inside the training
@@ -80,14 +81,15 @@ class Config:
     integrators: int = 0
     """Free integrators: poles held at 1, which count among the states."""
     periodic: bool = False
-    """Whether records with periodic inputs in steady state are fitted line by line, where whole
+    """Fit records with periodic inputs in steady state line by line, where whole
     records are simulated, without free integrators and noise model: all realisations at once,
     systems of many states in seconds. A delay of None is then left to the states."""
     periodic_order: int = 60
-    """Greatest order tried there where `order` is None."""
+    """Greatest order tried by `periodic` where `order` is None."""
     levels: bool = False
-    """Whether records whose inputs differ in size have systems of their own, between whose outputs
-    a simulation interpolates by the root mean square of its inputs so far."""
+    """Fit separate systems to records whose inputs differ in size; a simulation interpolates
+    between
+    their outputs by the root mean square of its inputs so far."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "max_order", "periodic_order")
@@ -98,16 +100,16 @@ class Config:
 
 @dataclass(frozen=True)
 class FittedLinear:
-    """What training found."""
+    """Result of training a linear model."""
 
     system: LinearSystem
-    """For z-scored signals."""
+    """System for z-scored signals."""
     encoder: Encoder
-    """Past window -> initial state."""
+    """Map from the past window to the initial state."""
     delay: int
-    """Of the inputs, in samples."""
+    """Delay of the inputs, in samples."""
     scaling: Scaling
-    """From physical units to z-scores."""
+    """Scaling from physical units to z-scores."""
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """States, and the inputs that the delay holds back."""
@@ -116,7 +118,7 @@ class FittedLinear:
         return x, first_of_line(past, first, self.delay)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """x' = A x + B u, y = C x + D u + offset."""
+        """Advance by x' = A x + B u, y = C x + D u + offset."""
         s, (x, line) = self.system, state
         line, v = through_line(line, self.scaling.inputs(u))
         y = x @ s.c.T + v @ s.d.T + s.offset
@@ -128,14 +130,14 @@ class FittedLevels:
     """Systems for levels of excitation."""
 
     systems: tuple[FittedLinear, ...]
-    """One a level, all of one scaling."""
+    """Fitted systems, one a level, all of one scaling."""
     levels: Array
     """Root mean squares of the scaled inputs (L,), rising."""
     memory: int
-    """Samples of the inputs that tell the level."""
+    """Number of samples of the inputs that give the level."""
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """State of each system, the power of the last `memory` inputs, and how many there were."""
+        """State of each system, the power of the last `memory` inputs, and their number."""
         xp, memory = namespace(past_u, past_y, u), self.memory
         power = (self.systems[0].scaling.inputs(past_u)[:, -memory:] ** 2).mean(axis=2)
         batch, length = power.shape
@@ -144,7 +146,8 @@ class FittedLevels:
         return states, held, xp.full((batch,), float(length))
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Outputs of the systems, weighted by the running level of the inputs."""
+        """Advance by one sample; outputs of the systems are weighted by the running level of the
+        inputs."""
         xp, (states, held, count) = namespace(u), state
         power = (self.systems[0].scaling.inputs(u) ** 2).mean(axis=1)
         held = xp.concatenate([held[:, 1:], power[:, None]], axis=1)
@@ -164,10 +167,22 @@ class LinearStateSpace:
     by_level: FittedLevels | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny). The input before a past window that is shorter than the delay is taken to be
-        the window's first. What the steps give, block by block. Raises UserError before
-        training."""
+        """Simulate in physical units, by the steps, block by block.
+
+        Before a past window that is shorter than the delay the input is held at the window's first
+        value.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            UserError: before training.
+        """
         if self.by_level is not None:
             return _by_level(self.by_level, past_u, past_y, u)
         if self.fitted is None:
@@ -175,11 +190,19 @@ class LinearStateSpace:
         return _simulated(self.fitted, past_u, past_y, u)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().initial(past_u, past_y, u)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().step(state, u)
 
     def _trained(self) -> FittedLinear | FittedLevels:
@@ -189,9 +212,14 @@ class LinearStateSpace:
         return found
 
     def parameters(self) -> dict[str, float]:
-        """Static gains in physical units, delay and slowest time constants in samples: what folds
-        can be compared by, whatever the coordinates of the states. Raises UserError before
-        training."""
+        """Static gains in physical units, delay and slowest time constants in samples.
+
+        These quantities do not depend on the coordinates of the states, so that folds can be
+        compared.
+
+        Raises:
+            UserError: before training.
+        """
         if self.by_level is not None:
             each = enumerate(map(_parameters, self.by_level.systems), 1)
             named = [(f"{name}, level {k}", v) for k, p in each for name, v in p.items()]
@@ -202,8 +230,12 @@ class LinearStateSpace:
 
     def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> ParameterEstimates:
         """Gains and time constants with their standard errors, given the records of the fit.
-        Raises UserError before training, ValueError for free integrators, many states, and a fit
-        that is no minimum of the simulation error: one under a noise model, or over windows."""
+
+        Raises:
+            UserError: before training.
+            ValueError: for free integrators, many states, and a fit that is no minimum of the
+                simulation error: one under a noise model, or over windows.
+        """
         if self.by_level is not None:
             raise ValueError("linear model: gains and time constants differ from level to level")
         if self.fitted is None:
@@ -247,7 +279,7 @@ def _by_level(found: FittedLevels, past_u: Array, past_y: Array, u: Array) -> Ar
 
 
 def build(config: Config, context: Context) -> LinearStateSpace:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return LinearStateSpace(config)
 
@@ -258,9 +290,17 @@ def train(
     context: Context,
     method: LevenbergMarquardt | None = None,
 ) -> LinearStateSpace:
-    """Fits to the simulation error of all records at once; `method` sets iterations, damping,
-    tolerance and the noise model. Raises UserError for records too short or with the wrong
-    channels."""
+    """Fit to the simulation error of all records at once.
+
+    Args:
+        model: untrained model.
+        trajectories: training records.
+        context: context of the fit.
+        method: iterations, damping, tolerance and the noise model; None for the defaults.
+
+    Raises:
+        UserError: for records too short or with the wrong channels.
+    """
     check(trajectories, context)
     scaling = scaling_of(trajectories, context, model.config)
     records = scaled(trajectories, scaling)
@@ -294,7 +334,7 @@ def _fitted(
 
 
 def scaling_of(trajectories: Sequence[Trajectory], context: Context, config: Config) -> Scaling:
-    """Z-scores; with free integrators the inputs are zero where these stand still."""
+    """Scaling to z-scores; with free integrators zero is the input at which these are at rest."""
     plain = Scaling.of(trajectories)
     if not config.integrators:
         return plain
@@ -306,9 +346,12 @@ def scaling_of(trajectories: Sequence[Trajectory], context: Context, config: Con
 def windowed(
     records: ScaledData, context: Context, config: Config, refinement: Refinement
 ) -> WindowPredictor | None:
-    """With a horizon and the order open: the model whose state is the past window, unless the
-    state-space model has the smaller error on windows left out. None means that one, and a noise
-    model asks for it: the past window is full of noise."""
+    """Fit the model whose state is the past window, for a horizon and an open order.
+
+    Returns:
+        None where the state-space model has the smaller error on windows left out, and with a noise
+        model: the past window is full of noise.
+    """
     known = config.order is not None or config.integrators > 0
     if context.horizon is None or known or refinement.noise is not None:
         return None
@@ -330,7 +373,7 @@ def windowed(
 def _window_error(
     kept: ScaledData, left: ScaledData, context: Context, config: Config, refinement: Refinement
 ) -> float:
-    """Mean squared error of the state-space model on windows of records it was not fitted to."""
+    """Mean squared error of the state-space model on windows of records left out of its fit."""
     found, delay, used = fit_records(kept, context, config, refinement)
     cut = cut_windows([r.with_delay(delay) for r in left], context, MOST_WINDOWS)
     return window_error(found.system, encoder_of(used, found, context), cut)
@@ -339,8 +382,12 @@ def _window_error(
 def fit_records(
     records: ScaledData, context: Context, config: Config, refinement: Refinement
 ) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
-    """Delay, order, then the refined fit; returns the fit, the delay and the records it was
-    fitted to, their inputs delayed: all of them, or stretches where they are too long to hold."""
+    """Choose delay and order, then refine the fit.
+
+    Returns:
+        The fit, the delay, and the records of the fit, their inputs delayed: all of them, or
+            segments where they are too long for memory.
+    """
     refinement = replace(refinement, integrators=config.integrators)
     part = _selection(records, context, config)
     delay = _estimate_delay(part, config) if config.delay is None else config.delay
@@ -363,7 +410,7 @@ def fit_records(
 def fit_of_least_order(
     records: ScaledData, context: Context, choice: Config, least: int
 ) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
-    """`fit_records`; where the order is open, at least so many states."""
+    """Fit as `fit_records`; where the order is open, with at least so many states."""
     found, delay, used = fit_records(records, context, choice, Refinement())
     if choice.order is None and found.system.order < least:
         choice = replace(choice, order=least, delay=delay)
@@ -372,15 +419,15 @@ def fit_of_least_order(
 
 
 def _samples_held(order: int, context: Context) -> int:
-    """Samples whose Jacobian fits in memory, with the transforms it is made by."""
+    """Number of samples whose Jacobian fits in memory, with the transforms it is made by."""
     signals = order + context.nu
     numbers = context.ny * (5 * order * signals + context.ny * signals)
     return max(1000, _JACOBIAN_NUMBERS // numbers)
 
 
 def _selection(records: ScaledData, context: Context, config: Config) -> list[ScaledTrajectory]:
-    """What order and delay are chosen on: every piece leaves samples to simulate after its past
-    window, enough of them to tell the states apart."""
+    """Records for the choice of order and delay: each segment leaves samples to simulate after
+    its past window, enough of them to distinguish the states."""
     shortest = 3 * past_length(context) + 4 * config.max_order
     return shortened(records, _SELECTION_SAMPLES, shortest)
 

@@ -79,7 +79,7 @@ class LRUStack(Driven[Config]):
         }
 
     def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
-        """What the last layer gives."""
+        """Output of the last layer."""
         x = mlp(params["in"], self.drive(u))
         starts = split(mlp(params["encoder"], window), 2 * self.config.layers)
         for i, p in enumerate(params["layers"]):
@@ -92,7 +92,7 @@ class LRUStack(Driven[Config]):
         return [(starts[2 * i], starts[2 * i + 1]) for i in range(self.config.layers)]
 
     def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """One sample, in real numbers."""
+        """Advance by one sample, in real numbers."""
         x, after = mlp(params["in"], self.drive(u)), list[Any]()
         for p, (real, imaginary) in zip(params["layers"], state, strict=True):
             pole, gain = poles(p["log_rate"], p["angle"])

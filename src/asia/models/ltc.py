@@ -46,7 +46,7 @@ class Config:
     """"ridge" solves the output layer by ridge regression before training; "uniform" draws all
     weights within 1 / sqrt(fan-in), as PyTorch does."""
     bounded: bool = True
-    """Whether f and the network that gives the initial states end in a tanh."""
+    """End f and the network that gives the initial states in a tanh."""
     features: tuple[str, ...] = ()
     """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
 
@@ -67,17 +67,17 @@ class LTCCell(Driven[Config]):
         return _parameters(self.config, context)
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
-        """Weights of a "uniform" start stay as they are drawn."""
+        """Leave the weights of a "uniform" start as they are drawn."""
         del trajectories, context
         return as_built if self.config.start == "uniform" else None
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
-        """h before the first sample."""
+        """State h before the first sample."""
         inner = namespace(window).tanh(window @ params["enc_w1"] + params["enc_b1"])
         return self._bent(inner @ params["enc_w2"] + params["enc_b2"])
 
     def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Each state decays towards f with its own time constant."""
+        """Advance by one sample: each state decays towards f with its own time constant."""
         xp = namespace(u)
         decay = xp.exp(-xp.exp(-params["log_tau"]))
         inner = xp.tanh(state @ params["f_h"] + self.drive(u) @ params["f_u"] + params["f_b1"])

@@ -35,7 +35,7 @@ class LeastSquares:
 
     ridge: float | None = None
     """Weight of the squared parameters against the mean squared error in z-scores; None chooses it
-    inside the training data by the simulation error on stretches left out."""
+    inside the training data by the simulation error on segments left out."""
 
     def __post_init__(self) -> None:
         check_at_least(0, self, "ridge")
@@ -61,7 +61,7 @@ class MarginalLikelihood:
 
 @dataclass(frozen=True, kw_only=True)
 class _NetworkFit:
-    """What a fit of a network holds out, and when it stops."""
+    """Settings of a network fit for held-out samples and stopping."""
 
     holdout: float = 0.0
     """Share of the training samples, in [0, 0.9), that picks the number of steps before a refit on
@@ -76,12 +76,12 @@ class _NetworkFit:
     patience: int = 20
     """Checks in a row without improvement after which the fit stops."""
     symmetry: bool = False
-    """Whether the fit sees the records under every symmetry of the problem that takes inputs to
-    inputs and outputs to outputs, and simulations are averaged over these."""
+    """Fit the records under every symmetry of the problem that takes inputs to
+    inputs and outputs to outputs, and average simulations over these."""
     noise_model: NoiseKind = "white"
-    """What the residual of a simulation is taken for: "white", or "slow" for a slow disturbance
+    """Model of the residual of a simulation: "white", or "slow" for a slow disturbance
     plus white noise, see `LevenbergMarquardt`. The first half of the steps is fitted without it;
-    from there the sizes of both parts are estimated. Simulated chunks are whitened each by itself.
+    from there the sizes of both parts are estimated. Simulated chunks are whitened separately.
     Not for `MultipleShooting`."""
     slow_time: float | None = None
     """Time constant of the slow disturbance in s; None estimates it."""
@@ -123,11 +123,11 @@ class Adam(_NetworkFit):
     """Samples at the start of a simulation that do not count."""
     batch: int | None = None
     """Chunks of a step; None: as many as cover the records once, but at most 128. With `carry`, the
-    stretches read side by side; None: one a record."""
+    segments read side by side; None: one a record."""
     full_batch: bool = False
-    """Whether every step sees all chunks, laid end to end."""
+    """Use all chunks in every step, laid end to end."""
     carry: bool = False
-    """Whether chunks are read in time order and the state is carried over."""
+    """Read chunks in time order and carry the state over."""
     loss: Loss = "mse"
     """Mean of squares, "mse", of absolute values, "mae", or Huber's with its bend at 1, "huber"."""
     horizons: tuple[int, ...] | None = None
@@ -139,15 +139,15 @@ class Adam(_NetworkFit):
     """Probability at the first step that a cell which feeds back its own output is fed the measured
     one (scheduled sampling); 1, with `teacher_end` 1, is teacher forcing."""
     teacher_end: float = 0.0
-    """The same at the last step; between them it changes linearly."""
+    """Probability of a measured output at the last step; it changes linearly from `teacher`."""
     average: float = 0.0
     """Decay of an exponential moving average of the weights that is returned in their place; 0:
     none."""
     plateau_patience: int = 2
-    """With schedule "plateau", checks in a row that may fail to improve the score by a factor of
-    1 - 1e-4 before the rate is halved."""
+    """Number of checks in a row, with schedule "plateau", that may fail to improve the score by a
+    factor of 1 - 1e-4 before the rate is halved."""
     coupled: bool = False
-    """Whether the decay is part of the gradient (Adam with an L2 penalty) or apart from it
+    """Make the decay part of the gradient (Adam with an L2 penalty) instead of a separate step
     (AdamW)."""
     gentle: float = 0.0
     """Chunks at random places are drawn in proportion to their amplitude to the power -gentle: the
@@ -214,7 +214,7 @@ class MultipleShooting(_NetworkFit):
     """Adam on the parameters together with the initial states of short segments, for cells.
 
     Each record is cut into segments of `length` samples. A segment's initial state is free and
-    starts from what the network makes of its past window; the squared distance between the end of
+    starts from the network's map of its past window; the squared distance between the end of
     a segment and the start of the next is added to the loss with a weight that grows in equal
     ratios. Short segments keep gradients from exploding, so that systems are learned whose
     simulation from a bad start diverges or has no useful gradient. The map from the past window to
@@ -230,7 +230,7 @@ class MultipleShooting(_NetworkFit):
     weight_decay: float = 0.0
     """Decay of the weights at each step, times the learning rate."""
     schedule: Schedule = "cosine"
-    """How the learning rate changes, as in `Adam`."""
+    """Schedule of the learning rate, as in `Adam`."""
     clip: float = 1.0
     """Largest norm of a gradient; a larger one is scaled down."""
     length: int = 30
@@ -238,12 +238,12 @@ class MultipleShooting(_NetworkFit):
     penalty: float = 10.0
     """Weight of the squared distances at the last step."""
     penalty_start: float = 0.1
-    """The same at the first step."""
+    """Weight of the squared distances at the first step."""
     loss: Loss = "mse"
     """Mean of squares, "mse", of absolute values, "mae", or Huber's with its bend at 1, "huber"."""
     plateau_patience: int = 2
-    """With schedule "plateau", checks in a row that may fail to improve the score by a factor of
-    1 - 1e-4 before the rate is halved."""
+    """Number of checks in a row, with schedule "plateau", that may fail to improve the score by a
+    factor of 1 - 1e-4 before the rate is halved."""
 
     def __post_init__(self) -> None:
         _check_optimiser(self)
@@ -260,7 +260,7 @@ class MultipleShooting(_NetworkFit):
 
     @property
     def optimiser(self) -> Adam:
-        """The update rule."""
+        """Update rule of a step."""
         return Adam(
             self.steps, self.learning_rate, self.weight_decay, self.schedule, self.clip,
             loss=self.loss,

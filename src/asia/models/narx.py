@@ -1,8 +1,8 @@
 """Polynomial NARX model, its terms found by forward orthogonal least squares.
 
 y[k] is a sum of products of y[k-1] .. y[k-na] and u[k-delay] .. u[k-delay-nb+1] up to a degree.
-Terms enter in the order of their error reduction ratio; how many is decided by the simulation
-error on stretches left out of the fit, because terms that predict one step ahead may not simulate.
+Terms enter in the order of their error reduction ratio; their number is chosen by the simulation
+error on segments left out of the fit, because terms that predict one step ahead may not simulate.
 Levenberg-Marquardt then takes the coefficients to the least simulation error. In free run outputs
 are held within a multiple of the training range. Where outputs were not measured, a first model
 gives them and the fit is repeated.
@@ -49,20 +49,20 @@ from asia.models._one_step.polynomial import (
 )
 from asia.models.methods import LeastSquares
 
-# The Gram matrix of so many products is still cheap; beyond it the degree is lowered.
+# Greatest number of products, whose Gram matrix is still cheap; beyond it the degree is lowered.
 _MOST_PRODUCTS = 1000
 _START_RIDGE = 1e-7
-# Iterations that tell numbers of terms apart, and what fewer terms may err more, relatively: few
-# stretches tell no better.
+# Iterations for the comparison of numbers of terms, and the relative excess error allowed to fewer
+# terms, since few segments do not resolve less.
 _QUICK, _FEWER = 10, 0.1
 
 
 @dataclass(frozen=True)
 class Config:
-    """Lags and terms of the polynomial, and what holds it."""
+    """Lags and terms of the polynomial, and its ridge and range."""
 
     na: int | None = None
-    """Lagged outputs; None chooses among 1..max_order by the simulation error on stretches left out
+    """Lagged outputs; None chooses among 1..max_order by the simulation error on segments left out
     of the training data, one number for all lags left open."""
     nb: int | None = None
     """Lagged inputs, chosen alike."""
@@ -72,17 +72,19 @@ class Config:
     degree: int = 2
     """Greatest degree of the products."""
     terms: int | None = None
-    """Terms of each output; None chooses up to max_terms by the simulation error on what was left
+    """Terms of each output; None chooses up to max_terms by the simulation error on segments left
     out."""
     max_terms: int = 30
     """Greatest number of terms tried where `terms` is None."""
     max_order: int = 4
     """Greatest number of lags tried where `na` or `nb` is None."""
     margin: float = 0.1
-    """By how many times the width of the training range outputs in free run may leave it."""
+    """Permitted excess of outputs in free run over the training range, as a multiple of its
+    width."""
     coefficient_ridge: float = 1e-5
-    """With Levenberg-Marquardt, weight of the squared distance of the coefficients from those of
-    least squares, against the mean squared error in z-scores."""
+    """Weight of the squared distance of the coefficients from those of least squares, against the
+    mean
+    squared error in z-scores, with Levenberg-Marquardt."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "na", "nb", "degree", "terms", "max_terms", "max_order")
@@ -90,7 +92,7 @@ class Config:
 
 
 def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return FreeRunModel(config)
 
@@ -101,8 +103,12 @@ def train(
     context: Context,
     method: LeastSquares | LevenbergMarquardt,
 ) -> FreeRunModel[Config]:
-    """Lags, terms and coefficients by least squares; with Levenberg-Marquardt the coefficients
-    are refined. Raises UserError for records too short or mis-shaped."""
+    """Fit lags, terms and coefficients by least squares; with Levenberg-Marquardt refine the
+    coefficients.
+
+    Raises:
+        UserError: for records too short or mis-shaped.
+    """
     c = model.config
     if isinstance(method, LevenbergMarquardt):
         refuse_noise(method, "narx")
@@ -125,7 +131,7 @@ def _fitted(
     method: LeastSquares | LevenbergMarquardt,
     gaps: bool = False,
 ) -> tuple[PolynomialRun, list[float]]:
-    """The model, and its error by iteration."""
+    """Fit the model; return its error by iteration too."""
     choice = _choose(records, context, config, method)
     usable(records, choice.lags)
     if gaps and isinstance(method, LevenbergMarquardt):
@@ -142,8 +148,10 @@ def _fitted(
 def _with_more_terms(
     records: ScaledData, context: Context, config: Config, choice: _Choice
 ) -> _Choice:
-    """As many terms as refined models need, and no fewer: where lags are those of a model, errors
-    one step ahead tell little of what is still missing."""
+    """Raise the number of terms to what refined models need.
+
+    Where lags are those of a model, errors one step ahead show little of what is still missing.
+    """
     lags, quick = choice.lags, LevenbergMarquardt(iterations=_QUICK)
     counts = [n for n in _counts(config) if n >= choice.terms]
     part = selection(records, context, config.max_order)
@@ -164,7 +172,7 @@ def _with_more_terms(
 
 
 class _Choice(NamedTuple):
-    """What is settled before the fit, and the log error on what was left out."""
+    """Settings chosen before the fit, and their log error on samples left out."""
 
     lags: Lags
     terms: int
@@ -175,7 +183,7 @@ class _Choice(NamedTuple):
 def _choose(
     records: ScaledData, context: Context, config: Config, method: LeastSquares | LevenbergMarquardt
 ) -> _Choice:
-    """Lags, number of terms and ridge with the least simulation error on what was left out."""
+    """Choose lags, number of terms and ridge by the simulation error on samples left out."""
     c = config
     delay = c.delay
     if delay is None:
@@ -198,7 +206,7 @@ def _choose(
 def _choose_terms(
     records: ScaledData, context: Context, lags: Lags, config: Config, ridges: Sequence[float]
 ) -> _Choice:
-    """Number of terms and ridge: the fewest terms within 2 % of the least error."""
+    """Choose number of terms and ridge: the fewest terms within 2 % of the least error."""
     usable(records, lags)
     counts = _counts(config)
     errors = left_out_error(
@@ -214,7 +222,7 @@ def _choose_terms(
 
 
 def _shortest(context: Context, lags: Lags) -> int:
-    """Samples of a stretch that is left out, at least."""
+    """Least number of samples of a segment that is left out."""
     return 2 * past_length(context) + 4 * lags.memory
 
 
@@ -264,9 +272,15 @@ def _runs(
 
 
 def error_reduction_order(gram: Array, cross: Array, most: int) -> list[int]:
-    """Columns in the order in which each reduces the squared residual the most, given those
-    before it: gram (M, M) = X'X, cross (M,) = X'y. Columns that the chosen ones already span are
-    passed over."""
+    """Order of the columns by their reduction of the squared residual, given those before.
+
+    Columns that the chosen ones already span are skipped.
+
+    Args:
+        gram: X'X (M, M).
+        cross: X'y (M,).
+        most: greatest number of columns.
+    """
     rest, gain = gram.copy(), cross.copy()
     size = np.diag(gram).copy()
     chosen: list[int] = []

@@ -40,19 +40,19 @@ from asia.models.methods import Adam, LevenbergMarquardt
 
 _LINEAR = ("a", "b", "c", "d", "offset")
 _NONLINEAR = ("f", "s", "r", "read", "act", "dry", "play")
-# Samples times squared parameters of one Levenberg-Marquardt iteration on windows, and how many
-# windows that may give.
+# Limit on samples times squared parameters of one Levenberg-Marquardt iteration on windows, and on
+# the resulting number of windows.
 _WORK, _WINDOWS = 2e10, (24, 1000)
 
 
 @dataclass(frozen=True)
 class Config:
-    """Size of the state and of its static functions, and what holds these."""
+    """Size of the state and of its static functions, and their ridges."""
 
     order: int | None = None
     """States; None takes the order of the best linear model, but at least 2."""
     nonlinearity: Nonlinearity = "state"
-    """Where the static functions are: in the "state" equation and the output, at the "input", at
+    """Place of the static functions: in the "state" equation and the output, at the "input", at
     the "output", or at "both" ends. "none" leaves them out."""
     channels: int | None = None
     """Signals through which f and g act, with nonlinearity "state"; None: on all states and
@@ -67,17 +67,17 @@ class Config:
     """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
     weights from their start."""
     linear_ridge: float = 1e-7
-    """The same for A, B, C, D and the offset."""
+    """Weight of the squared distance of A, B, C, D and the offset from their start."""
     encoder: int = 30
     """Units of the tanh layer of the map from the past window to the initial state."""
     members: int = 1
-    """With Levenberg-Marquardt, how many of the fits from its starts are kept; the median of their
-    outputs is taken."""
+    """Number of the fits from several starts that are kept, with Levenberg-Marquardt; the median of
+    their outputs is taken."""
     delay: int | None = 0
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
     symmetry: bool = False
-    """Whether the fit sees the records under every symmetry of the problem that takes inputs to
-    inputs and outputs to outputs, and simulations are averaged over these."""
+    """Fit the records under every symmetry of the problem that takes inputs to
+    inputs and outputs to outputs, and average simulations over these."""
     friction: int = 0
     """Elements of dry friction and hysteresis. Each resists the motion of a learned direction of
     the state, has a state of its own, and can hold the system still."""
@@ -88,12 +88,13 @@ class Config:
     """Free integrators: states whose pole is held at 1 and which the static functions in the state
     equation do not read."""
     pieces: bool = False
-    """With Levenberg-Marquardt, whether fits begin with short pieces of the records, each from a
-    state of its own, which grow to the whole records: fewer local minima where small differences
+    """Begin fits with short segments of the records, each with its own initial state, which grow to
+    the whole records, with Levenberg-Marquardt: fewer local minima where small differences
     grow. An estimated delay is then compared with none by the whole fit."""
     past_fit: bool = False
-    """With Levenberg-Marquardt, whether the initial state is fitted to the past window by the model
-    itself, and not only read from it by the encoder."""
+    """Fit the initial state to the past window by the model itself, with Levenberg-Marquardt,
+    instead
+    of only reading it by the encoder."""
     transport: int | None = None
     """Number of an input with positive values, a flow or a speed, at whose pace all inputs are
     carried to where they act: their delay is the longer the smaller it is. The volume on the way
@@ -117,16 +118,35 @@ class NeuralStateSpace:
     fitted: FittedStateSpace | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny). Raises UserError before training."""
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().simulate(past_u, past_y, u)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().initial(past_u, past_y, u)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().step(state, u)
 
     def _trained(self) -> FittedStateSpace:
@@ -136,7 +156,7 @@ class NeuralStateSpace:
 
 
 def build(config: Config, context: Context) -> NeuralStateSpace:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return NeuralStateSpace(config)
 
@@ -147,13 +167,17 @@ def train(
     context: Context,
     method: LevenbergMarquardt | Adam,
 ) -> NeuralStateSpace:
-    """Fits the linear model, then all parameters to the simulation error of all records, or of
-    windows where `linear.windowed` says that the past window is to be the state.
+    """Fit the linear model, then all parameters to the simulation error.
 
-    Levenberg-Marquardt suits short records and few parameters (its Jacobian takes samples x
+    The error is that of all records, or of windows where `linear.windowed` chooses the past window
+    as
+    state. Levenberg-Marquardt suits short records and few parameters (its Jacobian takes samples x
     outputs x parameters numbers); `method.starts` initialisations are tried and the
-    `config.members` with the lowest training cost are kept. Raises UserError for records too
-    short or mis-shaped, and for a transport at the pace of an input that is not positive.
+    `config.members` with the lowest training cost are kept.
+
+    Raises:
+        UserError: for records too short or mis-shaped, and for a transport at the pace of an input
+            that is not positive.
     """
     check(trajectories, context)
     c = model.config
@@ -173,7 +197,7 @@ def train(
         return _train_windowed(model, predictor, data, context, method)
     fitted, cost = _train_records(c, data, context, method)
     if c.pieces and c.delay is None and fitted.delay > 0:
-        # A linear model of a nonlinear system may find a delay that there is not.
+        # A linear model of a nonlinear system may find a delay that does not exist.
         other, other_cost = _train_records(replace(c, delay=0), data, context, method)
         fitted = other if other_cost < cost else fitted
     return replace(model, fitted=fitted)
@@ -186,7 +210,7 @@ def _train_carried(
     method: LevenbergMarquardt | Adam,
     pace: int,
 ) -> NeuralStateSpace:
-    """On inputs as they leave the pipe."""
+    """Train on inputs at the outlet of the pipe."""
     demand(model.config, "transport", pace < context.nu, f"less than {context.nu}, the inputs")
     transport, behind, known = carried_records(trajectories, context, pace)
     plain = replace(model, config=replace(model.config, transport=None))
@@ -198,7 +222,7 @@ def _train_carried(
 def _train_records(
     c: Config, data: TurnedData, context: Context, method: LevenbergMarquardt | Adam
 ) -> tuple[FittedStateSpace, float]:
-    """On whole records, and the least cost with Levenberg-Marquardt."""
+    """Train on whole records; return the least cost with Levenberg-Marquardt too."""
     least = (1 if c.friction or c.play else 2) + (c.integrators > 0)
     choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
     found, delay, used = linear.fit_of_least_order(data.records, context, choice, least)
@@ -243,7 +267,7 @@ def _train_windowed(
     context: Context,
     method: LevenbergMarquardt | Adam,
 ) -> NeuralStateSpace:
-    """The state is the past window, so that nothing need be learned of where a window starts."""
+    """Train with the past window as state, so that no initial state need be learned."""
     from asia.models._state_space.fit import fit_states
     from asia.models._state_space.programs import StateSamples
 
@@ -264,7 +288,7 @@ def _train_windowed(
         w = cut_windows(data.every, context, int(np.clip(most, *_WINDOWS)))
         weight = np.ones(w.y.shape[:2]) if w.weight is None else w.weight
         samples = StateSamples(encoder(w.features), w.u, w.y, weight, known=True)
-        # What held the linear model to its training windows has to hold this one as well.
+        # The ridge of the linear model on its training windows applies to this model too.
         ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
         time = context.sampling_time
         fits = fit_states(structure, starts, samples, ridges, method, context.log, time)

@@ -3,7 +3,7 @@
 x[k+1] = A x + B u + E w,  y = C x + D u + F w + offset,  z = G x + H u,  w = f(z). The functions f
 map `channels` signals to as many. With one channel Hammerstein, Wiener and Wiener-Hammerstein
 systems are special cases, and systems with a spring or with friction in their loop. The fit begins
-with linear models of several orders and with functions inferred from what these leave over.
+with linear models of several orders and with functions inferred from their residuals.
 Sources: Schoukens and Toth, On the initialization of nonlinear LFR model identification with the
 best linear approximation, IFAC 2020; Floren, Noel and Swevers, Inference and learning of nonlinear
 LFR state-space models, arXiv 2503.14409.
@@ -27,18 +27,18 @@ from asia.models._linear.fit import Refinement
 from asia.models._state_space.fitted import FittedStateSpace
 from asia.models.methods import LevenbergMarquardt
 
-# Windows of a problem with a horizon that are fitted; each has an initial state of its own.
+# Greatest number of windows for a problem with a horizon; each has its own initial state.
 _WINDOWS = 40
-# Delays, in samples, that states can stand for: a linear model of a nonlinear system may find one
-# that there is not.
+# Delays, in samples, that states can replace: a linear model of a nonlinear system may find one
+# that does not exist.
 _MODELLED = 3
-# States of the linear models to begin with, with one output and the order open.
+# Orders of the first linear models, with one output and the order open.
 _ORDERS = (1, 2, 3, 4)
 
 
 @dataclass(frozen=True)
 class Config:
-    """Size of the state and of the static functions, and what holds these."""
+    """Size of the state and of the static functions, and their ridges."""
 
     order: int | None = None
     """States; None tries several, up to four with one output, and around the order of the best
@@ -51,7 +51,7 @@ class Config:
     """Weight, against the mean squared error in z-scores, of the squared distance of the functions'
     weights from their start."""
     linear_ridge: float = 1e-7
-    """The same for the linear system."""
+    """Weight of the squared distance of the linear system from its start."""
     encoder: int = 30
     """Units of the tanh layer of the map from the past window to the initial state."""
     delay: int | None = None
@@ -60,7 +60,7 @@ class Config:
     integrators: int = 0
     """Free integrators: states whose pole is held at 1 and which the functions do not read."""
     pieces: bool = False
-    """Whether fits begin with short pieces of the records, each from a state of its own, which grow
+    """Begin fits with short segments of the records, each with its own initial state, which grow
     to the whole records."""
 
     def __post_init__(self) -> None:
@@ -76,16 +76,35 @@ class NonlinearLfr:
     fitted: FittedStateSpace | None = None
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny). Raises UserError before training."""
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().simulate(past_u, past_y, u)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().initial(past_u, past_y, u)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self._trained().step(state, u)
 
     def _trained(self) -> FittedStateSpace:
@@ -95,7 +114,7 @@ class NonlinearLfr:
 
 
 def build(config: Config, context: Context) -> NonlinearLfr:
-    """An untrained model."""
+    """Build an untrained model."""
     del context
     return NonlinearLfr(config)
 
@@ -106,10 +125,15 @@ def train(
     context: Context,
     method: LevenbergMarquardt,
 ) -> NonlinearLfr:
-    """Linear models, `method.starts` starts for each, then all parameters to the simulation error.
+    """Fit linear models, `method.starts` starts for each, then all parameters to the simulation
+    error.
+
     The two best starts go on after a quarter of the iterations. Where the problem has a horizon,
-    windows of that length from all over the records are fitted. Raises UserError for records too
-    short or mis-shaped."""
+    windows of that length from all over the records are fitted.
+
+    Raises:
+        UserError: for records too short or mis-shaped.
+    """
     from asia.models._state_space.feedback.fit import FeedbackOptions, LinearCore, fit_feedback
 
     check(trajectories, context)
@@ -133,8 +157,10 @@ def train(
 
 
 def _sizes(c: Config, delay: int, order: int, ny: int) -> list[tuple[int, int]]:
-    """Delays and orders of the linear models to begin with. The best linear model may have more
-    states, and a delay, for what the static functions will explain."""
+    """Delays and orders of the linear models to begin with.
+
+    The best linear model may have more states, and a delay, in place of the static functions.
+    """
     delays = (
         [0, delay] if c.delay is None and delay > _MODELLED else [0 if c.delay is None else delay]
     )

@@ -57,30 +57,29 @@ from asia.problem.physics.expressions import parse_expression
 __all__ = ["Config", "build", "train"]
 
 _LONGEST = 100
-# Time constant of the lag at the start; the second where the equations have corrections, beside
-# whose effects a lag is small.
+# Initial time constant of the lag, without and with corrections, with which a lag is small.
 _LAG_SAMPLES, _LAG_SAMPLES_CORRECTED = 2.0, 0.6
-# Validation scores kept for the network.
+# Validation scores reserved for the network.
 _RESERVED = 100
 
 
 @dataclass(frozen=True)
 class Config:
-    """What is added to the equations of [physics]."""
+    """Additions to the equations of [physics]."""
 
     linear: bool = False
-    """Whether every equation with free parameters gets an offset and linear terms in the states and
+    """Give every equation with free parameters an offset and linear terms in the states and
     parameter-free definitions that the equations read."""
     sparsity: float = 3e-4
-    """How much a linear term must bring to stay; 0 keeps all."""
+    """Least benefit of a linear term that is kept; 0 keeps all."""
     ridge: float = 1e-3
-    """Weight of the squared linear terms before that, against the loss."""
+    """Weight of the squared linear terms before that selection, against the loss."""
     lag: bool = True
-    """Whether the inputs act through a first-order lag with a learned time constant."""
+    """Let the inputs act through a first-order lag with a learned time constant."""
     gain: bool = True
-    """Whether known kinematics get a learned factor."""
+    """Give known kinematics a learned factor."""
     disturbance: bool = False
-    """Whether a bounded slow disturbance opposes the acceleration."""
+    """Add a bounded slow disturbance that opposes the acceleration."""
     network: NetworkKind | None = None
     """Network for what is left: "mlp", "rnn", "gru", "lstm", or None for none."""
     hidden: int = 32
@@ -90,16 +89,17 @@ class Config:
     size: float = 1.0
     """Largest effect of the network, as a share of the rates measured."""
     robust: float | None = 0.3
-    """Where the loss on windows turns from square to linear, in standard deviations of the output;
-    None is least squares."""
+    """Error at which the loss on windows changes from square to linear, in standard deviations of
+    the
+    output; None is least squares."""
     equations: int = 15
     """Iterations on the equations before a network method."""
     windows: int = 240
-    """Training windows at most."""
+    """Greatest number of training windows."""
     delay: bool = False
-    """Whether known kinematics read the other states at a learned delay."""
+    """Let known kinematics read the other states at a learned delay."""
     symmetry: bool = False
-    """Whether the network sees its signals under the symmetries of the problem: a random one for
+    """Show the network its signals under the symmetries of the problem: a random one for
     each window in training, the mean over all in simulation. It needs [physics.corrections]."""
     prior: float = 0.01
     """Weight of the squared deviations from [physics.priors] against the loss."""
@@ -117,35 +117,57 @@ class Config:
 
 @dataclass(frozen=True)
 class PhysicsNet:
-    """The model; `network` holds the fitted cell, its parameters and scaling."""
+    """Physics with learned terms; `network` holds the fitted cell, its parameters and scaling."""
 
     config: Config
     network: NetworkModel
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny) float64. Raises UserError before training."""
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny), float64.
+
+        Raises:
+            UserError: before training.
+        """
         return self.network.simulate(past_u, past_y, u)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self.network.initial(past_u, past_y, u)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         return self.network.step(state, u)
 
     def parameters(self) -> dict[str, float]:
-        """Those of the equations in their physical units, of the first member where there are
-        several, and the lag of the inputs in seconds."""
+        """Parameters of the equations in their physical units, of the first member where there
+        are several, and the lag of the inputs in seconds."""
         cell = self.network.cell
         assert isinstance(cell, MeasuredCell)
         return cell.parameters(self.network.params)
 
 
 def build(config: Config, context: Context) -> PhysicsNet:
-    """The untrained model. Raises UserError when the problem has no [physics] or the past window
-    does not show every state."""
+    """Build an untrained model.
+
+    Raises:
+        UserError: if the problem has no [physics] or the past window does not show every state.
+    """
     if context.physics is None:
         raise UserError(
             "physics_net: the problem has no [physics]; give states and dynamics, or use a "
@@ -165,11 +187,13 @@ def train(
     context: Context,
     method: LevenbergMarquardt | NetworkMethod,
 ) -> PhysicsNet:
-    """The equations fitted to windows; with a network method, everything trained from there.
+    """Fit the equations to windows; with a network method, train everything from there.
 
-    Members differ in the seed of the network and of the windows drawn. Raises UserError for records
-    too short or mis-shaped, for a network without a network method, and for several members that
-    would share the validation scores of a fit.
+    Members differ in the seed of the network and of the windows drawn.
+
+    Raises:
+        UserError: for records too short or mis-shaped, for a network without a network method, and
+            for several members that would share the validation scores of a fit.
     """
     check(trajectories, context)
     if not isinstance(method, LevenbergMarquardt) and method.members > 1:
@@ -179,7 +203,7 @@ def train(
     if isinstance(method, LevenbergMarquardt):
         if config.network is not None:
             raise UserError(
-                "physics_net: LevenbergMarquardt fits the equations alone; train the network by "
+                "physics_net: LevenbergMarquardt fits only the equations; train the network by "
                 "Adam or leave network at None"
             )
         refuse_noise(method, "physics_net without a network method")
@@ -206,7 +230,7 @@ def train(
 def _average(
     model: PhysicsNet, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
 ) -> PhysicsNet:
-    """Members fitted one by one, whose simulations are averaged."""
+    """Fit members sequentially; their simulations are averaged."""
     if method.stop == "validation" and context.validation_score is not None:
         raise UserError(
             f"physics_net: members is {method.members} and stop is 'validation', but there are "
@@ -231,7 +255,7 @@ def _fit_equations(
     method: LevenbergMarquardt,
     judge: LimitedScore | None,
 ) -> NetworkModel:
-    # Training compiles by JAX, which a trained model does without.
+    # Import of JAX, which a trained model does not need.
     from asia.models._equations.measured_terms import TermPenalties, fit_equations
 
     cell, scaling = network.cell, network.scaling
@@ -310,7 +334,11 @@ def _cell(
 
 
 def _check_symmetry(config: Config, context: Context) -> None:
-    """Raises UserError where the problem has nothing for it."""
+    """Check that the problem has a usable symmetry.
+
+    Raises:
+        UserError: if it has none.
+    """
     places = bool(context.physics and context.physics.corrections)
     if config.symmetry and not (places and context.symmetry and config.network):
         raise UserError(
@@ -320,7 +348,7 @@ def _check_symmetry(config: Config, context: Context) -> None:
 
 
 def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[str, Any]:
-    """Untrained: the middle of the ranges, nothing learned."""
+    """Untrained parameters: the middle of the ranges, nothing learned."""
     rng = np.random.default_rng(context.seed)
     nd, nr, nc = cell.physics.nd, len(cell.read), cell.physics.nc
     params: dict[str, Any] = {

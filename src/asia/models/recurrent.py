@@ -43,11 +43,13 @@ class Config:
     encoder: int = 32
     """Units of the network that maps the past window to the initial state."""
     activation: Literal["tanh", "relu"] = "tanh"
-    """Of that network's inner layer; with "relu" its outputs are linear, with "tanh" bounded."""
+    """Activation of the inner layer of that network; with "relu" its outputs are linear, with
+    "tanh"
+    bounded."""
     tied: bool = False
-    """Whether the c of an LSTM starts equal to its h."""
+    """Start the c of an LSTM equal to its h."""
     direct: bool = True
-    """Whether the output has a linear term of the input of the same sample."""
+    """Give the output a linear term of the input of the same sample."""
     start: Literal["ridge", "uniform"] = "ridge"
     """"ridge" draws orthogonal recurrent weights and gates that remember 1 to 100 samples, and
     solves the output layer by ridge regression; "uniform" draws all weights within
@@ -75,12 +77,12 @@ class RecurrentCell(Driven[Config]):
         return _parameters(rng, self.config, context)
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
-        """Weights of a "uniform" start stay as they are drawn."""
+        """Leave the weights of a "uniform" start as they are drawn."""
         del trajectories, context
         return as_built if self.config.start == "uniform" else None
 
     def initial(self, params: Any, window: AnyArray) -> Any:
-        """One (h, c) for each layer; c is used by the LSTM alone."""
+        """State (h, c) of each layer; only the LSTM uses c."""
         tanh = namespace(window).tanh
         bend = tanh if self.config.activation == "tanh" else relu
         inner = bend(window @ params["enc_w1"] + params["enc_b1"])
@@ -93,7 +95,7 @@ class RecurrentCell(Driven[Config]):
         return [(parts[2 * i], parts[2 * i + 1]) for i in range(self.config.layers)]
 
     def step(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Each layer reads the one below."""
+        """Advance by one sample; each layer reads the one below."""
         signal, result = self.drive(u), []
         for layer, (h, c) in zip(params["layers"], state, strict=True):
             h, c = self._layer(layer, h, c, signal)
@@ -102,7 +104,7 @@ class RecurrentCell(Driven[Config]):
         return result, signal
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """Linear in the last layer's h and, with `direct`, in u."""
+        """Output, linear in the last layer's h and, with `direct`, in u."""
         if not self.config.direct:
             return features @ params["out_w"] + params["out_b"]
         return linear_output(params, features, u)
@@ -152,7 +154,7 @@ def _uniform_parameters(rng: np.random.Generator, config: Config, context: Conte
         {
             "u": uniform(rng, (inputs if i == 0 else hidden, wide), hidden),
             "h": uniform(rng, (hidden, wide), hidden),
-            # PyTorch has a bias for each of the two products.
+            # PyTorch draws a bias for each of the two products.
             "b": uniform(rng, (wide,), hidden) + uniform(rng, (wide,), hidden),
         }
         for i in range(config.layers)

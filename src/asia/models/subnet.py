@@ -40,7 +40,7 @@ from asia.models._networks.structure import Params
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
 
-# Far outside what training visits; keeps a model that is unstable there from overflowing.
+# Limit far outside the training range, which keeps an unstable model from overflowing.
 _LARGEST_STATE = 30.0
 _MOST_WINDOWS = 1000
 _ONE_STEP_RIDGE = 1e-4
@@ -99,7 +99,7 @@ class SubnetCell(Driven[Config]):
         }
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
-        """From the linear model, or as drawn."""
+        """Start from the linear model, or as drawn."""
         del trajectories
         if self.config.start == "random":
             return as_built
@@ -111,12 +111,12 @@ class SubnetCell(Driven[Config]):
         return linear_part + mlp(params["encode"], window)
 
     def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """The output of a sample is read from the state at that sample."""
+        """Advance by one sample; the features are the state before it."""
         after = state @ self._dynamics(params) + u @ params["b"] + self._bent(params["f"], state, u)
         return bounded(after, -_LARGEST_STATE, _LARGEST_STATE), state
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """C x + D u + offset + h(x, u)."""
+        """Output C x + D u + offset + h(x, u)."""
         bent = self._bent(params["h"], features, u)
         return features @ params["c"] + u @ params["d"] + params["offset"] + bent
 
@@ -126,7 +126,7 @@ class SubnetCell(Driven[Config]):
         return mlp(layers, namespace(read, u).concatenate([read, self.drive(u)], axis=-1))
 
     def _dynamics(self, params: Any) -> AnyArray:
-        """A, transposed."""
+        """Transposed matrix A."""
         a, c = params["a"], self.config
         if not c.integrators:
             return a
@@ -152,7 +152,7 @@ def _from_linear_model(
         return _embedded(params, s, encoder.weights, encoder.bias)
     if states < context.ny:
         return params
-    # A state that holds the last outputs is known from the past window, and cheap to fit.
+    # A state that holds the last outputs follows from the past window, and is cheap to fit.
     lags = replace(lags, y=min(lags.y, states // context.ny))
     windows = cut_windows(records, context, _MOST_WINDOWS)
     s, encoder = one_step(windows, lags, _ONE_STEP_RIDGE).system()
@@ -166,8 +166,12 @@ def _from_linear_model(
 def _from_integrating_model(
     params: Params, records: ScaledData, context: Context, integrators: int
 ) -> Params:
-    """Inputs at which the integrators stand still are no zero of the z-scores: what these inputs do
-    goes into the constants of f and of the output."""
+    """Start from a linear model with integrators.
+
+    Inputs at which the integrators are at rest are not the zero of the z-scores: the effect of
+    these
+    inputs goes into the constants of f and of the output.
+    """
     choice = linear.Config(order=len(params["a"]), integrators=integrators)
     shift = drift_shift(records, len(params["a"]), integrators)
     moved = [replace(r, u=r.u + shift, measured_u=r.measured_u) for r in records]
@@ -180,13 +184,14 @@ def _from_integrating_model(
 
 
 def _without_constant(s: LinearSystem) -> LinearSystem:
-    """The constant 1 that is the last state, moved from C to the offset."""
+    """Move the last state, the constant 1, from C to the offset."""
     n = s.order - 1
     return LinearSystem(s.a[:n, :n], s.b[:n], s.c[:, :n], s.d, s.offset + s.c[:, n])
 
 
 def _embedded(params: Params, s: LinearSystem, weights: Array, bias: Array) -> dict[str, Any]:
-    """The parameters with the system as the first states; the output does not read the others."""
+    """Put the system into the first states of the parameters; the output does not read the
+    others."""
     n = s.order
     result = {**params, "d": np.asarray(s.d.T, np.float32), "offset": s.offset.astype(np.float32)}
     result["c"] = np.zeros_like(params["c"])

@@ -28,13 +28,13 @@ from asia.models._networks.structure import Params
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
 
-# Added to the score of a token that must not be attended to.
+# Score offset that masks a token.
 _UNSEEN = -1e9
 
 
 @dataclass(frozen=True)
 class Config:
-    """Number and size of the layers, and how far back they look."""
+    """Number and size of the layers, and their reach into the past."""
 
     layers: int = 2
     """Layers of attention and static network."""
@@ -75,7 +75,7 @@ class Transformer(Driven[Config]):
         }
 
     def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
-        """Last layer's channels of the samples."""
+        """Channels of the last layer at the samples."""
         c, samples, xp = self.config, u.shape[1], namespace(u)
         token = mlp(params["encoder"], window)[:, None]
         x = xp.concatenate([token, mlp(params["in"], self.drive(u))], axis=1)
@@ -87,7 +87,7 @@ class Transformer(Driven[Config]):
         return x[:, 1 : samples + 1]
 
     def begin(self, params: Any, window: AnyArray) -> Any:
-        """Keys, values and whether there are any, of the tokens before the first sample."""
+        """Keys and values of the tokens before the first sample, and a mask of those that exist."""
         xp, c, batch = namespace(window), self.config, len(window)
         blank = xp.zeros((batch, c.span - 1, c.width), window.dtype)
         unseen = xp.zeros((batch, c.span - 1), window.dtype)
@@ -95,7 +95,7 @@ class Transformer(Driven[Config]):
         return self._token(params, nothing, mlp(params["encoder"], window))[0]
 
     def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """One token more."""
+        """Advance by one token."""
         return self._token(params, state, mlp(params["in"], self.drive(u)))
 
     def _token(self, params: Any, state: Any, x: AnyArray) -> tuple[Any, AnyArray]:
@@ -110,7 +110,7 @@ class Transformer(Driven[Config]):
 
 
 def _attended(p: Any, x: AnyArray, held: Any, heads: int) -> tuple[Any, AnyArray]:
-    """`banded_attention` of one token x (B, width) to itself and to those held before it."""
+    """Apply `banded_attention` to one token x (B, width), with the tokens held before it."""
     xp, (batch, width) = namespace(x), x.shape
     query, key, value = split(x @ p["qkv"], 3)
     news = key[:, None], value[:, None], xp.ones((batch, 1), x.dtype)
@@ -125,8 +125,10 @@ def _attended(p: Any, x: AnyArray, held: Any, heads: int) -> tuple[Any, AnyArray
 
 
 def banded_attention(p: Any, x: AnyArray, heads: int, span: int) -> AnyArray:
-    """x (B, T, width), T a multiple of span -> (B, T, width). Each block of `span` tokens looks
-    at itself and at the block before it."""
+    """Attend in blocks: x (B, T, width), T a multiple of span -> (B, T, width).
+
+    Each block of `span` tokens looks at itself and at the block before it.
+    """
     xp, (batch, length, width) = namespace(x), x.shape
     shape = (batch, length // span, span, heads, width // heads)
     # (B, blocks, heads, tokens, channels)
@@ -163,7 +165,7 @@ def _layer_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:
 
 
 def _nearness(c: Config) -> Float32:
-    """(heads, span): heads that look from a few samples back to the whole span."""
+    """Biases (heads, span): heads that look from a few samples back to the whole span."""
     reach = np.geomspace(2.0, c.span, c.heads)
     return (-np.arange(c.span) / reach[:, None]).astype(np.float32)
 

@@ -28,15 +28,17 @@ from asia.models._noise.process import ResidualProcess
 __all__ = ["Covariance", "PriorPenalty", "estimates", "gradient", "jacobians_of", "sandwich"]
 
 _CONFIDENCE = 0.95
-# Each record counts by its own sum only where there are so many, and so many a parameter.
+# Least number of records, in total and for each parameter, at which each record counts as one
+# cluster.
 _CLUSTERS, _CLUSTERS_A_PARAMETER = 30, 5
-# Of an information matrix with ones on its diagonal: what is below is rounding.
+# Least eigenvalue of an information matrix with ones on its diagonal: smaller ones are rounding.
 _NO_INFORMATION = 1e-14
 _STEP = 1e-6
-# A missing effect is shown by the smallest of four probabilities, corrected for their number.
+# Level of the test for a missing effect: the smallest of four probabilities, corrected for their
+# number.
 _MISFIT_LEVEL = 0.1
-# The parameters may have absorbed this many times what the missing effect left in the residuals.
-# On 36 systems that lack an effect 2 held 89 % of the true values, and 2.5 held 94 %.
+# Assumed ratio of the effect absorbed by the parameters to the one left in the residuals. On 36
+# systems with a missing effect 2 held 89 % of the true values, and 2.5 held 94 %.
 _ABSORBED = 2.5
 _MISFIT_LAGS = (1, 2, 4, 8)
 _MISFIT_ROWS, _MISFIT_DIRECTIONS = 20_000, 6
@@ -44,16 +46,17 @@ _MISFIT_ROWS, _MISFIT_DIRECTIONS = 20_000, 6
 
 @dataclass(frozen=True)
 class Covariance:
-    """Of the estimates of P coordinates."""
+    """Covariance of the estimates of P coordinates."""
 
     matrix: Array
     """(P, P)."""
     from_prior: Array
-    """(P, P): H^-1 R H^-1, the part of H^-1 that the ridge alone makes."""
+    """(P, P): H^-1 R H^-1, the part of H^-1 that comes only from the ridge."""
     information: Array
-    """(P, P): H^-1; as large in a direction as the records and the ridge say little of it."""
+    """(P, P): H^-1; large in directions of which the records and the ridge carry little
+    information."""
     unknown: Array
-    """(P, k): directions of which neither records nor ridge say anything."""
+    """(P, k): directions of which neither records nor ridge carry information."""
     freedom: float
     """Degrees of freedom of the residuals, correlation taken into account."""
     misfit: float = 0.0
@@ -63,14 +66,15 @@ class Covariance:
 
 @dataclass(frozen=True)
 class PriorPenalty:
-    """Knowledge beside the records: weight times a sum of squared deviations from what is known,
-    each over its standard deviation."""
+    """Prior knowledge: weight times a sum of squared deviations from known values, each over its
+    standard deviation."""
 
     matrix: Array
-    """(P, P): of that penalty in the normal equations, the weight included."""
+    """(P, P): contribution of the penalty to the normal equations, the weight included."""
     weight: float
-    """With white residuals of variance s the sum of squares is a likelihood where this is s.
-    Another weight makes the estimate another one, but the knowledge no better."""
+    """Weight of the sum. With white residuals of variance s the sum of squares is a likelihood
+    where this
+    is s. Another weight makes the estimate another one, but the knowledge no better."""
 
 
 def sandwich(
@@ -80,11 +84,14 @@ def sandwich(
     nuisance: Sequence[Array] | None = None,
     prior: PriorPenalty | None = None,
 ) -> Covariance:
-    """The covariance of coordinates that make the sum of squares small.
+    """Covariance of coordinates that minimise the sum of squares.
 
-    residuals: (T, ny) of each record; jacobians: (T, ny, P), their derivatives; ridge: (P, P), R
-    where the sum has theta' R theta beside the squares; nuisance: (T, ny, Q), derivatives by what
-    is fitted for each record alone, such as its initial state; prior: knowledge in the same sum.
+    Args:
+        residuals: (T, ny) of each record.
+        jacobians: their derivatives (T, ny, P).
+        ridge: R (P, P) where the sum has theta' R theta in addition to the squares.
+        nuisance: derivatives (T, ny, Q) by the unknowns of each record, such as its initial state.
+        prior: prior knowledge in the same sum.
     """
     free = list(jacobians)
     if nuisance is not None:
@@ -100,7 +107,7 @@ def sandwich(
     squares = sum(float((e**2).sum()) for e in residuals)
     lost = float(np.trace(inverse @ middle))
     lost += sum(_lost(noise, q) for q in nuisance or ())
-    # What the fit took away of the noise, where the process does not know of it.
+    # Noise absorbed by the fit, if the process does not account for it.
     kept = max(1.0 - lost / squares, 0.05) if squares > 0 else 1.0
     samples = sum(e.size for e in residuals)
     variance = squares / kept / samples
@@ -117,8 +124,10 @@ def sandwich(
 def gradient(
     residuals: Sequence[Array], jacobians: Sequence[Array], nuisance: Sequence[Array]
 ) -> Array:
-    """(P,): half the slope of the sum of squares, what each record has for itself fitted anew;
-    arguments as in `sandwich`. 0 at a minimum."""
+    """Half the gradient (P,) of the sum of squares, with the unknowns of each record fitted anew.
+
+    Arguments are those of `sandwich`. It is 0 at a minimum.
+    """
     free = (_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True))
     parts = [np.einsum("typ,ty->p", j, e) for j, e in zip(free, residuals, strict=True)]
     return np.sum(parts, axis=0)
@@ -130,9 +139,17 @@ def estimates(
     theta: Array,
     equations: Sequence[str] = (),
 ) -> ParameterEstimates:
-    """The parameters that `report` makes of coordinates theta (P,), with standard errors,
-    intervals and correlations put in. A parameter with a range of positive numbers alone has an
-    interval on the logarithmic scale."""
+    """Standard errors, intervals and correlations of the parameters that `report` makes of
+    coordinates.
+
+    A parameter with a range of positive numbers has an interval on the logarithmic scale.
+
+    Args:
+        covariance: covariance of the coordinates.
+        report: makes the parameters from coordinates.
+        theta: coordinates (P,).
+        equations: lines of the equations.
+    """
     plain = list(report(theta))
     slopes = _slopes(lambda x: np.array([p.value for p in report(x)]), theta)
     matrix = slopes @ covariance.matrix @ slopes.T
@@ -203,7 +220,8 @@ def _slopes(values: Callable[[Array], Array], theta: Array) -> Array:
 
 
 def _projected(jacobian: Array, nuisance: Array) -> Array:
-    """Without what a change of the record's own unknowns would explain (Frisch and Waugh)."""
+    """Remove from the jacobian the part that the record's own unknowns explain (Frisch and
+    Waugh)."""
     flat, own = jacobian.reshape(-1, jacobian.shape[-1]), _basis(nuisance)
     explained = own @ (own.T @ flat)
     return np.subtract(flat, explained, out=explained).reshape(jacobian.shape)
@@ -217,7 +235,7 @@ def _basis(columns: Array) -> Array:
 
 
 def _inverse(gram: Array) -> tuple[Array, Array]:
-    """The inverse where there is one, 0 in the directions (P, k) where there is none."""
+    """Inverse where there is one, 0 in the directions (P, k) where there is none."""
     scale = np.sqrt(np.diagonal(gram))
     scale = np.where(scale > 0, scale, 1.0)
     sizes, ways = np.linalg.eigh(gram / (scale[:, None] * scale))
@@ -246,8 +264,8 @@ def _misfit(
     nuisance: Sequence[Array] | None,
     noise: ResidualProcess,
 ) -> float:
-    """Root of the sum of squares that lags, products, cubes and bends of the sensitivities explain
-    of the residuals; 0 where an F test after whitening finds that noise explains it."""
+    """Root of the sum of squares that lags, products, cubes and bends of the sensitivities
+    explain of the residuals; 0 where an F test after whitening finds that noise explains it."""
     samples, used = sum(e.size for e in residuals), 0
     rows: list[int] = []
     lost = max(len(a) for a in noise.filters) - 1
@@ -283,16 +301,16 @@ def _shapes(jacobians: Sequence[Array]) -> list[list[Array]]:
     """Lags, products, cubes and bends (T, ny, columns) of the sensitivities of each record."""
     flat = np.concatenate([j.reshape(-1, j.shape[-1]) for j in jacobians])
     size = np.std(flat, axis=0)
-    turned = np.diag(1.0 / np.where(size > 0, size, 1.0))
+    transform = np.diag(1.0 / np.where(size > 0, size, 1.0))
     if len(size) > _MISFIT_DIRECTIONS:
-        scaled = flat @ turned
+        scaled = flat @ transform
         _, ways = np.linalg.eigh(scaled.T @ scaled)
-        turned = turned @ ways[:, -_MISFIT_DIRECTIONS:]
-        size = np.std(flat @ turned, axis=0)
-        turned = turned / np.where(size > 0, size, 1.0)
+        transform = transform @ ways[:, -_MISFIT_DIRECTIONS:]
+        size = np.std(flat @ transform, axis=0)
+        transform = transform / np.where(size > 0, size, 1.0)
     found: list[list[Array]] = []
     for j in jacobians:
-        z = j @ turned
+        z = j @ transform
         first, second = np.triu_indices(z.shape[-1])
         lags = [np.concatenate([np.zeros_like(z[:n]), z[:-n]]) for n in _MISFIT_LAGS]
         cubes = (z[..., :, None] * z[..., None, :] ** 2).reshape(*z.shape[:2], -1)
@@ -335,7 +353,7 @@ def _explained(
 
 
 def _lost(noise: ResidualProcess, nuisance: Array) -> float:
-    """How much of the sum of squares a record's own unknowns take away."""
+    """Sum of squares that a record's own unknowns absorb."""
     basis = _basis(nuisance)
     if not basis.size:
         return 0.0

@@ -1,4 +1,4 @@
-"""What a source loads, read and not run."""
+"""Libraries that a source loads, read without running it."""
 
 import subprocess
 import sys

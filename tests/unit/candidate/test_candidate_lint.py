@@ -1,4 +1,4 @@
-"""How much data a source may carry, and what of it a worker gets to read."""
+"""Limits on the data in a source, and the part of it that a worker reads."""
 
 import ast
 import base64
@@ -35,7 +35,7 @@ def figures(source: str) -> np.ndarray:
 
 
 def library_sources() -> list[str]:
-    """What the built-in agents may write, and what comes with the problems."""
+    """Sources that the built-in agents may write, and those that come with the problems."""
     root = Path(asia.__file__).parent
     files = [*root.glob("problems/*/baseline.py"), *root.glob("bench/candidates/*.py")]
     sources = [LINEAR, EXAMPLE, *(path.read_text() for path in files)]

@@ -1,4 +1,4 @@
-"""From JAX functions to a lowered model."""
+"""Lowering of JAX functions to a model."""
 
 from collections.abc import Iterator
 

@@ -1,1 +1,1 @@
-"""One printer a target."""
+"""Printers of the export targets."""

@@ -45,7 +45,7 @@ _HELPERS = {
 
 
 class CTarget:
-    """`model.c`, `model.h`, `main.c`, `Makefile`, `example.csv`."""
+    """Target `c`: `model.c`, `model.h`, `main.c`, `Makefile`, `example.csv`."""
 
     name = "c"
     usage = """```c
@@ -60,11 +60,11 @@ and no global variables. Do not compile with `-ffast-math`: a value that is no n
 one."""
 
     def missing(self) -> str | None:
-        """Printing needs nothing."""
+        """Return None: printing needs nothing."""
         return None
 
     def print(self, model: ExportModel) -> Printed:
-        """The files; the sizes are those of `double`."""
+        """Print the files; the sizes are those of `double`."""
         source, work = c_source(model)
         files = {
             "model.c": source.encode(),
@@ -80,7 +80,7 @@ one."""
         return Printed(files, sizes | ({} if code is None else {"code": code}))
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """Compiled here, in double and in single precision."""
+        """Compile the files here and simulate in double and in single precision."""
         compiler = c_compiler()
         if compiler is None:
             return "no C compiler here: not compared"
@@ -88,12 +88,13 @@ one."""
 
 
 def c_compiler() -> str | None:
-    """Where one is; None without."""
+    """Path of a C compiler; None if there is none."""
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
 def c_source(model: ExportModel) -> tuple[str, int]:
-    """`model.c`, and the most numbers that one of its functions keeps on the stack."""
+    """Print `model.c`; return it with the most numbers that one of its functions keeps on the
+    stack."""
     low, constants = model.lowered, Constants()
     states = [_place("x->x", start, s) for start, s in _starts(low.states)]
     u, y = _place("u", 0, (low.nu,)), _place("y", 0, (low.ny,))
@@ -143,7 +144,7 @@ def _function(
 ) -> tuple[str, int]:
     code = Statements(constants)
     found = code.run(program, inputs)
-    # Inputs may be overwritten by outputs: what is not in `w` goes there first.
+    # Outputs may overwrite inputs: values outside `w` are copied there first.
     kept = [code.own(value) for value in found]
     for target, value in zip(outputs, kept, strict=True):
         code.copy(target.at, value.at, math.prod(value.shape))
@@ -153,13 +154,11 @@ def _function(
     if code.loops:
         lines.append(f"    int {', '.join(f'i{d}' for d in range(code.loops))};")
     text = "\n".join(code.lines)
-    unused = [n for n in re.findall(r"\*(\w+)[,)]", _HEADS[name]) if not _used(n, text)]
+    unused = [
+        n for n in re.findall(r"\*(\w+)[,)]", _HEADS[name]) if not re.search(rf"\b{n}\b", text)
+    ]
     lines += [text, *(f"    (void){n};" for n in unused), "}", ""]
     return "\n".join(lines), code.memory.size
-
-
-def _used(name: str, text: str) -> bool:
-    return re.search(rf"\b{name}\b", text) is not None
 
 
 def _place(name: str, start: int, shape: tuple[int, ...]) -> Value:
@@ -209,7 +208,7 @@ def _simulated(
 
 
 def compiled(compiler: str, folder: Path, made: Path, *, single: bool) -> Path:
-    """A library of the functions and of one that runs a whole simulation."""
+    """Compile a library of the functions and of one that runs a whole simulation."""
     harness, library = made / "harness.c", made / ("float.so" if single else "double.so")
     harness.write_text(HARNESS)
     command = [compiler, *FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "model.c")]
@@ -223,7 +222,7 @@ def compiled(compiler: str, folder: Path, made: Path, *, single: bool) -> Path:
 
 
 def _code_bytes(files: dict[str, bytes]) -> int | None:
-    """Instructions and constants of `model.c`, as compiled for size here."""
+    """Size of the instructions and constants of `model.c`, as compiled for size here."""
     compiler, size = c_compiler(), shutil.which("size")
     if compiler is None or size is None:
         return None
@@ -234,8 +233,8 @@ def _code_bytes(files: dict[str, bytes]) -> int | None:
         done = subprocess.run(command, cwd=made, capture_output=True, check=False, timeout=300)
         if done.returncode != 0:
             return None
-        told = subprocess.run(
+        completed = subprocess.run(
             [size, "model.o"], cwd=made, capture_output=True, text=True, check=False, timeout=60
         )
-        found = re.search(r"\n\s*(\d+)\s+(\d+)", told.stdout)
+        found = re.search(r"\n\s*(\d+)\s+(\d+)", completed.stdout)
         return int(found[1]) + int(found[2]) if found else None

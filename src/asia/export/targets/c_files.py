@@ -1,4 +1,4 @@
-"""The files around `model.c`."""
+"""Files around `model.c`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ void asia_run(const asia_real *past_u, const asia_real *past_y, const asia_real 
 """
 
 FLOAT = "typedef float asia_real;"
-"""How `model.h` takes single precision, and what it says where that is not good enough."""
+"""Line of `model.h` that selects single precision; it is replaced by an error where single
+precision is not good enough."""
 NO_FLOAT = '#error "in float this model differs too much from its simulation in double, see USE.md"'
 
 _HEADER = (
@@ -166,7 +167,7 @@ int main(int argc, char **argv)
 
 
 def header(model: ExportModel) -> str:
-    """`model.h`."""
+    """Text of `model.h`."""
     low = model.lowered
     rows = [
         f" * {side} {i}: {_plain(s.name)} {_plain(s.unit)}, trained from {a:g} to {b:g}"
@@ -189,14 +190,15 @@ def header(model: ExportModel) -> str:
 
 
 def main_file(model: ExportModel) -> str:
-    """`main.c`."""
+    """Text of `main.c`."""
     columns = ",".join(_plain(s.name) for s in (*model.inputs, *model.outputs))
     names = ",".join(_plain(s.name) for s in model.outputs)
     return _MAIN.replace("{names}", names).replace("{columns}", columns)
 
 
 def example_csv(model: ExportModel, window: TrainingWindow) -> str:
-    """A window as `main.c` reads it: the outputs after its past are those of ASIA's simulation."""
+    """Window in the CSV format of `main.c`: the outputs after its past are those of ASIA's
+    simulation."""
     past = max(len(window.past_u), len(window.past_y))
     u = np.concatenate([np.zeros((past - len(window.past_u), model.lowered.nu)), window.past_u])
     y = np.concatenate([np.zeros((past - len(window.past_y), model.lowered.ny)), window.past_y])

@@ -1,4 +1,4 @@
-"""Where the numbers of arrays come from and go to."""
+"""Index arithmetic of array operations in printed C."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from asia.lowering import Node, Program, Shape
 
 
 def last_uses(program: Program) -> dict[int, int]:
-    """Of each value, the number of the last node that reads it."""
+    """Number of the last node that reads each value."""
     found: dict[int, int] = {}
     for place, node in enumerate(program.nodes, program.first_node):
         for i in node.operands:
@@ -21,17 +21,17 @@ def last_uses(program: Program) -> dict[int, int]:
 
 
 def strides(shape: Shape) -> list[int]:
-    """Of each axis, how far apart its numbers lie."""
+    """Distance between neighbouring numbers along each axis."""
     return [math.prod(shape[a + 1 :]) for a in range(len(shape))]
 
 
 def kept_axes(shape: Shape, axes: Sequence[int]) -> list[int]:
-    """The axes that are not among these."""
+    """Axes that are not among these."""
     return [a for a in range(len(shape)) if a not in axes]
 
 
 def source_places(node: Node, shape: Shape) -> NDArray[np.int64]:
-    """For each number of the result its place in the operand."""
+    """Index in the operand of each number of the result."""
     places, a = np.arange(math.prod(shape)).reshape(shape), node.attrs
     if node.op == "pick":
         return np.array(a[1 + a[0] :], np.int64)
@@ -49,7 +49,7 @@ def source_places(node: Node, shape: Shape) -> NDArray[np.int64]:
 
 
 def runs(places: NDArray[np.int64]) -> list[tuple[int, int, int]]:
-    """(first, step, count) of stretches that rise evenly."""
+    """Split indices into segments (first, step, count) of constant step."""
     found: list[tuple[int, int, int]] = []
     rest = places.tolist()
     i = 0

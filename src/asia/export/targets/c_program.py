@@ -1,7 +1,8 @@
-"""Statements of C for a lowered program.
+"""C statements of a lowered program.
 
 Numbers lie in one array `w` of a function, whose places are used again once nothing reads them;
-what is computed number by number and read once has no place at all. Constants are `static const`.
+a value that is computed elementwise and read once has no place at all. Constants are `static
+const`.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MOST_TEXT, _MOST_RUNS = 300, 6
 
 
 class Statements:
-    """Of one function."""
+    """Statements of one C function."""
 
     def __init__(self, constants: Constants) -> None:
         self.constants = constants
@@ -51,7 +52,7 @@ class Statements:
         self._mine: dict[int, int] = {}
 
     def run(self, program: Program, inputs: Sequence[Value]) -> list[Value]:
-        """Values of the outputs."""
+        """Print a program and return the values of its outputs."""
         values = [*inputs, *(self._constant(c) for c in program.constants)]
         nodes, first = program.nodes, program.first_node
         last = last_uses(program)
@@ -79,7 +80,7 @@ class Statements:
     def _release(
         self, place: int, values: list[Value], last: dict[int, int], program: Program
     ) -> None:
-        """Frees the regions of `w` that nothing reads any more."""
+        """Free the regions of `w` that nothing reads any more."""
         now = program.first_node + place
         outputs = set(program.outputs)
         live = {
@@ -94,7 +95,7 @@ class Statements:
                 del self._mine[region]
 
     def line(self, text: str) -> None:
-        """One statement."""
+        """Append one statement."""
         self.lines.append("    " * self._indent + text)
 
     def _constant(self, array: Array) -> Value:
@@ -107,7 +108,7 @@ class Statements:
         return Value(lambda i: f"{name}[{i}]", array.shape)
 
     def region(self, shape: Shape) -> Value:
-        """Memory for a value."""
+        """Reserve memory for a value."""
         size = math.prod(shape)
         if size == 0:
             return Value(lambda i: "R(0.0)", shape)
@@ -134,7 +135,7 @@ class Statements:
         return self._moved(node, source)
 
     def _settled(self, value: Value, uses: int) -> Value:
-        """Kept as an expression where it is short and read once."""
+        """Keep a value as an expression if it is short and read once, else store it."""
         if value.plain or (uses <= 1 and len(value.at("i")) < _MOST_TEXT):
             return value
         return self._placed(value)
@@ -147,11 +148,11 @@ class Statements:
         return target
 
     def own(self, value: Value) -> Value:
-        """In `w`, where nothing else is written."""
+        """Store a value in `w`, in a region that nothing else writes."""
         return value if value.plain and value.places else self._kept(value)
 
     def copy(self, target: Element, source: Element, count: int) -> None:
-        """`count` numbers."""
+        """Copy `count` numbers."""
         if count == 1:
             self.line(f"{target('0')} = {source('0')};")
         elif count > 1:
@@ -159,7 +160,7 @@ class Statements:
             self.line(f"for ({i} = 0; {i} < {count}; ++{i}) {target(i)} = {source(i)};")
 
     def counter(self, depth: int) -> str:
-        """A loop variable."""
+        """Name of a loop variable."""
         name = f"i{depth}"
         self.loops = max(self.loops, depth + 1)
         return name
@@ -219,7 +220,7 @@ class Statements:
         return target
 
     def _block(self, target: Value, value: Value, sizes: tuple[int, int, int, int]) -> None:
-        """Rows of `size` numbers, put from `start` on into rows of `wide` ones."""
+        """Copy rows of `size` numbers, from `start` on, into rows of `wide` ones."""
         outer, wide, start, size = sizes
         if outer * size == 0:
             return
@@ -246,7 +247,7 @@ class Statements:
         places = source_places(node, source.shape)
         size = len(places)
         if size and (places == places[0] + np.arange(size)).all():
-            # A part in one piece is read where it lies.
+            # A contiguous part is read in place.
             start = int(places[0])
             at = source.at
             moved = at if start == 0 else lambda i: at(f"{start} + {i}")
@@ -262,19 +263,19 @@ class Statements:
         put: NDArray[np.int64] | None,
         read: NDArray[np.int64] | None,
     ) -> None:
-        """target[put] = source[read]; None counts up from 0."""
+        """Print target[put] = source[read]; None counts up from 0."""
         places = put if put is not None else read
         assert places is not None
-        stretches = runs(places)
+        segments = runs(places)
         i = self.counter(0)
-        if len(stretches) > _MOST_RUNS and len(places) > 2 * _MOST_RUNS:
+        if len(segments) > _MOST_RUNS and len(places) > 2 * _MOST_RUNS:
             name = self.constants.places(places)
             there = (f"{name}[{i}]", i) if put is not None else (i, f"{name}[{i}]")
             loop = f"for ({i} = 0; {i} < {len(places)}; ++{i})"
             self.line(f"{loop} {target(there[0])} = {source(there[1])};")
             return
         done = 0
-        for start, step, count in stretches:
+        for start, step, count in segments:
 
             def moving(j: str, start: int = start, step: int = step) -> str:
                 return f"{start} + {j} * {step}" if step != 1 else f"{start} + {j}"
@@ -297,13 +298,13 @@ class Statements:
         rows = [self._placed(o) for o in operands[same + carried :]]
         fixed = [self._placed(o) for o in operands[:same]]
         self._deepest += 1
-        turn = f"t{self._deepest}"
-        self.line(f"{{ int {turn}; for ({turn} = 0; {turn} < {length}; ++{turn}) {{")
+        index = f"t{self._deepest}"
+        self.line(f"{{ int {index}; for ({index} = 0; {index} < {length}; ++{index}) {{")
         self._indent += 1
-        read = [Value(_row(r, turn), r.shape[1:], places=r.places) for r in rows]
+        read = [Value(_row(r, index), r.shape[1:], places=r.places) for r in rows]
         found = self.run(body, [*fixed, *carry, *read])
         for place, value in zip(stacked, found[carried:], strict=True):
-            self.copy(_row(place, turn), value.at, math.prod(value.shape))
+            self.copy(_row(place, index), value.at, math.prod(value.shape))
         after = [self._kept(value) for value in found[:carried]]
         for place, value in zip(carry, after, strict=True):
             self.copy(place.at, value.at, math.prod(value.shape))
@@ -315,7 +316,7 @@ class Statements:
         return [*carry, *stacked]
 
     def _kept(self, value: Value) -> Value:
-        """In a place of its own, so that what is carried may be overwritten."""
+        """Copy a value to a region of its own, so that carried values may be overwritten."""
         target = self.region(value.shape)
         self.copy(target.at, value.at, math.prod(value.shape))
         return target
@@ -325,9 +326,9 @@ def _offset(name: str, start: int) -> Element:
     return lambda i: f"{name}[{start} + {i}]" if start else f"{name}[{i}]"
 
 
-def _row(value: Value, turn: str) -> Element:
+def _row(value: Value, index: str) -> Element:
     size = math.prod(value.shape[1:])
-    return lambda i: value.at(f"{turn} * {size} + {i}")
+    return lambda i: value.at(f"{index} * {size} + {i}")
 
 
 def _through(element: Element, place: Callable[[str], str]) -> Element:

@@ -19,19 +19,19 @@ Element = Callable[[str], str]
 
 @dataclass
 class Value:
-    """Where a value is, or how it is computed."""
+    """Value of the program: a place in memory, or an expression that computes it."""
 
     at: Element
     shape: Shape
     plain: bool = True
-    """Whether `at` is a place, not a computation."""
+    """`at` is a place, not a computation."""
     places: frozenset[int] = frozenset()
-    """Regions of `w` that it reads."""
+    """Regions of `w` that the value reads."""
 
 
 @dataclass
 class Constants:
-    """`static const` arrays, each once."""
+    """`static const` arrays, equal ones once."""
 
     lines: list[str] = field(default_factory=list[str])
     _names: dict[bytes, str] = field(default_factory=dict[bytes, str])
@@ -43,28 +43,28 @@ class Constants:
 
     def places(self, array: NDArray[np.int64]) -> str:
         """Name of an array of whole numbers."""
-        words = [str(v) for v in array.tolist()]
-        return self._named(b"p" + array.tobytes(), "p", "long", words)
+        literals = [str(v) for v in array.tolist()]
+        return self._named(b"p" + array.tobytes(), "p", "long", literals)
 
     def used_in(self, text: str) -> list[str]:
-        """Definitions of those that a text names."""
+        """Definitions of the constants that a text names."""
         names = set(re.findall(r"\b[kp]\d+\b", text))
         return [
             x for x, name in zip(self.lines, self._names.values(), strict=True) if name in names
         ]
 
-    def _named(self, key: bytes, prefix: str, kind: str, words: Sequence[str]) -> str:
+    def _named(self, key: bytes, prefix: str, kind: str, literals: Sequence[str]) -> str:
         if key not in self._names:
             name = f"{prefix}{len(self._names)}"
             self._names[key] = name
-            rows = [", ".join(words[i : i + 4]) for i in range(0, len(words), 4)]
+            rows = [", ".join(literals[i : i + 4]) for i in range(0, len(literals), 4)]
             text = ",\n    ".join(rows)
-            self.lines.append(f"static const {kind} {name}[{len(words)}] = {{\n    {text}\n}};")
+            self.lines.append(f"static const {kind} {name}[{len(literals)}] = {{\n    {text}\n}};")
         return self._names[key]
 
 
 def number(value: float) -> str:
-    """A number as C reads it back bit by bit."""
+    """Literal that C reads back bit by bit."""
     if math.isinf(value):
         return "(asia_real)HUGE_VAL" if value > 0 else "(-(asia_real)HUGE_VAL)"
     if value == int(value) and abs(value) < 1e6:
@@ -81,7 +81,7 @@ class Memory:
         self._taken: dict[int, int] = {}
 
     def take(self, count: int) -> int:
-        """Where a region of so many numbers begins."""
+        """Reserve a region of so many numbers and return its start."""
         for place, (start, size) in enumerate(self._free):
             if size >= count:
                 self._free[place : place + 1] = [(start + count, size - count)] * (size > count)
@@ -92,7 +92,7 @@ class Memory:
         return start
 
     def give(self, start: int) -> None:
-        """The region is free again."""
+        """Free a region."""
         self._free.append((start, self._taken.pop(start)))
         self._free.sort()
         joined: list[tuple[int, int]] = []

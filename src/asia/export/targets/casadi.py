@@ -1,4 +1,4 @@
-"""CasADi functions of the start and of one sample, for optimal control and estimation."""
+"""CasADi functions of the initial state and of one sample, for optimal control and estimation."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LARGEST = 1.7976931348623157e308
 
 
 class CasadiTarget:
-    """`initial.casadi`, `step.casadi` and `model.py`, which loads them."""
+    """Target `casadi`: `initial.casadi`, `step.casadi` and `model.py`, which loads them."""
 
     name = "casadi"
     usage = """```python
@@ -46,7 +46,7 @@ do-mpc and acados (`disc_dyn_expr`). Choices, limits and absolute values have no
 where they switch."""
 
     def missing(self) -> str | None:
-        """CasADi."""
+        """Return a sentence if CasADi is not installed."""
         return (
             None
             if importlib.util.find_spec("casadi")
@@ -54,7 +54,7 @@ where they switch."""
         )
 
     def print(self, model: ExportModel) -> Printed:
-        """The files."""
+        """Print the files."""
         files = {"model.py": _SCRIPT.format(sampling_time=model.sampling_time).encode()}
         with tempfile.TemporaryDirectory(prefix="asia-casadi-") as made:
             for function in _functions(model):
@@ -64,7 +64,7 @@ where they switch."""
         return Printed(files)
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """By the saved functions, all samples of a window in one call."""
+        """Simulate with the saved functions, all samples of a window in one call."""
         import casadi as ca
 
         initial: Any = ca.Function.load(str(folder / "initial.casadi"))
@@ -104,7 +104,7 @@ def _functions(model: ExportModel) -> list[Any]:
 
 
 def _run(program: Program, inputs: Sequence[Any]) -> list[Any]:
-    """Values as columns, row after row of their arrays."""
+    """Print a program; values are columns, the rows of their arrays one after the other."""
     import casadi as ca
 
     constants = [ca.SX(ca.DM(c.reshape(-1))) for c in program.constants]
@@ -166,7 +166,7 @@ def _value(node: Node, read: list[Any], shapes: list[Shape]) -> Any:
 
 
 def _picked(x: Any, places: Any) -> Any:
-    """A column, of a single number too, of which CasADi makes a row."""
+    """Column of the picked numbers, of a single one too, for which CasADi returns a row."""
     import casadi as ca
 
     return ca.vec(x[np.asarray(places).reshape(-1).tolist()])

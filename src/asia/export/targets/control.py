@@ -72,7 +72,7 @@ linear = control.ss(A, B, C, D, SAMPLING_TIME, inputs={inputs!r}, outputs={outpu
 
 
 class ControlTarget:
-    """`system.py`, beside the `model.py` of the target numpy."""
+    """Target `control`: `system.py`, next to the `model.py` of the target numpy."""
 
     name = "control"
     usage = """```python
@@ -85,7 +85,7 @@ response = control.input_output_response(system, t, u.T, x0)
 `control.linearize`."""
 
     def missing(self) -> str | None:
-        """python-control."""
+        """Return a sentence if python-control is not installed."""
         return (
             None
             if importlib.util.find_spec("control")
@@ -93,7 +93,7 @@ response = control.input_output_response(system, t, u.T, x0)
         )
 
     def print(self, model: ExportModel) -> Printed:
-        """The files."""
+        """Print the files."""
         low = model.lowered
         names = _names(model)
         text = _SCRIPT.format(shapes=list(low.states), inputs=names[0], outputs=names[1])
@@ -107,7 +107,7 @@ response = control.input_output_response(system, t, u.T, x0)
         return Printed({**NumpyTarget().print(model).files, "system.py": text.encode()})
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """By the system's own functions, sample by sample."""
+        """Simulate with the system's own functions, sample by sample."""
         import sys
 
         sys.path.insert(0, str(folder))
@@ -131,7 +131,7 @@ response = control.input_output_response(system, t, u.T, x0)
 
 
 def matrices(low: LoweredModel) -> tuple[Array, Array, Array, Array] | None:
-    """A, B, C and D where the step is linear but for constants; None where it is not."""
+    """Matrices A, B, C and D of a step that is affine; None for another step."""
     n = sum(math.prod(s) for s in low.states)
     if n == 0 or n > 400:
         return None
@@ -156,7 +156,7 @@ def matrices(low: LoweredModel) -> tuple[Array, Array, Array, Array] | None:
 
 
 def _names(model: ExportModel) -> tuple[list[str], list[str]]:
-    """Names that python-control takes: no dots."""
+    """Signal names without dots, as python-control requires."""
     inputs, outputs = (
         [s.name.replace(".", "_") for s in side] for side in (model.inputs, model.outputs)
     )

@@ -32,7 +32,7 @@ from asia.export.targets.fmu_shell import shell
 
 
 class FmuTarget:
-    """`model_fmi2.fmu` and `model_fmi3.fmu`."""
+    """Target `fmu`: `model_fmi2.fmu` and `model_fmi3.fmu`."""
 
     name = "fmu"
     usage = """`model_fmi2.fmu` (FMI 2.0) and `model_fmi3.fmu` (FMI 3.0) are for co-simulation. The
@@ -43,17 +43,17 @@ start values are those of a training window. The units hold C sources, and a bin
 platform they were made on."""
 
     def missing(self) -> str | None:
-        """fmpy, which checks the units, and a C compiler."""
+        """Return a sentence if fmpy, which checks the units, or a C compiler is missing."""
         if importlib.util.find_spec("fmpy") is None:
             return "pip install '.[export]' in a clone of ASIA"
         return None if c_compiler() else "install a C compiler, such as gcc"
 
     def print(self, model: ExportModel) -> Printed:
-        """Both units."""
+        """Print both units."""
         return Printed({f"model_fmi{v}.fmu": _unit(model, v) for v in (2, 3)})
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """By fmpy, which also validates the units."""
+        """Validate the units and simulate them with fmpy."""
         from fmpy.validation import validate_fmu
 
         found: list[Answers] = []
@@ -127,7 +127,7 @@ def _unit(model: ExportModel, version: int) -> bytes:
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
 
         def put(name: str, data: bytes) -> None:
-            # The same bytes for the same model: no time of the day.
+            # A constant date: the same model gives the same bytes.
             entry = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, data)
@@ -179,7 +179,8 @@ _BUILD = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def variables(model: ExportModel) -> list[tuple[str, str, str, float | None]]:
-    """Name, causality, unit and start value, in the order of the references, which count from 1."""
+    """Name, causality, unit and start value of each variable, in the order of the references, which
+    count from 1."""
     low, window = model.lowered, model.example
     past_u = np.zeros((low.n_past_u, low.nu)) if window is None else window.past_u
     past_y = np.zeros((low.n_past_y, low.ny)) if window is None else window.past_y
@@ -240,9 +241,9 @@ fixedInternalStepSize="{step}"/>
 def _variable(reference: int, row: tuple[str, str, str, float | None], version: int) -> str:
     name, causality, unit, start = row
     varies = {"parameter": "fixed"}.get(causality, "continuous")
-    words = f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
-    words += f'variability="{varies}" description={quoteattr(unit)}'
+    attributes = f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
+    attributes += f'variability="{varies}" description={quoteattr(unit)}'
     value = "" if start is None else f' start="{start!r}"'
     if version == 3:
-        return f"<Float64 {words}{value}/>"
-    return f"<ScalarVariable {words}><Real{value}/></ScalarVariable>"
+        return f"<Float64 {attributes}{value}/>"
+    return f"<ScalarVariable {attributes}><Real{value}/></ScalarVariable>"

@@ -1,4 +1,4 @@
-"""The functions of the FMI standard around the printed C, for one version each."""
+"""Functions of the FMI standard around the printed C, for each version."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ static unit *created(const char *token)
 }
 """
 
-# name(arguments) -> what it does; m is the unit.
+# Functions as "name(arguments) | body"; m is the unit.
 _TWO = """
 typedef void *P; typedef const char *S; typedef int I; typedef const uint32_t *R; typedef size_t N;
 S fmi2GetTypesPlatform(void) | return "default";
@@ -178,7 +178,13 @@ _KINDS = "Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean Stri
 
 
 def shell(values: Sequence[float], version: int, token: str) -> str:
-    """`fmi.c`. values: those that the variables start at, in the order of their references."""
+    """Text of `fmi.c`.
+
+    Args:
+        values: start values of the variables, in the order of their references.
+        version: FMI version, 2 or 3.
+        token: instantiation token of the unit.
+    """
     starts = [repr(value) for value in values]
     text = _COMMON.replace("@STARTS@", ",\n        ".join(starts)).replace("@TOKEN@", token)
     lines = [text.replace("@VERSION@", str(version))]
@@ -198,7 +204,7 @@ def _function(head: str, body: str) -> str:
 
 
 def _others() -> list[tuple[str, str]]:
-    """Values of the types that the model does not have."""
+    """Getters and setters of the types that the model does not have."""
     rows: list[tuple[str, str]] = []
     for kind in (*_KINDS.split(), "Binary", "Clock"):
         sizes = {"Binary": "P m, R r, N n, N *s, P v, N k", "Clock": "P m, R r, N n, B *v"}

@@ -54,8 +54,8 @@ save('-v6', '{found}', 'y', 'seconds');
 
 
 class MatlabTarget:
-    """`asia_initial.m`, `asia_output.m`, `asia_update.m`, `asia_step.m`, `asia_simulate.m`,
-    `asia_constants.mat`."""
+    """Target `matlab`: `asia_initial.m`, `asia_output.m`, `asia_update.m`, `asia_step.m`,
+    `asia_simulate.m`, `asia_constants.mat`."""
 
     name = "matlab"
     usage = """```matlab
@@ -68,11 +68,11 @@ x = asia_update(x, u(1, :));                     % [y1, x] = asia_step(x, u(1, :
 block or import the target fmu."""
 
     def missing(self) -> str | None:
-        """Printing needs nothing."""
+        """Return None: printing needs nothing."""
         return None
 
     def print(self, model: ExportModel) -> Printed:
-        """The files."""
+        """Print the files."""
         low, numbers = model.lowered, dict[str, Any]()
         window = ["reshape(past_u.', [], 1)", "reshape(past_y.', [], 1)", "u(:)"]
         states = _states(low.states)
@@ -91,7 +91,7 @@ block or import the target fmu."""
         )
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """By Octave, where it is."""
+        """Simulate with Octave, if it is installed."""
         octave = shutil.which("octave-cli") or shutil.which("octave")
         if octave is None:
             return "no Octave here: not compared"
@@ -125,7 +125,7 @@ def _mat(values: dict[str, Any]) -> bytes:
 
     written = io.BytesIO()
     savemat(written, values)
-    # The head names the time of writing: the same model gives the same bytes.
+    # The header contains the time of writing; without it the same model gives the same bytes.
     data = bytearray(written.getvalue())
     data[:116] = b"MATLAB 5.0 MAT-file".ljust(116)
     return bytes(data)
@@ -171,7 +171,7 @@ class _MatlabBody:
         self._indent = ""
 
     def run(self, program: Program, inputs: Sequence[str]) -> list[str]:
-        """Names of what the program gives."""
+        """Print a program and return the names of its outputs."""
         shapes = program.shapes
         values: list[Any] = [*inputs, *(self._constant(c) for c in program.constants)]
         for node in program.nodes:
@@ -209,7 +209,7 @@ class _MatlabBody:
         return f"k.{name}"
 
     def _places(self, places: Any) -> str:
-        """Indices that count from 1."""
+        """Index vector that counts from 1."""
         numbers = np.asarray(places).reshape(-1) + 1
         if len(numbers) > 1 and (np.diff(numbers) == 1).all():
             return f"{numbers[0]}:{numbers[-1]}"
@@ -253,7 +253,7 @@ class _MatlabBody:
         return f"{op}({', '.join(read)})"
 
     def _value(self, text: str) -> str:
-        """A name that can be indexed."""
+        """Name of a value, so that it can be indexed."""
         return text if text.isidentifier() else self._named(text)
 
     def _chosen(self, read: list[str], shapes: list[Shape], count: int) -> str:
@@ -297,18 +297,18 @@ class _MatlabBody:
         stacked = [self._named(f"zeros({length * math.prod(s)}, 1)") for s in ends]
         rows = [self._value(r) for r in read[same + carried :]]
         self._count += 1
-        turn = f"n{self._count}"
-        self.lines.append(f"{self._indent}for {turn} = 1:{length}")
+        index = f"n{self._count}"
+        self.lines.append(f"{self._indent}for {index} = 1:{length}")
         self._indent += "    "
         sizes = [math.prod(s[1:]) for s in shapes[same + carried :]]
         now = [
-            self._named(f"{r}(({turn} - 1) * {n} + (1:{n}), 1)")
+            self._named(f"{r}(({index} - 1) * {n} + (1:{n}), 1)")
             for r, n in zip(rows, sizes, strict=True)
         ]
         found = node.body and self.run(node.body, [*read[:same], *carry, *now])
         for place, value, shape in zip(stacked, found[carried:], ends, strict=True):
             n = math.prod(shape)
-            self.lines.append(f"{self._indent}{place}(({turn} - 1) * {n} + (1:{n}), 1) = {value};")
+            self.lines.append(f"{self._indent}{place}(({index} - 1) * {n} + (1:{n}), 1) = {value};")
         after = [self._named(value) for value in found[:carried]]
         for place, value in zip(carry, after, strict=True):
             self.lines.append(f"{self._indent}{place} = {value};")

@@ -1,4 +1,4 @@
-"""One readable Python file that needs NumPy alone."""
+"""Readable Python file that needs only NumPy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FILE = "model.py"
 
 
 class NumpyTarget:
-    """`model.py`."""
+    """Target `numpy`: `model.py`."""
 
     name = "numpy"
     usage = """```python
@@ -44,15 +44,15 @@ Sample by sample: `x = initial(past_u, past_y, u)`, then `y = output(x, u)` and
 `x = update(x, u)`, where `u` (nu,) is the input of the present sample."""
 
     def missing(self) -> str | None:
-        """NumPy is always there."""
+        """Return None: NumPy is always installed."""
         return None
 
     def print(self, model: ExportModel) -> Printed:
-        """`model.py`."""
+        """Print `model.py`."""
         return Printed({_FILE: _source(model).encode()})
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """By the file as a user runs it."""
+        """Simulate with the file as a user runs it."""
         simulate = runpy.run_path(str(folder / _FILE))["simulate"]
         begin = time.perf_counter()
         y_hat = tuple(simulate(w.past_u, w.past_y, w.u) for w in windows)
@@ -120,7 +120,7 @@ PAST_INPUTS, PAST_OUTPUTS = {model.lowered.n_past_u}, {model.lowered.n_past_y}
 
 
 class _Constants:
-    """Arrays at the top of the file, each once."""
+    """Arrays at the top of the file, equal ones once."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -167,7 +167,7 @@ def _tuple(names: Sequence[str]) -> str:
 
 
 class _Body:
-    """Statements of one function; what is used once and short stands where it is used."""
+    """Statements of one function; a short value that is used once is written inline."""
 
     def __init__(self, constants: _Constants) -> None:
         self.lines: list[str] = []
@@ -248,10 +248,10 @@ def _broadcast(a: Sequence[int], read: list[str]) -> str:
 
 def _slice(a: Sequence[int], read: list[str]) -> str:
     rank = len(a) // 3
-    words: list[str] = []
+    indices: list[str] = []
     for start, end, step in zip(a[:rank], a[rank : 2 * rank], a[2 * rank :], strict=True):
-        words.append(f"{start}:{end}" + (f":{step}" if step != 1 else ""))
-    return f"{read[0]}[{', '.join(words)}]"
+        indices.append(f"{start}:{end}" + (f":{step}" if step != 1 else ""))
+    return f"{read[0]}[{', '.join(indices)}]"
 
 
 def _pick(a: Sequence[int], read: list[str]) -> str:

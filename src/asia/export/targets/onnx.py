@@ -1,4 +1,4 @@
-"""ONNX graphs of the start, of one sample, and of a whole simulation."""
+"""ONNX graphs of the initial state, of one sample, and of a whole simulation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _REDUCED = {"rsum": "ReduceSum", "rmax": "ReduceMax", "rmin": "ReduceMin", "rpro
 
 
 class OnnxTarget:
-    """`initial.onnx`, `step.onnx`, `simulate.onnx`."""
+    """Target `onnx`: `initial.onnx`, `step.onnx`, `simulate.onnx`."""
 
     name = "onnx"
     usage = """```python
@@ -47,12 +47,16 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
 `u` (nu,) and gives `y` (ny,) and the states at the next sample, `x0_next`, ..."""
 
     def missing(self) -> str | None:
-        """onnx and onnxruntime."""
+        """Return a sentence if onnx or onnxruntime is not installed."""
         found = all(importlib.util.find_spec(n) for n in ("onnx", "onnxruntime"))
         return None if found else "pip install '.[export]' in a clone of ASIA"
 
     def print(self, model: ExportModel) -> Printed:
-        """The files. Raises UserError for an operation that ONNX does not have."""
+        """Print the files.
+
+        Raises:
+            UserError: for an operation that ONNX does not have.
+        """
         low = model.lowered
         states = [f"x{i}" for i in range(len(low.states))]
         after = [f"{x}_next" for x in states]
@@ -66,7 +70,7 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
         return Printed(files)
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
-        """By onnxruntime, a window at a time."""
+        """Simulate with onnxruntime, a window at a time."""
         import onnxruntime as ort
 
         options = ort.SessionOptions()
@@ -74,17 +78,17 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
         session = ort.InferenceSession(
             str(folder / "simulate.onnx"), options, providers=["CPUExecutionProvider"]
         )
-        asked = {i.name for i in session.get_inputs()}
+        expected = {i.name for i in session.get_inputs()}
         y_hat: list[Any] = []
         begin = time.perf_counter()
         for w in windows:
             given = {"past_u": w.past_u, "past_y": w.past_y, "u": w.u}
-            y_hat.append(session.run(None, {k: v for k, v in given.items() if k in asked})[0])
+            y_hat.append(session.run(None, {k: v for k, v in given.items() if k in expected})[0])
         return [Answers("double", tuple(y_hat), time.perf_counter() - begin)]
 
 
 class _Graph:
-    """Nodes and constants of one graph; a graph inside another one sees the outer names."""
+    """Nodes and constants of one graph; a graph inside another one can use the outer names."""
 
     def __init__(self, prefix: str = "") -> None:
         self.nodes: list[Any] = []
@@ -111,7 +115,7 @@ class _Graph:
         return name
 
     def run(self, program: Program, inputs: Sequence[str]) -> list[str]:
-        """Names of what the program gives."""
+        """Print a program and return the names of its outputs."""
         shapes = program.shapes
         values: list[Any] = [*inputs, *(self.constant(c) for c in program.constants)]
         for node in program.nodes:
@@ -182,11 +186,11 @@ class _Graph:
         shapes = node.body.output_shapes
         carry = read[same : same + carried]
         inner = _Graph(f"{self.name()}_")
-        turn, going = inner.name(), inner.name()
+        iteration, going = inner.name(), inner.name()
         given = [inner.name() for _ in carry]
-        rows = [inner.add("Gather", r, turn, axis=0) for r in read[same + carried :]]
+        rows = [inner.add("Gather", r, iteration, axis=0) for r in read[same + carried :]]
         found = inner.run(node.body, [*read[:same], *given, *rows])
-        graph = inner.loop_body(turn, going, given, found, shapes, carried)
+        graph = inner.loop_body(iteration, going, given, found, shapes, carried)
         names = [self.name() for _ in found]
         count, true = self.constant(np.int64(length)), self.constant(np.bool_(True))
         self.add("Loop", count, true, *carry, outputs=names, body=graph)
@@ -194,21 +198,21 @@ class _Graph:
 
     def loop_body(
         self,
-        turn: str,
+        iteration: str,
         going: str,
         given: list[str],
         found: list[str],
         shapes: Sequence[Shape],
         carried: int,
     ) -> Any:
-        """The graph of a Loop: (turn, going on, carried) -> (going on, carried, stacked)."""
+        """Body of a Loop: (iteration, condition, carried) -> (condition, carried, stacked)."""
         from onnx import TensorProto, helper
 
         info = helper.make_tensor_value_info
-        # Each output needs a name of its own.
+        # Each output needs a separate name.
         ends = [self.add("Identity", name) for name in found]
         still = self.add("Identity", going)
-        inputs = [info(turn, TensorProto.INT64, []), info(going, TensorProto.BOOL, [])]
+        inputs = [info(iteration, TensorProto.INT64, []), info(going, TensorProto.BOOL, [])]
         kinds = list(zip(given, shapes[:carried], strict=True))
         inputs += [info(n, TensorProto.DOUBLE, list(s)) for n, s in kinds]
         outputs = [info(still, TensorProto.BOOL, [])]
@@ -228,17 +232,19 @@ def _model(
 
 
 def _simulation(low: LoweredModel, model: ExportModel) -> bytes:
-    """All samples of u (H, nu), H open."""
+    """Graph of all samples of u (H, nu), with H open."""
     graph = _Graph()
     zero = graph.constant(np.int64(0))
     first = graph.add("Gather", "u", zero, axis=0)
     states = graph.run(low.initial, ["past_u", "past_y", first])
     inner = _Graph("s_")
-    turn, going = inner.name(), inner.name()
+    iteration, going = inner.name(), inner.name()
     given = [inner.name() for _ in states]
-    now = inner.add("Gather", "u", turn, axis=0)
+    now = inner.add("Gather", "u", iteration, axis=0)
     y, *after = inner.run(low.step, [*given, now])
-    body = inner.loop_body(turn, going, given, [*after, y], [*low.states, (low.ny,)], len(given))
+    body = inner.loop_body(
+        iteration, going, given, [*after, y], [*low.states, (low.ny,)], len(given)
+    )
     length = graph.add("Gather", graph.add("Shape", "u"), zero, axis=0)
     names = [*(graph.name() for _ in states), "y_hat"]
     true = graph.constant(np.bool_(True))

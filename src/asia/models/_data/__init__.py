@@ -1,1 +1,1 @@
-"""Training records as the models see them."""
+"""Training records in the form that the models read."""

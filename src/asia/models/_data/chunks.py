@@ -1,7 +1,8 @@
-"""What one training step sees: whole records, chunks laid end to end, or chunks at random places.
+"""Simulations of one training step: whole records, chunks laid end to end, or chunks at random
+places.
 
 All arrays are z-scored float32, in NumPy but for random chunks; T is the length of a simulation, B
-how many run in parallel.
+the number that run in parallel.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Simulations(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Trajectories, and where chunks may start in them."""
+    """Trajectories, and the permitted starts of chunks in them."""
 
     u: AnyArray
     """(R, T, nu)."""
@@ -42,11 +43,11 @@ class Places(NamedTuple):
     past_y: AnyArray
     """(R, n_past_y + T, ny)."""
     ends: AnyArray
-    """How many starts there are in each record and those before it (R,)."""
+    """Number of starts in each record and those before it (R,)."""
     moves: AnyArray
     """(R,), 0 where all starts of a record are its first sample, else 1."""
     share: AnyArray | None = None
-    """Probability (S,) that a chunk starts at one of the starts up to each; None: all alike."""
+    """Probability (S,) that a chunk starts at one of the starts up to each; None: uniform."""
 
     def at(self, picked: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Records and samples of starts, both as `picked`."""
@@ -57,14 +58,17 @@ class Places(NamedTuple):
 
 
 def whole(batch: PaddedBatch) -> Simulations:
-    """Each record as one simulation."""
+    """Convert each record to one simulation."""
     arrays = (batch.window, batch.u, batch.y, batch.weight)
     return Simulations(*(np.asarray(a, np.float32) for a in arrays))
 
 
 def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
-    """Chunks of `length` samples end to end, in time order within each record; the last one of a
-    record ends with it, overlapping its neighbour, or without `overlap` is padded."""
+    """Cut chunks of `length` samples end to end, in time order within each record.
+
+    The last chunk of a record ends with it, overlapping its neighbour, or without `overlap` is
+    padded.
+    """
     length = min(length, batch.u.shape[1])
     begins = [laid_end_to_end(total, length, overlap) for total in batch.lengths]
     record, begin = np.repeat(np.arange(len(begins)), [*map(len, begins)]), np.concatenate(begins)
@@ -77,8 +81,15 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
 
 
 def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> Simulations:
-    """Long stretches to be read side by side in chunks of `length` samples: T is a multiple of it.
-    `count` None: one a record; else the records are cut into about so many of equal length."""
+    """Cut long segments to be read side by side in chunks of `length` samples: T is a multiple of
+    it.
+
+    Args:
+        batch: records.
+        length: samples of a chunk.
+        count: number of segments of equal length, approximately; None: one a record.
+        washout: samples before the loss counts.
+    """
     longest = batch.u.shape[1]
     if count is not None:
         longest = min(longest, -(-sum(batch.lengths) // count))
@@ -93,8 +104,11 @@ def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> 
 
 
 def places(batch: PaddedBatch, length: int) -> Places:
-    """Every sample from which a whole chunk fits; of a record shorter than that its start, as
-    often as it has samples, so that it is drawn as often."""
+    """Permit every start from which a whole chunk fits.
+
+    A shorter record starts at its first sample, as often as it has samples, so that it is drawn as
+    often.
+    """
     own = np.asarray(batch.lengths)
     short = own < length
     counts = np.where(short, own, own - length + 1)
@@ -105,7 +119,7 @@ def places(batch: PaddedBatch, length: int) -> Places:
 
 
 def gently(p: Places, length: int, power: float) -> Places:
-    """The places with chunks drawn in proportion to their amplitude to the power -`power`."""
+    """Draw chunks in proportion to their amplitude to the power -`power`."""
     moved = np.diff(p.y, axis=1) * (p.weight[:, 1:, None] > 0)
     size = np.sqrt((moved**2).mean(axis=(0, 1)))
     squares = ((moved / np.where(size > 0, size, 1.0)) ** 2).mean(axis=-1)
@@ -118,7 +132,14 @@ def gently(p: Places, length: int, power: float) -> Places:
 
 
 def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> Simulations:
-    """`count` chunks; None: as many as cover the records once, but at most 128. For JAX."""
+    """Draw chunks with JAX.
+
+    Args:
+        p: records and permitted starts.
+        length: samples of a chunk.
+        count: number of chunks; None: as many as cover the records once, but at most 128.
+        key: random key of JAX.
+    """
     import jax
 
     length = min(length, p.u.shape[1])
@@ -132,7 +153,7 @@ def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> S
     record, first = p.at(picked)
 
     def cut(values: AnyArray, samples: int) -> AnyArray:
-        """The piece itself: a cut of a whole record would copy that for each chunk."""
+        """Cut the chunk itself: a cut of a whole record would copy that for each chunk."""
         size = (1, samples, *values.shape[2:])
 
         def one(record: AnyArray, first: AnyArray) -> AnyArray:

@@ -1,4 +1,4 @@
-"""Where records are cut, and how pieces of unequal length become one array."""
+"""Cuts of records, and padding of segments of unequal length to one array."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Indices = NDArray[np.intp]
 
 
 def laid_end_to_end(samples: int, span: int, overlap: bool = True) -> Indices:
-    """First samples of pieces of `span` samples that cover `samples`, one after the other.
+    """First samples of segments of `span` samples that cover `samples`, one after the other.
 
-    The last piece ends with the samples and overlaps its neighbour where `span` does not divide
+    The last segment ends with the samples and overlaps its neighbour where `span` does not divide
     them; without `overlap` it is shorter instead.
     """
     starts = np.arange(0, samples, span)
@@ -24,22 +24,22 @@ def laid_end_to_end(samples: int, span: int, overlap: bool = True) -> Indices:
 
 
 def spread(count: int, most: int) -> Indices:
-    """At most `most` of the numbers 0 .. count-1, spread evenly over them."""
+    """Choose at most `most` of the numbers 0 .. count-1, spread evenly over them."""
     return np.linspace(0, count - 1, min(most, count)).round().astype(np.intp)
 
 
 def rows(starts: Sequence[int] | Indices, length: int) -> Indices:
-    """Samples (N, length) of the pieces that start there."""
+    """Samples (N, length) of the segments that begin at `starts`."""
     return np.asarray(starts)[:, None] + np.arange(length)
 
 
 def padded(values: Array, length: int, how: Literal["constant", "edge"] = "constant") -> Array:
-    """values (T, ...) with zeros, or its last value again and again, up to `length` rows."""
+    """Pad values (T, ...) to `length` rows, with zeros or by repeating the last row."""
     missing = [(0, length - len(values))] + [(0, 0)] * (values.ndim - 1)
     return np.pad(values, missing, mode=how)
 
 
-def side_by_side(pieces: Sequence[Array], how: Literal["constant", "edge"] = "constant") -> Array:
-    """Pieces (T_i, ...) -> (N, T, ...), padded to the longest."""
-    longest = max(len(piece) for piece in pieces)
-    return np.stack([padded(piece, longest, how) for piece in pieces])
+def side_by_side(segments: Sequence[Array], how: Literal["constant", "edge"] = "constant") -> Array:
+    """Stack segments (T_i, ...) -> (N, T, ...), padded to the longest."""
+    longest = max(len(segment) for segment in segments)
+    return np.stack([padded(segment, longest, how) for segment in segments])

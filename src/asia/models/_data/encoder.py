@@ -22,7 +22,8 @@ Decomposed: TypeAlias = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class Encoder:
-    """state = features weights + tanh(features inner + shift) outer + bias."""
+    """Map from window features to a state: features weights + tanh(features inner + shift) outer +
+    bias."""
 
     weights: Array
     """(d, n)."""
@@ -36,14 +37,15 @@ class Encoder:
     """(m, n)."""
 
     def __call__(self, features: AnyArray) -> AnyArray:
-        """(B, d) -> (B, n)."""
+        """Map (B, d) -> (B, n)."""
         bent = namespace(features).tanh(features @ self.inner + self.shift)
         return features @ self.weights + bent @ self.outer + self.bias
 
 
 def affine(weights: Array, bias: Array) -> Encoder:
-    """Without tanh functions: weights (d, n), bias (n,)."""
-    return Encoder(weights, bias, *_no_bend(*weights.shape))
+    """Make an encoder without tanh functions from weights (d, n) and bias (n,)."""
+    inputs, outputs = weights.shape
+    return Encoder(weights, bias, np.zeros((inputs, 0)), np.zeros(0), np.zeros((0, outputs)))
 
 
 def fit_encoder(
@@ -53,12 +55,18 @@ def fit_encoder(
     seed: int = 0,
     regression: BlockedRidge | None = None,
 ) -> Encoder:
-    """features (N_r, d) and states (N_r, n) of each record -> ridge regression on the features
-    and on `hidden` random tanh functions of them.
+    """Ridge regression of states on features and on random tanh functions of them.
 
     The ridge and whether the tanh functions are used at all are chosen by prediction of
     contiguous blocks left out: neighbouring windows overlap, so leaving out single samples would
-    choose too small a ridge. regression: that on the features, where it is known.
+    choose too small a ridge.
+
+    Args:
+        features: (N_r, d) of each record.
+        states: (N_r, n) of each record.
+        hidden: number of tanh functions.
+        seed: seed of the tanh functions.
+        regression: regression on the features, if it is known.
     """
     x, y = np.concatenate(features), np.concatenate(states)
     if x.shape[1] == 0:
@@ -82,13 +90,12 @@ def random_bend(inputs: int, hidden: int, seed: int) -> tuple[Array, Array]:
     return inner, rng.uniform(-1.0, 1.0, hidden)
 
 
-def _no_bend(inputs: int, outputs: int) -> tuple[Array, Array, Array]:
-    return np.zeros((inputs, 0)), np.zeros(0), np.zeros((0, outputs))
-
-
 class BlockedRidge:
     """Ridge regressions on the same features x (N, d), the ridge chosen by contiguous blocks left
-    out; what does not depend on the target is decomposed once."""
+    out.
+
+    The decompositions that do not depend on the target are computed once.
+    """
 
     def __init__(self, x: Array) -> None:
         self._center = x.mean(axis=0)
@@ -96,7 +103,11 @@ class BlockedRidge:
         self._ridges = ridges_for(len(x))
 
     def solved(self, y: Array) -> tuple[tuple[Array, Array], float]:
-        """Weights (d, n) and bias (n,), and the squared error of the blocks left out."""
+        """Solve for a target.
+
+        Returns:
+            Weights (d, n) and bias (n,), and the squared error of the blocks left out.
+        """
         mean = y.mean(axis=0)
         y = y - mean
         errors, cross = np.zeros(len(self._ridges)), self._x.T @ y
@@ -121,19 +132,24 @@ class BlockedRidge:
 
     @cached_property
     def _blocks(self) -> list[tuple[Array, Decomposed]]:
-        """Each block, and what is left without it."""
+        """Each block, and the decomposition without it."""
         parts = np.array_split(self._x, self._parts)
         return [(xb, _decomposed(self._gram - xb.T @ xb)) for xb in parts]
 
 
 def ridges_for(samples: int) -> Array:
-    """Those to choose from, for so many samples."""
+    """Ridges to choose from, for so many samples."""
     return np.logspace(-6, 3, 10) * max(samples / 1000, 1e-3)
 
 
 def ridge_path(gram: Array, cross: Array, ridges: Array) -> list[Array]:
-    """Weights (d, n) for each ridge; gram (d, d) and cross (d, n): products of the features with
-    themselves and with the states."""
+    """Weights (d, n) for each ridge.
+
+    Args:
+        gram: products of the features with themselves (d, d).
+        cross: products of the features with the states (d, n).
+        ridges: ridges.
+    """
     return _ridge_path(_decomposed(gram), cross, ridges)
 
 

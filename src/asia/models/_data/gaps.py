@@ -1,4 +1,4 @@
-"""Outputs that were not measured, as a model of the records says."""
+"""Reconstruction of outputs that were not measured, from a model of the records."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from asia.data import Array, Trajectory
 from asia.models._data.records import ScaledData, ScaledTrajectory, past_length
 from asia.models._data.stretches import ScaledSimulator
 
-# Errors of the simulation are taken for this much correlated at the most.
+# Greatest assumed correlation of simulation errors in time.
 _MOST = 0.98
 
 
 def has_gaps(trajectories: Sequence[Trajectory]) -> bool:
-    """Whether any output was not measured."""
+    """Return whether any output was not measured."""
     return any(t.missing is not None for t in trajectories)
 
 
@@ -27,9 +27,18 @@ def reconstructed(
     simulate: ScaledSimulator,
     context: Context,
 ) -> list[ScaledTrajectory]:
-    """The scaled records of the trajectories, with what `simulate` gives where an output was not
-    measured, and what is to be expected there of its error: it is taken for an autoregression of
-    first order between the measured neighbours. Samples of the past window stay as they are."""
+    """Fill the gaps of records with simulated outputs and the expected error of the simulation.
+
+    The error is modelled as a first-order autoregression between the measured neighbours. Samples
+    of
+    the past window stay unchanged.
+
+    Args:
+        records: scaled records.
+        trajectories: the same records in physical units, which know the gaps.
+        simulate: model in z-scores.
+        context: context of the fit.
+    """
     past = past_length(context)
     each = [_simulated(simulate, r, context) for r in records]
     errors = [
@@ -55,7 +64,7 @@ def _simulated(simulate: ScaledSimulator, r: ScaledTrajectory, context: Context)
 
 
 def _correlation(errors: Sequence[Array]) -> Array:
-    """(ny,) of neighbours that were both measured."""
+    """Correlation (ny,) of neighbours that were both measured."""
     ny = errors[0].shape[1]
     cross, square = np.zeros(ny), np.full(ny, 1e-300)
     for e in errors:
@@ -67,7 +76,7 @@ def _correlation(errors: Sequence[Array]) -> Array:
 
 
 def _bridged(error: Array, rho: float) -> Array:
-    """error (T,) with NaN -> what is expected there of an autoregression between its measured
+    """Replace NaN in error (T,) by the expectation of an autoregression between its measured
     neighbours."""
     if rho <= 0.0 or not np.isfinite(error).any():
         return np.nan_to_num(error)
@@ -77,7 +86,7 @@ def _bridged(error: Array, rho: float) -> Array:
     right = known[np.minimum(place, len(known) - 1)]
     before = np.where(place > 0, time - left, np.inf)
     after = np.where(place < len(known), right - time, np.inf)
-    # Of a first-order autoregression with unit variance.
+    # Conditional mean of a first-order autoregression with unit variance.
     a, b = rho**before, rho**after
     share = 1.0 - (a * b) ** 2
     share = np.where(share > 0.0, share, 1.0)

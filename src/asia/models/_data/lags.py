@@ -1,4 +1,4 @@
-"""Lagged signals: what input-output models read, and their simulation in free run."""
+"""Lagged signals: regressors of input-output models, and their simulation in free run."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ from asia.models._data.records import (
     windows,
 )
 
-# Regressing the missing lags on the past window needs no more windows than this.
+# Greatest number of windows in the regression of missing lags.
 _MOST_WINDOWS = 4000
-# Share of the samples whose lags were all measured, from which the others are left out.
+# Least share of samples with measured lags at which the others are left out.
 _ENOUGH = 0.1
 
 
 @dataclass(frozen=True)
 class Lags:
-    """Regressors y[k-1] .. y[k-outputs] and u[k-delay] .. u[k-delay-inputs+1]."""
+    """Orders of the regressors y[k-1] .. y[k-outputs] and u[k-delay] .. u[k-delay-inputs+1]."""
 
     outputs: int
-    """Lagged outputs."""
+    """Number of lagged outputs."""
     inputs: int
-    """Lagged inputs."""
+    """Number of lagged inputs."""
     delay: int = 0
-    """Samples before the newest input."""
+    """Number of samples before the newest input."""
 
     @property
     def past_inputs(self) -> int:
-        """Inputs needed from before the sample that is computed."""
+        """Number of inputs needed from before the sample that is computed."""
         return max(self.delay + self.inputs - 1, 0)
 
     @property
     def memory(self) -> int:
-        """Samples needed before the first one that can be computed."""
+        """Number of samples needed before the first one that can be computed."""
         return max(self.outputs, self.past_inputs)
 
 
 def lagged_inputs(u: AnyArray, lags: Lags) -> AnyArray:
-    """u (..., past_inputs + T, nu) -> (..., T, inputs * nu), the newest first."""
+    """Lagged inputs, the newest first: u (..., past_inputs + T, nu) -> (..., T, inputs * nu)."""
     length = u.shape[-2] - lags.past_inputs
     newest = lags.inputs - 1 if lags.inputs else 0
     parts = [u[..., newest - i : newest - i + length, :] for i in range(lags.inputs)]
@@ -62,9 +62,20 @@ def lagged_inputs(u: AnyArray, lags: Lags) -> AnyArray:
 def regressors(
     record: ScaledTrajectory, lags: Lags, first: int | None = None
 ) -> tuple[Array, Array]:
-    """(N, d) and targets (N, ny) of the samples from `first` (default: the memory) on; d is
-    outputs * ny + inputs * nu, outputs before inputs and the newest first. Samples that were not
-    measured are left out, and those with such a lag too where enough are left."""
+    """Regressors and targets of a record.
+
+    Samples that were not measured are left out, and those with such a lag too where enough are
+    left.
+
+    Args:
+        record: record in z-scores.
+        lags: orders.
+        first: first sample; default: the memory.
+
+    Returns:
+        Regressors (N, outputs * ny + inputs * nu), outputs before inputs and the newest first, and
+        targets (N, ny).
+    """
     start = lags.memory if first is None else first
     rows = _measured_rows(record, np.arange(start, len(record)), lags)
     past = record.y[rows[:, None] - np.arange(1, lags.outputs + 1)].reshape(len(rows), -1)
@@ -99,8 +110,16 @@ class History:
     def __call__(
         self, past_u: AnyArray, past_y: AnyArray, u: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> inputs
-        (B, past_inputs, nu) and outputs (B, outputs, ny), the oldest first."""
+        """Lags before the first sample, the oldest first.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Inputs (B, past_inputs, nu) and outputs (B, outputs, ny).
+        """
         xp = namespace(past_u, past_y, u)
         batch, nu, ny = len(u), u.shape[2], past_y.shape[2]
         known_u = past_u[:, past_u.shape[1] - (self.lags.past_inputs - self.missing_u) :]
@@ -121,8 +140,15 @@ class History:
 def fit_history(
     records: ScaledData, lags: Lags, context: Context, outputs: Sequence[Array] | None = None
 ) -> History:
-    """`outputs`: (T, ny) of each record, valid from the past window on: simulated ones, which
-    then stand for all lagged outputs instead of the measured ones."""
+    """Fit the regression of the lags that the past window is too short for.
+
+    Args:
+        records: records in z-scores.
+        lags: orders.
+        context: context of the fit.
+        outputs: simulated outputs (T, ny) of each record, valid from the past window on, which
+            replace all lagged outputs; None uses the measured ones.
+    """
     missing_u = max(0, lags.past_inputs - context.n_past_u)
     missing_y = max(0, lags.outputs - context.n_past_y)
     past = past_length(context)
@@ -166,7 +192,7 @@ class OutputRange:
 
     @classmethod
     def of(cls, records: ScaledData, margin: float) -> OutputRange:
-        """The range of the records, widened on each side by `margin` times its width."""
+        """Range of the records, widened on each side by `margin` times its width."""
         y = np.concatenate([r.y for r in records])
         low, high = y.min(axis=0), y.max(axis=0)
         return cls(low - margin * (high - low), high + margin * (high - low))
@@ -176,20 +202,21 @@ class OneStep(Protocol):
     """Prediction of the next output from the regressors."""
 
     def __call__(self, z: AnyArray) -> AnyArray:
-        """(B, d) -> (B, ny)."""
+        """Predict (B, d) -> (B, ny)."""
         ...
 
 
 @dataclass(frozen=True)
 class FreeRun:
-    """A one-step model simulated on its own outputs, clipped to the limits; a `ScaledSimulator`."""
+    """One-step model simulated on its own outputs, clipped to the limits; a `ScaledSimulator`."""
 
     one_step: OneStep
     history: History
     limits: OutputRange
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H, ny)."""
+        """Simulate past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H,
+        ny)."""
         old_u, past = self.initial(past_u, past_y, u[:, 0])
         drive = lagged_inputs(np.concatenate([old_u, u], axis=1), self.history.lags)
         return scan(self._advanced, past, drive.swapaxes(0, 1))[1].swapaxes(0, 1)
@@ -201,7 +228,7 @@ class FreeRun:
         return old_u, old_y[:, ::-1].reshape(len(u), -1)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Both after a sample with the input u (B, nu), and its output (B, ny)."""
+        """Advance the lags by a sample with the input u (B, nu); its output is (B, ny)."""
         old_u, past = state
         known = namespace(old_u, u).concatenate([old_u, u[:, None]], axis=1)
         past, y = self._advanced(past, lagged_inputs(known, self.history.lags)[:, 0])

@@ -1,4 +1,4 @@
-"""Training records as the models see them: z-scored, cut into past windows, padded to one shape."""
+"""Training records: z-scored, cut into past windows, padded to one shape."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from asia.models._arrays import AnyArray, namespace
 from asia.models._data.cuts import Indices, rows, side_by_side, spread
 from asia.models._data.scaling import Scaling
 
-# Share of the past windows that must be measured for the others to be left out.
+# Least share of measured past windows at which the others are left out.
 _ENOUGH = 0.1
 _SINGLE = np.float32
 
 
 @dataclass(frozen=True)
 class ScaledTrajectory:
-    """One trajectory in z-scores."""
+    """Trajectory in z-scores."""
 
     u: Array
     """(T, nu), as they act."""
@@ -36,13 +36,13 @@ class ScaledTrajectory:
     counts: Array
     """(T,), 0 where an output was not measured; the `weight` of a whole fit."""
     filled: bool = False
-    """Whether outputs that were not measured are those of a model."""
+    """Outputs that were not measured are those of a model."""
 
     def __len__(self) -> int:
         return len(self.u)
 
     def part(self, first: int, length: int) -> ScaledTrajectory:
-        """`length` samples from `first` on."""
+        """Cut `length` samples from `first` on."""
         rows = slice(first, first + length)
         return ScaledTrajectory(
             self.u[rows],
@@ -54,7 +54,7 @@ class ScaledTrajectory:
         )
 
     def with_delay(self, delay: int) -> ScaledTrajectory:
-        """The record with its inputs delayed; the first input is held backwards."""
+        """Delay the inputs of the record; the first input is held backwards."""
         if delay == 0:
             return self
         held = np.repeat(self.u[:1], delay, axis=0)
@@ -66,7 +66,7 @@ ScaledData: TypeAlias = Sequence[ScaledTrajectory]
 
 
 def past_length(context: Context) -> int:
-    """Samples before the first simulated one."""
+    """Number of samples before the first simulated one."""
     return max(context.n_past_u, context.n_past_y)
 
 
@@ -76,7 +76,11 @@ def window_size(context: Context) -> int:
 
 
 def check(trajectories: Sequence[Trajectory], context: Context) -> None:
-    """Raises UserError when there is nothing to simulate or a record has the wrong channels."""
+    """Check that there is something to simulate and every record has the right channels.
+
+    Raises:
+        UserError: if not.
+    """
     if not trajectories:
         raise UserError("no training records: a model needs at least one trajectory")
     for t in trajectories:
@@ -93,7 +97,8 @@ def check(trajectories: Sequence[Trajectory], context: Context) -> None:
 
 
 def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledTrajectory]:
-    """All samples of each record, z-scored. A sample counts where every output was measured."""
+    """Scale all samples of each record to z-scores. A sample counts where every output was
+    measured."""
     found: list[ScaledTrajectory] = []
     for t in trajectories:
         u, y = scaling.inputs(t.u), scaling.outputs(t.y)
@@ -103,33 +108,38 @@ def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledT
 
 
 def measured_samples(record: Trajectory) -> Array:
-    """(T,), 1 where every output was measured, else 0; read-only where all were."""
+    """Mask (T,): 1 where every output was measured, else 0; read-only where all were."""
     if record.missing is None:
         return np.broadcast_to(np.float64(1.0), len(record))
     return np.asarray(record.measured.all(axis=1), dtype=np.float64)
 
 
 def refuse_gaps(trajectories: Sequence[Trajectory]) -> None:
-    """Raises ValueError where outputs were not measured: the correlation of the residuals in time
-    would have to be known there."""
+    """Refuse records with outputs that were not measured: the correlation of the residuals in time
+    would be unknown there.
+
+    Raises:
+        ValueError: if there are such outputs.
+    """
     if any(t.missing is not None for t in trajectories):
         raise ValueError("standard errors need records in which every output was measured")
 
 
 def window(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
-    """past_u (B, npu, nu), past_y (B, npy, ny) -> (B, npu*nu + npy*ny), z-scored alike."""
+    """Flatten past windows: past_u (B, npu, nu), past_y (B, npy, ny) -> (B, npu*nu + npy*ny),
+    z-scored alike."""
     flat = [past.reshape(past.shape[0], past.shape[1] * past.shape[2]) for past in (past_u, past_y)]
     return namespace(*flat).concatenate(flat, axis=1)
 
 
 def windows(record: ScaledTrajectory, context: Context) -> Array:
-    """Past window before each sample from `past_length` on: (T - past_length, d)."""
+    """Past windows (T - past_length, d) before each sample from `past_length` on."""
     return windows_before(record, np.arange(past_length(context), len(record)), context)
 
 
 def window_rows(records: ScaledData, context: Context) -> list[Indices | slice]:
-    """For each record, which rows of its `windows` show measured outputs alone; all rows of all
-    records where too few do."""
+    """Rows of each record's `windows` that contain only measured outputs; all rows of all records
+    if too few do."""
     past = past_length(context)
     if all(r.counts.all() for r in records):
         return [slice(None)] * len(records)
@@ -151,7 +161,7 @@ def windows_before(record: ScaledTrajectory, rows: Indices, context: Context) ->
 
 
 def holdout_records(count: int, fraction: float) -> list[int]:
-    """Of four records or more, those to hold out whole, spread over them; of fewer, none."""
+    """Choose records to hold out whole, spread over four or more; none of fewer."""
     left_out = round(fraction * count)
     if count < 4 or left_out < 1:
         return []
@@ -161,10 +171,10 @@ def holdout_records(count: int, fraction: float) -> list[int]:
 def holdout_masks(
     records: ScaledData, fraction: float, blocks: int = 8, shortest: int = 0
 ) -> list[NDArray[np.bool_]]:
-    """For each record (T,) booleans, True where held out: `blocks` stretches spread over it, fewer
-    where they would have less than `shortest` samples.
+    """Masks (T,) of each record, True where held out: `blocks` segments spread over it, fewer where
+    they would have less than `shortest` samples.
 
-    A simulated output depends on inputs alone, so a sample whose weight is zero is unseen even
+    A simulated output depends only on inputs, so a sample whose weight is zero is unseen even
     though the simulation runs through it.
     """
     masks: list[NDArray[np.bool_]] = []
@@ -179,13 +189,17 @@ def holdout_masks(
 def reweighted(
     records: ScaledData, masks: Sequence[NDArray[np.bool_]], keep: bool
 ) -> list[ScaledTrajectory]:
-    """Records whose weight is kept only where the mask equals `keep`."""
+    """Keep the weight of records only where the mask equals `keep`."""
     return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
 
 
 def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
-    """The first part of each record, the same fraction of all but no less than `shortest` samples
-    where it has them, about `samples` in total; of many records only some, spread over them."""
+    """Cut the first part of each record, about `samples` in total.
+
+    The fraction is the same for all, but no less than `shortest` samples where the record has them;
+    of
+    many records only some are used, spread over them.
+    """
     if sum(len(r) for r in records) <= samples:
         return list(records)
     most = max(3, samples // shortest)
@@ -197,24 +211,25 @@ def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTr
 def contiguous_splits(
     records: ScaledData, parts: int, shortest: int
 ) -> list[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]]:
-    """(kept, left out) pairs: whole records left out in turn when there are at least `parts`,
-    else stretches of each record of at least `shortest` samples."""
+    """Pairs (kept, left out): whole records left out in turn when there are at least `parts`, else
+    segments of each record of at least `shortest` samples."""
     if len(records) >= parts:
-        pieces = list(records)
-        groups = [list(range(i, len(pieces), parts)) for i in range(parts)]
+        segments = list(records)
+        groups = [list(range(i, len(segments), parts)) for i in range(parts)]
     else:
-        pieces = []
+        segments = []
         membership: list[int] = []
         for r in records:
             count = max(1, min(parts, len(r) // max(shortest, 1)))
             for i, rows in enumerate(np.array_split(np.arange(len(r)), count)):
-                pieces.append(r.part(int(rows[0]), len(rows)))
+                segments.append(r.part(int(rows[0]), len(rows)))
                 membership.append(i)
         groups = [[k for k, m in enumerate(membership) if m == i] for i in sorted(set(membership))]
     if len(groups) < 2:
-        return [(pieces, pieces)]
+        return [(segments, segments)]
     return [
-        ([p for k, p in enumerate(pieces) if k not in g], [pieces[k] for k in g]) for g in groups
+        ([p for k, p in enumerate(segments) if k not in g], [segments[k] for k in g])
+        for g in groups
     ]
 
 
@@ -248,7 +263,7 @@ class PaddedBatch:
 
 
 def batch(records: ScaledData, context: Context) -> PaddedBatch:
-    """Pads the simulated part of each record to the longest."""
+    """Pad the simulated part of each record to the longest."""
     skip = past_length(context)
     first = np.array([skip])
     past_u, past_y = (
@@ -269,18 +284,23 @@ def batch(records: ScaledData, context: Context) -> PaddedBatch:
 
 
 def batch_weight(records: ScaledData, context: Context) -> AnyArray:
-    """That of a batch of these records."""
+    """Weight of a batch of these records."""
     return _single([r.weight[past_length(context) :] for r in records])
 
 
-def _single(pieces: Sequence[Array]) -> AnyArray:
-    single: list[AnyArray] = [np.asarray(piece, _SINGLE) for piece in pieces]
+def _single(segments: Sequence[Array]) -> AnyArray:
+    single: list[AnyArray] = [np.asarray(segment, _SINGLE) for segment in segments]
     return side_by_side(single)
 
 
 def delayed(past: Array, future: Array, delay: int) -> Array:
-    """Inputs (B, H, nu) that act during the simulation, from the measured past (B, n_past_u, nu)
-    and future (B, H, nu); before the first known one it is held backwards."""
+    """Inputs (B, H, nu) that act during the simulation.
+
+    Args:
+        past: measured past inputs (B, n_past_u, nu); before the first one it is held backwards.
+        future: inputs (B, H, nu).
+        delay: in samples.
+    """
     known = np.concatenate([past, future], axis=1)
     rows = np.arange(past.shape[1], known.shape[1]) - delay
     return known[:, np.maximum(rows, 0)]
@@ -289,8 +309,16 @@ def delayed(past: Array, future: Array, delay: int) -> Array:
 def delayed_inputs(
     scaling: Scaling, delay: int, past: Array, u: Array, first: int, stop: int
 ) -> Array:
-    """Scaled inputs (B, stop - first, nu) that act from sample `first` on, from past (B, n_past_u,
-    nu) and u (B, H, nu) in physical units."""
+    """Scaled inputs (B, stop - first, nu) that act from sample `first` on.
+
+    Args:
+        scaling: scaling of the signals.
+        delay: in samples.
+        past: past inputs (B, n_past_u, nu) in physical units.
+        u: inputs (B, H, nu) in physical units.
+        first: first sample.
+        stop: sample after the last.
+    """
     begin = max(first - delay, 0)
     known, part = scaling.inputs(past), scaling.inputs(u[:, begin:stop])
     return delayed(known, part, delay)[:, first - begin :]

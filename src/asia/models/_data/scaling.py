@@ -31,15 +31,15 @@ class Scaling:
         return cls(u.mean(axis=0), _spread(u), y.mean(axis=0), _spread(y))
 
     def inputs(self, u: Array) -> Array:
-        """(..., nu) in physical units -> z-scores."""
+        """Scale inputs (..., nu) in physical units to z-scores."""
         return (u - self.u_mean) / self.u_std
 
     def outputs(self, y: Array) -> Array:
-        """(..., ny) in physical units -> z-scores."""
+        """Scale outputs (..., ny) in physical units to z-scores."""
         return (y - self.y_mean) / self.y_std
 
     def physical(self, y: Array) -> Array:
-        """(..., ny) z-scores -> physical units."""
+        """Convert outputs (..., ny) from z-scores to physical units."""
         return y * self.y_std + self.y_mean
 
 

@@ -1,6 +1,6 @@
-"""Stretches that a model is simulated over while it is fitted or chosen, and the error on them.
+"""Segments over which a model is simulated for its fit or choice, and the error on them.
 
-With a horizon they are windows of that length, as the model will be judged; without one they are
+With a horizon they are windows of that length, as the model will be evaluated; without one they are
 whole records.
 """
 
@@ -17,14 +17,15 @@ from asia.data import Array, Trajectory
 from asia.models._data.cuts import laid_end_to_end, side_by_side, spread
 from asia.models._data.records import ScaledData, contiguous_splits, past_length
 
-# A longer record is cut, and its parts are simulated side by side: time is what a loop pays for.
+# Longest segment in samples. Longer records are cut and their segments simulated side by side: the
+# time of a loop grows with its length.
 _LONGEST = 4000
 _MOST_SAMPLES = 40_000
 
 
 @dataclass(frozen=True)
 class Stretches:
-    """Stretches side by side, z-scored, padded with zeros where the weight is zero."""
+    """Segments side by side, z-scored, padded with zeros where the weight is zero."""
 
     past_u: Array
     """Inputs before each (S, n_past_u, nu)."""
@@ -42,18 +43,23 @@ class Stretches:
 
 
 class ScaledSimulator(Protocol):
-    """A fitted model in z-scores."""
+    """Fitted model in z-scores."""
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """As `simulate` of a model, all z-scored."""
+        """Simulate as `simulate` of a model does, all z-scored."""
         ...
 
 
 def segments(
     records: ScaledData, context: Context, samples: int = _MOST_SAMPLES
 ) -> Stretches | None:
-    """Stretches of the records after their past windows, about `samples` in total and evenly
-    spread where there are more; None where every record is too short for one."""
+    """Segments of the records after their past windows, about `samples` in total.
+
+    They are evenly spread where there are more.
+
+    Returns:
+        None where every record is too short for one.
+    """
     past = past_length(context)
     places = [(r, first) for r in records for first in _firsts(len(r), past, context.horizon)]
     if not places:
@@ -62,13 +68,13 @@ def segments(
     lengths = [min(longest, len(r) - first) for r, first in places]
     most = max(1, samples // max(lengths))
     chosen = spread(len(places), most)
-    pieces = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
+    cuts = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
     return Stretches(
-        np.stack([r.measured_u[k - context.n_past_u : k] for r, k, _ in pieces]),
-        np.stack([r.y[k - context.n_past_y : k] for r, k, _ in pieces]),
-        side_by_side([r.u[k:end] for r, k, end in pieces]),
-        side_by_side([r.y[k:end] for r, k, end in pieces]),
-        side_by_side([r.counts[k:end] for r, k, end in pieces]),
+        np.stack([r.measured_u[k - context.n_past_u : k] for r, k, _ in cuts]),
+        np.stack([r.y[k - context.n_past_y : k] for r, k, _ in cuts]),
+        side_by_side([r.u[k:end] for r, k, end in cuts]),
+        side_by_side([r.y[k:end] for r, k, end in cuts]),
+        side_by_side([r.counts[k:end] for r, k, end in cuts]),
     )
 
 
@@ -87,11 +93,19 @@ def left_out_error(
     fit: Callable[[ScaledData], Sequence[ScaledSimulator]],
     shortest: int,
 ) -> Array:
-    """Mean over splits of the log of the mean squared simulation error on what was left out, one
-    number for each simulator that `fit` makes from what was kept; infinite where one diverges.
+    """Mean over splits of the log of the mean squared simulation error on the samples left out.
 
-    Whole records are left out when there are at least three, else stretches of them of at least
+    Whole records are left out when there are at least three, else segments of them of at least
     `shortest` samples.
+
+    Args:
+        records: records in z-scores.
+        context: context of the fit.
+        fit: makes simulators from the kept samples.
+        shortest: least samples of a segment.
+
+    Returns:
+        One number for each simulator; infinite where one diverges.
     """
     logs: list[list[float]] = []
     for kept, left in contiguous_splits(records, 3, shortest):
@@ -105,7 +119,7 @@ def left_out_error(
 def window_pieces(
     trajectories: Sequence[Trajectory], context: Context, most: int
 ) -> list[Trajectory]:
-    """Past window and horizon as records of their own, `most` of them spread evenly; the records
+    """Cut past window and horizon as separate records, `most` of them spread evenly; the records
     themselves where the protocol has no horizon."""
     if context.horizon is None:
         return list(trajectories)

@@ -1,4 +1,4 @@
-"""Symmetries of a system as a black box sees them: its inputs and outputs turned alike."""
+"""Symmetries of a black box: transformations of its inputs and outputs."""
 
 from __future__ import annotations
 
@@ -18,22 +18,25 @@ from asia.models._steps import mean
 from asia.problem.symmetry import group, of_signals
 
 SimulateWindows = Callable[[Array, Array, Array], Array]
-"""`simulate` of a model."""
+"""Type of the `simulate` of a model."""
 
 
 @dataclass(frozen=True)
 class SignalTurns:
-    """Elements of the group of symmetries that take inputs to inputs and outputs to outputs, the
-    identity first."""
+    """Group of the symmetries that map inputs to inputs and outputs to outputs, identity first."""
 
     inputs: Array
-    """Signed permutations (G, nu, nu)."""
+    """Transformations of the inputs (G, nu, nu), signed permutations."""
     outputs: Array
-    """The same elements on the outputs (G, ny, ny)."""
+    """Transformations of the outputs (G, ny, ny)."""
 
     @classmethod
     def of(cls, context: Context) -> SignalTurns:
-        """Those of a problem. Raises UserError where it has none."""
+        """Group of a problem.
+
+        Raises:
+            UserError: if it has no such symmetry.
+        """
         inputs, outputs = ([s.name for s in side] for side in (context.inputs, context.outputs))
         usable = of_signals(context.symmetry, inputs, outputs)
         if not usable:
@@ -49,7 +52,7 @@ class SignalTurns:
         return len(self.inputs)
 
     def turned(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-        """Each record as it is, followed by what it becomes under the other elements."""
+        """Each record, followed by its transformations."""
         return [
             replace(t, u=t.u @ turn_u.T, y=t.y @ turn_y.T, missing=_turned(t.missing, turn_y))
             for t in trajectories
@@ -57,7 +60,8 @@ class SignalTurns:
         ]
 
     def turned_scores(self, records: ScaledData) -> list[ScaledTrajectory]:
-        """The same in the z-scores of turned records, which the turns leave as they are."""
+        """Each record in z-scores of transformed records, followed by its transformations, which
+        keep the z-scores."""
         return [
             replace(r, u=r.u @ turn_u.T, y=r.y @ turn_y.T, measured_u=r.measured_u @ turn_u.T)
             for r in records
@@ -68,8 +72,10 @@ class SignalTurns:
         return zip(self.inputs, self.outputs, strict=True)
 
     def averaged(self, simulate: SimulateWindows, past_u: Array, past_y: Array, u: Array) -> Array:
-        """The mean over the elements of what `simulate` says of the turned signals, turned back:
-        it has the symmetries exactly, whatever `simulate` has learned."""
+        """Average over the group: simulate the transformed signals and transform the outputs back.
+
+        The mean has the symmetries exactly, whatever `simulate` has learned.
+        """
         count = len(u)
         turned = (
             np.concatenate([signal @ turn.T for turn in turns])
@@ -90,7 +96,7 @@ class SignalTurns:
         ]
 
     def step(self, model: StepModel, states: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """One sample of `averaged`."""
+        """Advance `averaged` by one sample."""
         after, outputs = list[Any](), list[AnyArray]()
         for state, (turn_u, turn_y) in zip(states, self._elements(), strict=True):
             state, y = model.step(state, u @ turn_u.T)
@@ -105,32 +111,33 @@ def _turned(missing: Mask | None, turn: Array) -> Mask | None:
 
 @dataclass(frozen=True)
 class TurnedData:
-    """The records of a fit, which may also be seen under symmetries of the system."""
+    """Records of a fit, with their transformations by symmetries of the system."""
 
     records: ScaledData
-    """As measured: what a choice by held-out parts is made on."""
+    """Records as measured, for choices by held-out parts."""
     scaling: Scaling
-    """The same for signals that a symmetry exchanges, and about zero for one that it negates."""
+    """Scaling: the same for signals that a symmetry exchanges, and about zero for one that it
+    negates."""
     turns: SignalTurns | None
-    """The symmetries; None: none."""
+    """Symmetries; None: none."""
 
     @classmethod
     def of(cls, trajectories: Sequence[Trajectory], turns: SignalTurns | None) -> TurnedData:
-        """From records in physical units."""
+        """Scale records in physical units."""
         every = trajectories if turns is None else turns.turned(trajectories)
         scaling = Scaling.of(every)
         return cls(scaled(trajectories, scaling), scaling, turns)
 
     @property
     def copies(self) -> int:
-        """How often each record stands in `every`."""
+        """Number of copies of each record in `every`."""
         return 1 if self.turns is None else len(self.turns)
 
     @property
     def every(self) -> ScaledData:
-        """Each record followed by its turned copies."""
+        """Each record followed by its transformed copies."""
         return self.with_turned(self.records)
 
     def with_turned(self, records: ScaledData) -> ScaledData:
-        """Each of these followed by its turned copies."""
+        """Each of these records followed by its transformed copies."""
         return records if self.turns is None else self.turns.turned_scores(records)

@@ -1,5 +1,7 @@
-"""Initial state from the past window, regressed on a model's own states on its records: see
-`asia.models._data.encoder`. On long records block by block."""
+"""Regression of the initial state on the past window, from a model's own states on its records.
+
+See `asia.models._data.encoder`; on long records it goes block by block.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +33,14 @@ from asia.models._data.records import (
     windows_before,
 )
 
-# Numbers of the past windows from which records are long, and windows of a block.
+# Numbers in the past windows above which records are processed in blocks, and windows of a block.
 _LONG, _BLOCK = 2_000_000, 4096
 _PARTS = 8
 
 StatesOf: TypeAlias = Callable[[int], Iterator[Array]]
 """States (T, n) of the blocks of a record, given its number, in time order."""
 Pairs: TypeAlias = Callable[[], Iterator[tuple[Array, Array]]]
-"""Features (N, d) and states (N, n), block by block and each time the same."""
+"""Iterations over features (N, d) and states (N, n), block by block and each time the same."""
 
 
 def window_encoder(
@@ -49,8 +51,16 @@ def window_encoder(
     seed: int = 0,
     regression: BlockedRidge | None = None,
 ) -> Encoder:
-    """Past window -> state, as `fit_encoder` finds it. regression: that on the past windows of
-    these records, where it is known."""
+    """Map from a past window to the state, as `fit_encoder` finds it.
+
+    Args:
+        records: records in z-scores.
+        states_of: states of a record, block by block.
+        context: context of the fit.
+        hidden: number of tanh functions.
+        seed: seed of the tanh functions.
+        regression: regression on the past windows of these records, if it is known.
+    """
     past = past_length(context)
     long = [i for i, r in enumerate(records) if len(r) > past]
     rows = window_rows([records[i] for i in long], context)
@@ -89,7 +99,7 @@ def _window_pairs(
 
 
 def _fitted_by_blocks(pairs: Pairs, hidden: int, seed: int) -> Encoder:
-    """As `fit_encoder`."""
+    """Fit an encoder as `fit_encoder` does, block by block."""
     d = next(pairs())[0].shape[1]
     plain = _Sums.of(pairs)
     if d == 0:
@@ -110,7 +120,7 @@ def _fitted_by_blocks(pairs: Pairs, hidden: int, seed: int) -> Encoder:
 
 
 class _Sums(NamedTuple):
-    """Of features x and states y."""
+    """Sums over features x and states y."""
 
     samples: int
     x_mean: Array

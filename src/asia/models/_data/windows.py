@@ -1,4 +1,4 @@
-"""Training windows: stretches of the protocol's horizon, each with its own past window."""
+"""Training windows: segments of the protocol's horizon, each with its own past window."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from asia.data import Array
 from asia.models._data.cuts import rows, spread
 from asia.models._data.records import ScaledData, ScaledTrajectory, past_length, windows
 
-# Stretches cut from one record: long ones, so that slow modes show.
-_PIECES = 4
+# Greatest number of segments from one record: few long ones, so that slow modes show.
+_MOST_SEGMENTS = 4
 
 
 class HorizonWindows(NamedTuple):
@@ -29,13 +29,13 @@ class HorizonWindows(NamedTuple):
     """(W, H), 0 where an output was not measured; None where all samples count."""
 
     def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
-        """With every array changed."""
+        """Apply a function to every array."""
         return HorizonWindows(*(None if a is None else change(a) for a in self))
 
 
 def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
-    """At most about `most` windows of `context.horizon` samples (of the longest record, where all
-    are shorter), evenly spread over the records and of every record the same share."""
+    """Cut at most about `most` windows of `context.horizon` samples (of the longest record, where
+    all are shorter), evenly spread over the records and of every record the same share."""
     past = past_length(context)
     longest = max(len(r) for r in records) - past
     horizon = min(context.horizon or longest, longest)
@@ -58,24 +58,24 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
 
 
 def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> HorizonWindows:
-    """At most about `most` windows of `horizon` samples that lie end to end in each record, and
-    none that its end would cut, spread over all records."""
+    """Cut at most about `most` windows of `horizon` samples that lie end to end in each record,
+    none cut by its end, spread over all records."""
     past = past_length(context)
     counts = [(len(r) - past) // horizon for r in records]
     stride = max(1, round(sum(max(count, 1) for count in counts) / most))
     places = [(i, k * horizon) for i, count in enumerate(counts) for k in range(count)][::stride]
     features = [windows(r, context) for r in records]
-    pieces = [records[i].part(past + k, horizon) for i, k in places]
+    segments = [records[i].part(past + k, horizon) for i, k in places]
     return HorizonWindows(
         np.stack([features[i][k] for i, k in places]),
-        np.stack([piece.u for piece in pieces]),
-        np.stack([piece.y for piece in pieces]),
-        _weight(np.stack([piece.counts for piece in pieces])),
+        np.stack([segment.u for segment in segments]),
+        np.stack([segment.y for segment in segments]),
+        _weight(np.stack([segment.counts for segment in segments])),
     )
 
 
 def mean_square(error: Array, weight: Array | None) -> float:
-    """Of errors (W, H, ny) where weight (W, H) is 1."""
+    """Mean square of errors (W, H, ny) where weight (W, H) is 1."""
     if weight is None:
         return float((error**2).mean())
     total = max(float(weight.sum()) * error.shape[-1], 1.0)
@@ -87,19 +87,23 @@ def _weight(counts: Array) -> Array | None:
 
 
 def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
-    """Up to about `samples` samples in all: the records themselves where they hold no more, else
-    stretches of at least `shortest` (where a record has them), evenly spread over each record, of
-    very many records only over some."""
+    """Choose segments of up to about `samples` samples in all.
+
+    These are the records themselves where they hold no more, else segments of at least `shortest`
+    samples (where a record has them), evenly spread over each record, of very many records only
+    over
+    some.
+    """
     total = sum(len(r) for r in records)
     if total <= samples:
         return list(records)
     most = max(1, samples // shortest)
     kept = [records[i] for i in spread(len(records), most)]
     share = samples / sum(len(r) for r in kept)
-    pieces: list[ScaledTrajectory] = []
+    segments: list[ScaledTrajectory] = []
     for r in kept:
-        count = int(np.clip(share * len(r) // shortest, 1, _PIECES))
+        count = int(np.clip(share * len(r) // shortest, 1, _MOST_SEGMENTS))
         length = min(len(r), max(shortest, int(share * len(r) / count)))
         starts = np.linspace(0, len(r) - length, count).round().astype(int)
-        pieces += [r.part(int(start), length) for start in starts]
-    return pieces
+        segments += [r.part(int(start), length) for start in starts]
+    return segments

@@ -1,1 +1,1 @@
-"""A person's equations: simulation and fit."""
+"""Equations from the problem file: simulation and fit."""

@@ -1,4 +1,4 @@
-"""What a grey-box consists of: the settings, and the coordinates that training searches."""
+"""Settings and structure of a grey-box, and layout of the coordinates that training searches."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Sensor = Literal["power", "spline"]
 
 @dataclass(frozen=True)
 class Config:
-    """A grey-box: the problem's equations and what is added to them.
+    """Grey-box: the problem's equations and what is added to them.
 
     Every addition has no effect at its prior mean. A ridge holds it there: `residual_ridge` the
     network; `ridge` linear term, offsets and delay; limits and spilled fractions, being physical,
@@ -28,9 +28,9 @@ class Config:
     saturation: tuple[str, ...] = ()
     """States with a learned upper limit, such as the level of a tank that can be full."""
     spill: bool = False
-    """Whether a learned fraction of what a full state cannot hold goes into the next state."""
+    """Let a learned fraction of what a full state cannot hold go into the next state."""
     linear: bool = False
-    """Whether a linear term in states and inputs is added to the dynamics."""
+    """Add a linear term in states and inputs to the dynamics."""
     offset: tuple[str, ...] = ()
     """Outputs that get a constant bias, and states whose derivative gets one."""
     input_delay: float = 0.0
@@ -41,19 +41,21 @@ class Config:
     """Weight of the sum of squared effects beside the mean squared normalised simulation error; an
     effect of 1 is as large as the signal it acts on."""
     residual_ridge: float = 1e-2
-    """The same for the network."""
+    """Weight of the sum of squared effects of the network."""
     robust: float | None = None
     """Huber threshold in standard deviations of the output; None is least squares."""
     substeps: int = 2
     """Runge-Kutta steps a sample."""
     initial: Initial | None = None
-    """How a simulation starts: "measured" at the last measured outputs, where every state is an
-    output; "estimated" from the whole past window. None is measured with a horizon, where that is
+    """Initial state of a simulation: "measured" takes the last measured outputs, where every state
+    is
+    an output; "estimated" uses the whole past window. None is measured with a horizon, where that
+    is
     possible, and else estimated. No option sets it and a trained model keeps none: each call of
     `simulate` finds it anew from the past window that it is given; "measured" takes
     `past_y[:, -1]`."""
     sensor: Sensor | None = None
-    """A rising curve from the equations' output to the measured one: "power" has a learned zero and
+    """Rising curve from the equations' output to the measured one: "power" has a learned zero and
     exponent, "spline" a learned zero and slopes; None is none. It goes from the lowest to the
     highest value of the state that is observed (else of the data)."""
     lag: tuple[str, ...] = ()
@@ -72,16 +74,16 @@ class Config:
     effect, which no option changes; `ridge` weighs it for the linear term, offsets and delays."""
     friction: tuple[str, ...] = ()
     """Velocities among the states that get dry friction. It is smooth Coulomb and Stribeck friction
-    with viscous friction, each with a level of its own in the two directions."""
+    with viscous friction, each with separate levels in the two directions."""
     presliding: bool = False
-    """Whether dry friction gives way before it slides (LuGre, which has a state)."""
+    """Let dry friction give way before it slides (LuGre, which has a state)."""
     hysteresis: tuple[str, ...] = ()
     """Velocities among the states that get a Bouc-Wen force, which has a state."""
     play: tuple[str, ...] = ()
     """States and inputs that act on other states behind a play (backlash). Its width is learned."""
     discover: tuple[str, ...] = ()
-    """States whose derivatives get terms that the equations lack. They are numbers times products
-    of signals, found one by one by how much of the simulation error they explain."""
+    """States whose derivatives get missing terms. They are numbers times products of signals, found
+    sequentially by how much of the simulation error they explain."""
     most_terms: int = 3
     """Greatest number of such terms."""
 
@@ -116,7 +118,7 @@ class Config:
 
     @property
     def augmented(self) -> bool:
-        """Whether anything is added to the equations."""
+        """Something is added to the equations."""
         return bool(
             self.saturation
             or self.linear
@@ -128,19 +130,19 @@ class Config:
 
     @property
     def extends(self) -> bool:
-        """Whether anything is written into the equations."""
+        """Something is written into the equations."""
         written = self.sensor or self.lag or self.smooth
         return bool(written or self.friction or self.hysteresis or self.play)
 
     @property
     def drawn(self) -> bool:
-        """Whether starting points of learned numbers are drawn: forces that switch have poor
-        minima near zero."""
+        """Starting points of learned numbers are drawn: forces that switch have poor minima near
+        zero."""
         return bool(self.friction or self.hysteresis or self.play)
 
     @property
     def hides(self) -> bool:
-        """Whether it adds states that no measurement shows."""
+        """The config adds states that no measurement shows."""
         return bool((self.friction and self.presliding) or self.hysteresis or self.play)
 
 
@@ -156,32 +158,33 @@ class Range:
 
 @dataclass(frozen=True)
 class GreyBoxStructure:
-    """All that is fixed before training. Hashable: compiled programs are found by it."""
+    """Structure of a grey-box, fixed before training. Hashable: it is a key of compiled
+    programs."""
 
     equations: Equations
-    """The person's."""
+    """Equations from the problem file, with the additions written in."""
     config: Config
-    """What is added to them."""
+    """Additions to the equations."""
     ranges: tuple[Range, ...]
-    """Of the parameters, in the order of the equations'."""
+    """Search ranges of the parameters, in the order of the equations."""
     low: tuple[float, ...]
     """Lower physical bounds of the states (nx,), infinite where open."""
     high: tuple[float, ...]
-    """Upper ones."""
+    """Upper physical bounds of the states (nx,), infinite where open."""
     sampling_time: float
-    """In s."""
+    """Sampling time in s."""
     n_past_u: int
-    """Inputs in a past window."""
+    """Number of inputs in a past window."""
     n_past_y: int
-    """Outputs in a past window."""
+    """Number of outputs in a past window."""
     measured: bool = False
-    """Whether simulations start at the last measured outputs."""
+    """Simulations start at the last measured outputs."""
     learned: LearnedNumbers = NO_NUMBERS
-    """Numbers of what is written into the equations."""
+    """Numbers of the additions that are written into the equations."""
     person_states: int | None = None
-    """States of the person's equations, which come first; None is all."""
+    """Number of states of the problem file's equations, which come first; None is all."""
     priors: ParameterPriors = NO_PRIORS
-    """What is known of the parameters beforehand."""
+    """Prior knowledge of the parameters."""
     shown: tuple[tuple[int, int], ...] | None = None
     """`measured_states` where the observation has been changed."""
 
@@ -211,7 +214,7 @@ class GreyBoxStructure:
 
     @property
     def nx_own(self) -> int:
-        """Number of states of the person's equations."""
+        """Number of states of the problem file's equations."""
         return self.nx if self.person_states is None else self.person_states
 
     @property
@@ -226,13 +229,14 @@ class GreyBoxStructure:
 
     @property
     def n_past(self) -> int:
-        """Samples before the first simulated one."""
+        """Number of samples before the first simulated one."""
         return max(self.n_past_u, self.n_past_y)
 
     @property
     def n_fit(self) -> int:
-        """Samples before the first simulated one over which the state is fitted: those whose
-        inputs are known, and without past inputs, or when it is measured, the newest output."""
+        """Number of samples before the first simulated one over which the state is fitted: those
+        whose inputs are known, and without past inputs, or when it is measured, the newest output.
+        """
         if self.measured:
             return 1
         return max(self.n_past_u, min(self.n_past_y, 1))
@@ -252,7 +256,7 @@ class GreyBoxStructure:
 
     @cached_property
     def layout(self) -> Layout:
-        """Where each part lies in the vector of coordinates."""
+        """Layout of the vector of coordinates."""
         return Layout.of(self)
 
 
@@ -261,9 +265,9 @@ class Layout:
     """Slices of the coordinate vector, one for each part of the model."""
 
     parameters: slice
-    """Of the equations."""
+    """Parameters of the equations."""
     limits: slice
-    """One for each saturated state."""
+    """Limits, one for each saturated state."""
     spill: slice
     """Fractions that full states hand on."""
     linear: slice
@@ -273,24 +277,24 @@ class Layout:
     output_offset: slice
     """Offsets of outputs that are no states."""
     delay: slice
-    """One for each input."""
+    """Delays, one for each input."""
     hidden: slice
     """First layer (units, nx + nu + 1) of the residual network."""
     readout: slice
-    """Its output layer (nx, units)."""
+    """Output layer (nx, units) of the residual network."""
     size: int
     """Length of the vector."""
     learned_from: int = 0
-    """Where the numbers begin of what is written into the equations: they come last."""
+    """First of the numbers that are written into the equations, which come last."""
 
     @property
     def learned(self) -> slice:
-        """These numbers."""
+        """Numbers that are written into the equations."""
         return slice(self.learned_from, self.size)
 
     @classmethod
     def of(cls, structure: GreyBoxStructure) -> Layout:
-        """The layout of `structure`."""
+        """Layout of `structure`."""
         config, nx, nu = structure.config, structure.nx_own, structure.nu
         observed = structure.equations.outputs
         sizes = (

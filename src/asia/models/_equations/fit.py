@@ -1,4 +1,4 @@
-"""Fitting a grey-box to records: screening, multi-start, then the additions."""
+"""Fit of a grey-box to records: screening, multi-start, then the additions."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FittedEquations:
-    """What training found."""
+    """Result of training a grey-box."""
 
     z: Array
     """Coordinates (size,)."""
     scales: Scales
     """Sizes of the signals."""
     prior: WindowPrior
-    """What a past window says of the state."""
+    """Map from a past window to the state, with its error."""
     history: Array
     """Cost after each iteration."""
     noise: ResidualNoise | None = None
@@ -54,16 +54,20 @@ class FittedEquations:
 def fit(
     structure: GreyBoxStructure, segments: RecordPieces, method: LevenbergMarquardt, seed: int
 ) -> FittedEquations:
-    """The best of `method.starts` fits, in up to three stages: the equations alone, from points
-    drawn in their ranges and screened; from the better half of these the additions, with starting
-    points drawn anew; from the best of these the residual network, which starts without effect.
+    """Best of `method.starts` fits, in up to three stages.
+
+    The first stage fits only the equations, from points drawn in their ranges and screened; the
+    second
+    fits the additions from the better half of these, with starting points drawn anew; the third
+    fits the residual network, which starts without effect, from the best of these.
     With a noise model, the fits before the network and those with it are followed by estimates of
     the noise from the best fit's residuals, and generalised least squares from all points found.
+    The same seed gives bitwise the same result.
 
-    The same seed gives bitwise the same result. Raises FloatingPointError when no starting point
-    gives a finite simulation.
+    Raises:
+        FloatingPointError: if no starting point gives a finite simulation.
     """
-    # Imports JAX, which a trained model does without.
+    # Import of JAX, which a trained model does not need.
     from asia.models._equations.programs import CompiledSimulator
 
     rng = np.random.default_rng(seed)
@@ -93,7 +97,7 @@ def fit(
 def refit(
     structure: GreyBoxStructure, segments: RecordPieces, starts: Starts, method: LevenbergMarquardt
 ) -> FittedEquations:
-    """The fit of all coordinates from one starting point."""
+    """Fit all coordinates from one starting point."""
     from asia.models._equations.programs import CompiledSimulator
 
     simulate = CompiledSimulator(structure, segments.u, TRIALS)
@@ -107,7 +111,7 @@ def refit(
 
 @dataclass(frozen=True)
 class _Stages:
-    """The fits of one model, from all starting points at once."""
+    """Fits of one model, from all starting points at once."""
 
     structure: GreyBoxStructure
     segments: RecordPieces
@@ -118,11 +122,11 @@ class _Stages:
     """Cost after each iteration, of the best start, one array a fit."""
 
     def best_fits(self, starts: Starts, active: Array) -> Minimum:
-        """From the starting points; `active` (size,) is 1 where a coordinate is free."""
+        """Fit from the starting points; `active` (size,) is 1 where a coordinate is free."""
         return self._minimum(starts, active, None)
 
     def under_noise(self, starts: Starts, active: Array, found: Minimum) -> Minimum:
-        """`found`, fitted again under each estimate of the noise."""
+        """Repeat the fit `found` under each estimate of the noise."""
         for _ in range(NOISE_ROUNDS):
             if not self.noise.estimate(starts, found):
                 break
@@ -147,8 +151,8 @@ def _finish(
     found: Minimum,
     history: Array,
 ) -> FittedEquations:
-    """Learn from the training simulation what a past window says of the state, and the range
-    outside which a simulation has run away."""
+    """Learn from the training simulation the map from a past window to the state, and the range
+    outside which a simulation has diverged."""
     best = int(np.argmin(found.cost))
     z = found.theta[best, : structure.layout.size].copy()
     scales = starts.scales.of_rows(best)
@@ -166,7 +170,7 @@ def _finish(
 
 
 def _deviation(structure: GreyBoxStructure, error: Array) -> Array:
-    """Size of the simulation error (N, ny) per output, deaf to outliers where the loss is."""
+    """Size of the simulation error (N, ny) per output, robust to outliers where the loss is."""
     if structure.config.robust is not None:
         return 1.4826 * np.median(np.abs(error), axis=0)
     return np.sqrt((error**2).mean(axis=0))

@@ -1,4 +1,4 @@
-"""Simulation of cases: where a trained grey-box starts, and what follows. NumPy or JAX."""
+"""Simulation of cases: initial state of a trained grey-box, and its response. NumPy or JAX."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from asia.models._least_squares import (
 )
 
 _METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
-# Differences of fourth order, in units of the initial state's deviation.
+# Step of fourth-order differences, in units of the initial state's deviation.
 _STEP = 1e-3
 _WEIGHTS = {1: 8.0, -1: -8.0, 2: -1.0, -2: 1.0}
 
@@ -39,8 +39,18 @@ def simulate_cases(
     z: Array,
     cases: tuple[Array, Array, Array],
 ) -> Array:
-    """Outputs (B, H, ny) of cases past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu)
-    with coordinates z (size,)."""
+    """Simulate cases from their past windows.
+
+    Args:
+        structure: grey-box.
+        scales: sizes of the signals.
+        prior: map from a past window to the state.
+        z: coordinates (size,).
+        cases: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu).
+
+    Returns:
+        Outputs (B, H, ny).
+    """
     past_u, past_y, u = cases
     scales, z = scales.for_rows(), z[:, None]
     with np.errstate(all="ignore"):
@@ -52,13 +62,13 @@ def simulate_cases(
 
 @dataclass(frozen=True)
 class CaseSteps:
-    """The same one sample at a time, for a batch of cases."""
+    """Step-by-step form of `simulate_cases`, for a batch of cases."""
 
     structure: GreyBoxStructure
     scales: Scales
     prior: WindowPrior
     z: AnyArray
-    """(size, 1)."""
+    """Coordinates (size, 1)."""
     effect: Effects
     late: Array
     """Delays of the inputs (nu,), in samples."""
@@ -72,7 +82,7 @@ class CaseSteps:
         z: AnyArray,
         u: AnyArray,
     ) -> CaseSteps:
-        """With arrays of the library that the inputs u are of."""
+        """Make the steps with arrays of the library of the inputs u."""
         scales, z, late = scales.for_rows(), z[:, None], np.zeros(structure.nu)
         if structure.config.input_delay:
             late = np.asarray(effects(structure, scales, z).delay)[:, 0]
@@ -96,13 +106,13 @@ class CaseSteps:
         return state
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """One sample: the output is read before the states move."""
+        """Advance by one sample: the output is read before the states move."""
         x, line = state
         known = namespace(line, u).concatenate([line, u[:, None]], axis=1)
         channel, last = np.arange(u.shape[1]), known.shape[1] - 1
         older = last - np.ceil(self.late).astype(int)
         newer = np.minimum(older + 1, last)
-        # Between two samples where a delay ends there.
+        # Interpolate between two samples for a fractional delay.
         later = np.ceil(self.late) - self.late
         acting = (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
         held, now = acting.T[:, None], x.T[:, None]
@@ -122,9 +132,21 @@ def case_start(
     past_y: AnyArray,
     u: AnyArray,
 ) -> tuple[AnyArray, AnyArray]:
-    """States (nx, B) `n_fit` samples before the first simulated one, and the inputs (n_fit, nu, B)
-    from there on, given z (size, 1) and the first simulated input u (B, nu), which is held back
-    where the past window has too few inputs."""
+    """Initial states of cases, `n_fit` samples before the first simulated one.
+
+    Args:
+        structure: grey-box.
+        scales: sizes of the signals.
+        prior: map from a past window to the state.
+        z: coordinates (size, 1).
+        past_u: past inputs (B, n_past_u, nu).
+        past_y: past outputs (B, n_past_y, ny).
+        u: first simulated input (B, nu), which is held back where the past window has too few
+            inputs.
+
+    Returns:
+        States (nx, B), and the inputs (n_fit, nu, B) from there on.
+    """
     xp, n_fit = namespace(past_u, past_y, u), structure.n_fit
     before = past_u[:, -1:] if structure.measured else past_u
     held_back = xp.repeat(u[:, None], n_fit - before.shape[1], axis=1)
@@ -144,9 +166,12 @@ def _estimated(
     past_y: AnyArray,
     inputs: AnyArray,
 ) -> AnyArray:
-    """States (nx, B) `n_fit` samples before the first simulated one: the most probable ones given
-    the outputs from there on, weighted by the model's simulation error, and the prior from
-    training, which has seen the whole past window."""
+    """States (nx, B) `n_fit` samples before the first simulated one.
+
+    They are the most probable ones given the outputs from there on, weighted by the model's
+    simulation
+    error, and the prior from training, which uses the whole past window.
+    """
     xp, count = namespace(past_u, past_y, inputs), len(past_y)
     features = (
         np.ones((count, 1)),
@@ -163,7 +188,7 @@ def _estimated(
     weights = np.array(list(_WEIGHTS.values())) / (12.0 * _STEP)
 
     def errors(shift: AnyArray) -> AnyArray:
-        """(B, K, E) at shifts (B, K, nx) of the expected state, in deviations."""
+        """Errors (B, K, E) at shifts (B, K, nx) of the expected state, in deviations."""
         x0 = expected[:, None] + deviation[:, None, None] * shift.transpose(2, 1, 0)
         y, _ = simulate(structure, scales, z, x0, inputs)
         found = (y[n_fit - len(recent) :] - recent) / prior.y_deviation[:, None, None]

@@ -1,4 +1,4 @@
-"""Equations whose states are all measured, with learned terms: one sample's step, batch first.
+"""State-space step of equations whose states are all measured, with learned terms, batch first.
 
     dx/dt = gain f(x, m) + gain rate (offset + linear' s + d + net),   dm/dt = (u - m) / lag
 
@@ -23,11 +23,11 @@ from asia.models._equations.simulate import physical_parameters
 
 NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 
-# The network reads running means as if so many samples of 0 stood before the first, and changes and
-# means in these units of a deviation.
+# Number of zero samples assumed before the first one in running means, and units of changes and
+# means in deviations of the signal.
 _MEAN_SAMPLES = 10.0
 _CHANGE, _MEAN = 2.5, 2.0
-# Delays are learned in units of so many samples.
+# Unit of learned delays, in samples.
 _DELAY_SAMPLES = 5.0
 
 
@@ -43,9 +43,9 @@ class MeasuredState(NamedTuple):
     h: Any
     """State of the network."""
     first: AnyArray
-    """Whether no sample has been simulated yet (B, 1)."""
+    """No sample has been simulated yet (B, 1)."""
     turn: Any = ()
-    """Number of the symmetry under which the network sees each row (B,); () is all of them,
+    """Number of the transformation under which the network sees each row (B,); () is all of them,
     averaged."""
     seen: Any = ()
     """Last value (B, n), sum and number of samples of the signals that the inputs alone make."""
@@ -60,7 +60,7 @@ class MeasuredEquations:
     ranges: tuple[Range, ...]
     """Ranges of the parameters."""
     order: tuple[int, ...]
-    """The output that is each state."""
+    """Number of the output that shows each state."""
     dynamic: tuple[int, ...]
     """Equations with free parameters."""
     corrections: tuple[str, ...] = ()
@@ -297,7 +297,8 @@ class MeasuredCell:
         return self.physics.parameters(params["physical"]) | lags
 
     def initial(self, params: Any, window: AnyArray) -> MeasuredState:
-        """From the last measured outputs, and the last measured inputs where there are any."""
+        """State from the last measured outputs, and from the last measured inputs where there are
+        any."""
         fixed, xp = params["fixed"], namespace(window)
         ny, nu = len(self.physics.order), len(self.physics.system.inputs)
         y = window[:, window.shape[1] - ny :] * fixed["y_std"] + fixed["y_mean"]
@@ -357,13 +358,12 @@ class MeasuredCell:
         return MeasuredState(x, m, d, h, xp.zeros_like(state.first), state.turn, seen), y
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """The features."""
+        """Output: the features."""
         del params, u
         return features
 
     def feed(self, params: Any, state: MeasuredState, y: AnyArray, mask: AnyArray) -> MeasuredState:
-        """The state with its outputs replaced by the measured ones, z-scored, where the mask is
-        1."""
+        """Replace the outputs in the state by the measured ones, z-scored, where the mask is 1."""
         fixed = params["fixed"]
         measured = (y * fixed["y_std"] + fixed["y_mean"])[:, np.array(self.physics.order)]
         return state._replace(x=mask * measured + (1 - mask) * state.x)

@@ -1,5 +1,4 @@
-"""What a cell of measured states takes from the records, from what is known of the problem, and
-from the validation scores of a fit."""
+"""Constants of a cell of measured states, from the records, the problem, and validation scores."""
 
 from __future__ import annotations
 
@@ -23,10 +22,11 @@ from asia.problem import Bounds
 from asia.problem.physics.expressions import Name
 from asia.problem.symmetry import group
 
-# A simulation beyond so many deviations of a state has run away.
+# Deviations of a state beyond which a simulation has diverged.
 _FAR = 30.0
 _RATE_SAMPLES = 5
-# Pull of the parameters to the middle of their ranges, in half ranges over deviations of a prior.
+# Weak prior that draws parameters to the middle of their ranges, in half ranges over deviations of
+# a prior.
 _WEAK = 0.01
 
 
@@ -64,8 +64,10 @@ def measured_sizes(
 def _at_corrections(
     cell: MeasuredCell, mean: Array, std: Array, context: Context
 ) -> dict[str, Array]:
-    """Sizes, from those of the signals, of what the network reads and of the corrections, the same
-    for signals that a symmetry exchanges, and the symmetries as matrices."""
+    """Sizes of the network's inputs and of the corrections, and the symmetries as matrices.
+
+    The sizes come from those of the signals and are the same for signals that a symmetry exchanges.
+    """
     assert context.physics is not None
     names = (*cell.read, *cell.physics.corrections)
     network = cell.network
@@ -93,7 +95,11 @@ def _at_corrections(
 
 
 def outputs_of_states(system: Equations, context: Context) -> dict[str, int]:
-    """Number of the output that is each state. Raises UserError where there is not one."""
+    """Number of the output that is each state.
+
+    Raises:
+        UserError: if a state has no such output.
+    """
     shown = {e.root.name: k for k, e in enumerate(system.observation) if isinstance(e.root, Name)}
     missing = [s for s in system.states if s not in shown]
     if missing or context.n_past_y < 1 or len(shown) != len(system.outputs):
@@ -105,9 +111,12 @@ def outputs_of_states(system: Equations, context: Context) -> dict[str, int]:
 
 
 def readable_signals(given: Equations, system: Equations, context: Context) -> tuple[str, ...]:
-    """What learned terms may read: definitions without anything that is fitted, and the states that
-    the equations read. Terms at corrections read inputs too, and where there are symmetries only
-    states and inputs that these name."""
+    """Signals that learned terms may read.
+
+    They are definitions without fitted parameters, and the states that the equations read. Terms at
+    corrections read inputs too, and where there are symmetries only states and inputs that these
+    name.
+    """
     used = frozenset[str]().union(*(system.closure(e) for e in system.dynamics))
     fitted = set(system.parameters)
     definitions = [n for n, e in given.definitions if not system.closure(e) & fitted]
@@ -121,7 +130,7 @@ def readable_signals(given: Equations, system: Equations, context: Context) -> t
 
 
 def made_by_inputs(system: Equations, name: str) -> bool:
-    """Whether a signal depends on inputs and on no state."""
+    """Return whether a signal depends on inputs and on no state."""
     found = {name}
     for own, expression in system.definitions:
         if own == name:
@@ -156,7 +165,7 @@ def _signal_sizes(
 
 
 def single_precision(params: Params) -> dict[str, Any]:
-    """float32, as all that networks are made of."""
+    """Convert parameters to float32, as networks use it."""
 
     def single(value: Any) -> Any:
         if isinstance(value, dict):
@@ -169,7 +178,7 @@ def single_precision(params: Params) -> dict[str, Any]:
 
 
 class LimitedScore:
-    """The validation score of parameters, `most` times; after that nothing is better."""
+    """Validation score of parameters, `most` times; after that nothing is better."""
 
     def __init__(self, oracle: Callable[[Model], float], network: NetworkModel, most: int) -> None:
         self._oracle, self._network, self._most = oracle, network, most

@@ -29,28 +29,29 @@ Judge = Callable[[Params], float]
 
 _ROUNDS = 3
 _SCHEDULE = replace(SEQUENTIAL, success=1.0 / 3.0, failure=4.0)
-# Of so many windows the first round, which is far from the end, takes a quarter.
+# Number of windows from which the first round, far from the optimum, uses only a quarter.
 _MANY = 400
 _SMALL = 1e-3
 _EVERY = 5
-# A round ends after so many iterations in a row with less than this relative gain.
+# Iterations in a row with less than this relative gain that end a round.
 _PATIENCE, _LEAST_GAIN = 2, 2e-3
-# Of learned terms, in effects of the size of the signals they act on.
+# Learned terms, in effects of the size of the signals they act on.
 _LEARNED = ("linear", "offset")
-# Not fitted by Levenberg-Marquardt.
+# Parameters that Levenberg-Marquardt does not fit.
 _HELD = ("fixed", "net", "out_w", "out_b")
 
 
 @dataclass(frozen=True)
 class TermPenalties:
-    """What holds the fit of the equations."""
+    """Loss and penalties of the fit of the equations."""
 
     robust: float | None
-    """Where the loss turns from square to linear, in standard deviations; None: never."""
+    """Error at which the loss changes from square to linear, in standard deviations; None: never.
+    """
     ridge: float
     """Weight of squared learned effects in the first round."""
     sparsity: float
-    """The same in the later ones."""
+    """Weight of squared learned effects in the later rounds."""
 
 
 def fit_equations(
@@ -62,8 +63,17 @@ def fit_equations(
     log: Progress,
     judge: Judge | None = None,
 ) -> Params:
-    """The parameters but `fixed` and the network's, fitted; the best by `judge`, asked after every
-    iteration, where there is one."""
+    """Fit all parameters but `fixed` and the network's.
+
+    Args:
+        cell: structure of the model.
+        params: parameters at the start.
+        windows: training windows.
+        settings: loss and penalties.
+        method: settings of Levenberg-Marquardt.
+        log: receives iteration and loss.
+        judge: score of parameters, called after every iteration; the best ones are returned.
+    """
     kept = {k: v for k, v in params.items() if k in _HELD}
     free = {k: v for k, v in params.items() if k not in kept}
     packing, theta0 = Packing.of(free), packed(free, np.float64)
@@ -125,7 +135,7 @@ class _WindowErrors:
         return {**self._kept, **self._packing.unpack(theta)}
 
     def cost(self, theta0: Array, ridge: Array, points: Array) -> Array:
-        """The penalised loss (1, 1) at points (1, 1, n)."""
+        """Penalised loss (1, 1) at points (1, 1, n)."""
         theta, t = points[0, 0], self._threshold
         e = _double(self._program(theta.astype(np.float32)))
         with np.errstate(all="ignore"):
@@ -133,7 +143,7 @@ class _WindowErrors:
             return np.array([[loss.mean() + (ridge * (theta - theta0) ** 2).sum()]])
 
     def normal(self, theta0: Array, ridge: Array, thetas: Array) -> NormalEquations:
-        """Its normal equations at (1, n)."""
+        """Normal equations of the penalised loss at (1, n)."""
         theta = thetas[0]
         e, jacobian = (_double(a) for a in self._linearised(theta.astype(np.float32)))
         weighted = jacobian
@@ -154,7 +164,7 @@ def _double(values: jax.Array) -> Array:
 def _errors(
     cell: MeasuredCell, packing: Packing, fixed: Any, windows: HorizonWindows, theta: jax.Array
 ) -> jax.Array:
-    """(N,) for parameters theta (n,)."""
+    """Errors (N,) at parameters theta (n,)."""
     y = rollout(cell, {**fixed, **packing.unpack(theta)}, windows.features, windows.u)
     error = y - windows.y
     if windows.weight is not None:

@@ -15,8 +15,11 @@ from asia.models._noise.whitening import ResidualNoise
 
 
 class NoiseRounds:
-    """The noise of the outputs as it was last estimated; nothing where the method is least squares.
-    Raises UserError where the configuration has a robust loss of its own."""
+    """Last estimate of the noise of the outputs; None where the method is least squares.
+
+    Raises:
+        UserError: if the configuration has a robust loss of its own.
+    """
 
     def __init__(
         self,
@@ -36,8 +39,11 @@ class NoiseRounds:
             )
 
     def estimate(self, starts: Starts, found: Minimum) -> bool:
-        """From the residuals of the best fit; False where nothing is estimated or the estimate has
-        settled."""
+        """Estimate the noise from the residuals of the best fit.
+
+        Returns:
+            False where nothing is estimated or the estimate has settled.
+        """
         if self._choice is None or not np.isfinite(found.cost).any():
             return False
         structure, segments, best = self._structure, self._segments, int(np.argmin(found.cost))
@@ -46,7 +52,7 @@ class NoiseRounds:
         y = self._simulate(z[None], scales.for_rows(), x0[None])[0][0]
         mask, floor = segments.counts, np.full(structure.ny, LEAST_DEVIATION)
         if structure.measured:
-            # The simulation starts at the first measurement, so that no error is left there.
+            # The first error is zero, since the simulation starts at the first measurement.
             mask = mask * (np.arange(mask.shape[1]) > 0)
         time = structure.sampling_time
         residual = (y - segments.y) / scales.y_scale

@@ -1,4 +1,4 @@
-"""The person's equations as functions of NumPy or JAX arrays, state first: x (nx, ...)."""
+"""Equations from the problem file as functions of NumPy or JAX arrays, state first: x (nx, ...)."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ Derivative: TypeAlias = Callable[[AnyArray, AnyArray], AnyArray]
 Evaluator: TypeAlias = Callable[[AnyArray, AnyArray, AnyArray], AnyArray]
 """Values (n, ...) from parameters (np, ...), x (nx, ...) and u (nu, ...)."""
 
-# Under this a square root goes on as the straight line through 0.
+# Argument below which a square root continues as a straight line through 0.
 _SMALL = 1e-6
 
 
 def functions(xp: Any) -> Mapping[str, Callable[..., AnyArray]]:
-    """The function table of the expressions; xp is numpy or jax.numpy."""
+    """Function table of the expressions; xp is numpy or jax.numpy."""
 
     def sqrt(x: AnyArray) -> AnyArray:
-        """With a finite derivative at 0, so that an empty tank can fill again; 0 below."""
+        """Square root with a finite derivative at 0, so that an empty tank can fill; 0 below."""
         line = xp.maximum(x, 0.0) * _SMALL**-0.5
         return xp.minimum(xp.sqrt(xp.maximum(x, _SMALL)), line)
 
@@ -59,39 +59,51 @@ def functions(xp: Any) -> Mapping[str, Callable[..., AnyArray]]:
 
 @dataclass(frozen=True)
 class Equations:
-    """Parsed physics: hashable, so that functions and programs made of it can be found by it."""
+    """Parsed physics: hashable, so that it can be the key of functions and programs made of it."""
 
     states: tuple[str, ...]
-    """Names, in the order of x."""
+    """Names of the states, in the order of x."""
     inputs: tuple[str, ...]
-    """Names, in the order of u."""
+    """Names of the inputs, in the order of u."""
     outputs: tuple[str, ...]
-    """Names, in the order of y."""
+    """Names of the outputs, in the order of y."""
     parameters: tuple[str, ...]
-    """Names of what is fitted."""
+    """Names of the fitted parameters."""
     constants: tuple[tuple[str, float], ...]
-    """Names and values."""
+    """Names and values of the constants."""
     definitions: tuple[tuple[str, Expression], ...]
-    """Names and expressions, each after those it uses."""
+    """Names and expressions of the definitions, each after those it uses."""
     dynamics: tuple[Expression, ...]
     """d/dt of each state."""
     observation: tuple[Expression, ...]
-    """Each output."""
+    """Expression of each output."""
 
     def __hash__(self) -> int:
-        # That of all expressions would cost more than a step of a simulation.
+        # A hash of all expressions would cost more than a step of a simulation.
         return hash((self.states, self.inputs, self.outputs, self.parameters))
 
     def derivative(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
-        """d/dt (nx, ...) of the states: parameters (np, ...), x (nx, ...), u (nu, ...)."""
+        """Derivative d/dt (nx, ...) of the states.
+
+        Args:
+            parameters: (np, ...).
+            x: states (nx, ...).
+            u: inputs (nu, ...).
+        """
         return self.rates(namespace(parameters, x, u), x.dtype)(parameters, x, u)
 
     def rates(self, xp: Any, dtype: Any = np.float64) -> Evaluator:
-        """`derivative` for the arrays of xp, numpy or jax.numpy: for loops over samples."""
+        """Return `derivative` for the arrays of xp, numpy or jax.numpy: for loops over samples."""
         return _evaluator(self, "dynamics", xp.__name__, np.dtype(dtype))
 
     def observe(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
-        """Outputs (ny, ...): parameters (np, ...), x (nx, ...), u (nu, ...)."""
+        """Outputs (ny, ...).
+
+        Args:
+            parameters: (np, ...).
+            x: states (nx, ...).
+            u: inputs (nu, ...).
+        """
         return self._values("observation", parameters, x, u)
 
     def named(
@@ -112,25 +124,25 @@ class Equations:
         return frozenset(found)
 
     def _values(
-        self, wanted: str | tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
+        self, requested: str | tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
     ) -> AnyArray:
         xp = namespace(parameters, x, u)
-        return _evaluator(self, wanted, xp.__name__, np.dtype(x.dtype))(parameters, x, u)
+        return _evaluator(self, requested, xp.__name__, np.dtype(x.dtype))(parameters, x, u)
 
 
 @lru_cache(maxsize=256)
 def _evaluator(
-    system: Equations, wanted: str | tuple[str, ...], library: str, dtype: np.dtype[Any]
+    system: Equations, requested: str | tuple[str, ...], library: str, dtype: np.dtype[Any]
 ) -> Evaluator:
-    """One Python function of a field's expressions, or of names.
+    """Compile a Python function of a field's expressions, or of names.
 
-    Its source holds nothing of the person's text: every name becomes a numbered variable, and the
-    tree knows numbers, + - * / ** and the functions of the table alone.
+    Its source holds nothing of the user's text: every name becomes a numbered variable, and the
+    tree knows only numbers, + - * / ** and the functions of the table.
     """
-    if isinstance(wanted, str):
-        expressions: tuple[Expression, ...] = getattr(system, wanted)
+    if isinstance(requested, str):
+        expressions: tuple[Expression, ...] = getattr(system, requested)
     else:
-        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in wanted)
+        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in requested)
     scope: dict[str, Any] = {"rows": rows}
     scope |= {f"f_{k}": f for k, f in functions(importlib.import_module(library)).items()}
     source = _Source({})
@@ -159,15 +171,15 @@ class _Source:
 
     @property
     def lines(self) -> list[str]:
-        """In order."""
+        """Lines in their order."""
         return [f"{variable} = {value}" for value, variable in self._variables.items()]
 
     def line(self, value: str) -> str:
-        """The variable that holds it; what occurs twice is computed once."""
+        """Variable that holds a value; an expression that occurs twice is computed once."""
         return self._variables.setdefault(value, f"v_{len(self._variables)}")
 
     def of(self, node: Node) -> str:
-        """What holds the value of a tree."""
+        """Variable or literal with the value of a tree."""
         match node:
             case Number(value):
                 return f"({value!r})"
@@ -186,7 +198,11 @@ class _Source:
 
 
 def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -> Equations:
-    """Parse and check `physics` for these signals. Raises UserError where they do not fit."""
+    """Parse and check `physics` for these signals.
+
+    Raises:
+        UserError: if they do not fit.
+    """
     check_physics(physics, inputs, outputs)
 
     def parsed(section: str, name: str, text: str) -> Expression:
@@ -197,7 +213,7 @@ def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         parameters=tuple(physics.parameters),
-        # Without what is learned of them, corrections are 0.
+        # Corrections are 0 without their learned values.
         constants=(*physics.constants.items(), *((name, 0.0) for name in physics.corrections)),
         definitions=tuple(
             (name, parsed("definitions", name, physics.definitions[name]))
@@ -209,7 +225,14 @@ def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -
 
 
 def runge_kutta(derivative: Derivative, x: AnyArray, u: AnyArray, step: float) -> AnyArray:
-    """One classical fourth-order Runge-Kutta step with u held."""
+    """Advance by one classical fourth-order Runge-Kutta step with u held.
+
+    Args:
+        derivative: d/dt (nx, ...) of x with u.
+        x: states (nx, ...).
+        u: inputs (nu, ...).
+        step: step in s.
+    """
     k1 = derivative(x, u)
     k2 = derivative(x + 0.5 * step * k1, u)
     k3 = derivative(x + 0.5 * step * k2, u)

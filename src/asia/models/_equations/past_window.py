@@ -1,4 +1,4 @@
-"""What training leaves for simulation: the range of the states, and what a past window says."""
+"""Range of the states, and map from a past window to the state, both learned in training."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def window_prior(
 def _windows(
     structure: GreyBoxStructure, u: Array, y: Array, x: Array
 ) -> tuple[Array, Array, Array]:
-    """Every past window of one record: past_u (W, n_past_u, nu), past_y (W, n_past_y, ny), and the
-    state `n_fit` samples before its end (W, nx)."""
+    """Cut every past window of one record: past_u (W, n_past_u, nu), past_y (W, n_past_y, ny), and
+    the state `n_fit` samples before its end (W, nx)."""
     n_past = structure.n_past
     first = np.arange(len(u) - n_past)
 

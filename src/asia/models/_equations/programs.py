@@ -1,4 +1,4 @@
-"""The compiled part of a fit: the states of many simulations. All else is NumPy."""
+"""Compiled part of a fit: the states of many simulations. All else is NumPy."""
 
 from __future__ import annotations
 
@@ -14,38 +14,52 @@ from asia.data import Array
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, delayed, effects, outputs, simulate_states
 
-# States in the result of one call.
+# Greatest number of states in the result of one call.
 _MOST_VALUES = 1_000_000
 
 
 class CompiledSimulator:
-    """Simulates by one program of one shape: so many rows of so many segments, padded."""
+    """Simulator with one program of one shape: so many rows of so many segments, padded."""
 
     def __init__(self, structure: GreyBoxStructure, u: Array, rows: int) -> None:
-        """u (S, T, nu): inputs of the segments. rows: simulated at a time."""
+        """Prepare the inputs.
+
+        Args:
+            structure: grey-box.
+            u: inputs of the segments (S, T, nu).
+            rows: number of fits simulated at a time.
+        """
         self._structure, self._rows = structure, rows
         self._u = np.ascontiguousarray(u.transpose(1, 2, 0))
         each = u.shape[1] * structure.nx * rows
         self._width = int(np.clip(_MOST_VALUES // each, 1, len(u)))
-        # Settings that the states do not depend on would compile them again.
+        # Remove settings that the states do not depend on, which would cause another compilation.
         plain = replace(
             structure.config, ridge=0.0, residual_ridge=0.0, robust=None, initial=None, discover=()
         )
         self._program = _compiled(replace(structure, config=plain))
 
     def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:
-        """Outputs (P, S, T, ny) and states (P, S, T, nx) of P fits: coordinates z (P, size), their
-        scales, initial states x0 (P, S, nx)."""
+        """Simulate P fits.
+
+        Args:
+            z: coordinates (P, size).
+            scales: their scales.
+            x0: initial states (P, S, nx).
+
+        Returns:
+            Outputs (P, S, T, ny) and states (P, S, T, nx).
+        """
         parts = [self.piece(z, scales, x0, part) for part in self.pieces()]
         y, x = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
         return y, x
 
     def pieces(self) -> Iterator[slice]:
-        """Segments that one call simulates."""
+        """Slices of the segments that one call simulates."""
         return _slices(self._u.shape[2], self._width)
 
     def piece(self, z: Array, scales: Scales, x0: Array, part: slice) -> tuple[Array, Array]:
-        """The same of some segments."""
+        """Simulate the segments of one slice."""
         found = [self._call(z, scales, x0, some, part) for some in _slices(len(z), self._rows)]
         y, x = (np.concatenate(values) for values in zip(*found, strict=True))
         return y, x

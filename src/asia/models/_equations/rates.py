@@ -1,4 +1,4 @@
-"""Which output is the rate of change of which: by the person's equations, or by the records."""
+"""Outputs that are rates of change of others, found by the equations or by the records."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ _LONGEST = 100
 
 @dataclass(frozen=True)
 class Rate:
-    """d/dt of an output is gain times another output."""
+    """Relation of two outputs: d/dt of one is gain times the other."""
 
     output: int
-    """Number of the first."""
+    """Number of the output that is differentiated."""
     rate: int
-    """Number of the other."""
+    """Number of the output that is its rate."""
     gain: float
-    """1 where the equations say so."""
+    """Factor on the rate; 1 where the equations give the relation."""
 
 
 def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Rate, ...]:
-    """At most one rate for each output, in the outputs' order, never in a circle.
+    """Find at most one rate for each output, in the outputs' order, never in a circle.
 
-    Where [physics] says so: an equation without free parameters, of a state that is an output, has
+    An equation of [physics] without free parameters, of a state that is an output, has
     as rate the output it names or, if it holds more than a name, the one of those it reads whose
-    integral over the horizon goes best with the output's increment, at a correlation above 0.6.
-    Where it gives no such equation, every other output is tried, with a gain between 2/3 and 3/2.
+    integral over the horizon fits best the output's increment, at a correlation above 0.6.
+    Where [physics] has no such equation, every other output is tried, with a gain between 2/3 and
+    3/2.
     """
     fit = _fitted(trajectories, context)
     rates: list[Rate] = []
@@ -79,8 +80,8 @@ def _by_equations(system: Equations, fit: Motion) -> list[Rate]:
 def _best(
     j: int, candidates: Sequence[int], fit: Motion, largest: float | None = None
 ) -> tuple[Rate, ...]:
-    """The rate of output j with the highest correlation, if there is one; `largest` bounds the
-    gain and its inverse."""
+    """Rate of output j with the highest correlation, if there is one; `largest` bounds the gain and
+    its inverse."""
     able = [
         i
         for i in candidates
@@ -95,7 +96,7 @@ def _best(
 
 
 def _without_circles(rates: Sequence[Rate], fit: Motion) -> tuple[Rate, ...]:
-    """The rates, less the weakest of any that lead from an output back to itself."""
+    """Remove the weakest of any rates that lead from an output back to itself."""
     kept: dict[int, Rate] = {}
     for rate in sorted(rates, key=lambda r: -fit.correlation[r.output, r.rate]):
         end = rate.rate

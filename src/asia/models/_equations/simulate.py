@@ -1,7 +1,7 @@
 """Simulation of an augmented grey-box, written once for NumPy and JAX.
 
 Arrays hold the channel first and then R rows (fits, or points that are tried) and S segments
-(records, windows or cases): z (size, R), x (nx, R, S), u (nu, S). A dimension of 1 stands for all.
+(records, windows or cases): z (size, R), x (nx, R, S), u (nu, S). A dimension of 1 is broadcast.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from asia.models._equations.config import GreyBoxStructure, Range
 from asia.models._equations.ode import Derivative, runge_kutta
 
 Step: TypeAlias = Callable[[AnyArray, AnyArray], AnyArray]
-"""States one sample on: x (nx, R, S), u (nu, R, S) -> (nx, R, S)."""
+"""Function that advances the states by one sample: x (nx, R, S), u (nu, R, S) -> (nx, R, S)."""
 Confinement: TypeAlias = Callable[[AnyArray], AnyArray]
-"""States (nx, R, S) in their bounds."""
+"""Function that keeps states (nx, R, S) in their bounds."""
 
 
 class Scales(NamedTuple):
@@ -48,21 +48,22 @@ class Scales(NamedTuple):
     """(units, nx + nu + 1), first layer of the residual network where its search starts."""
 
     def of_rows(self, chosen: AnyArray) -> Scales:
-        """Those of some rows (a number, a slice or an array of numbers)."""
+        """Scales of some rows (a number, a slice or an array of numbers)."""
         return Scales(*(np.asarray(a)[..., chosen] for a in self))
 
     def for_rows(self, count: int = 1) -> Scales:
-        """The same for every row."""
+        """Repeat the scales for every row."""
         return Scales(*(np.repeat(np.asarray(a)[..., None], count, axis=-1) for a in self))
 
 
 class WindowPrior(NamedTuple):
-    """What training says of the state `n_fit` samples before the first simulated one."""
+    """Linear prediction of the state `n_fit` samples before the first simulated one from a past
+    window."""
 
     mean: AnyArray
     """(nx, 1 + n_past_u nu + n_past_y ny): linear map from the window's normalised samples."""
     x_deviation: AnyArray
-    """(nx,): its error."""
+    """(nx,): error of the map."""
     y_center: AnyArray
     """(ny,): mean of the outputs."""
     y_deviation: AnyArray
@@ -70,7 +71,7 @@ class WindowPrior(NamedTuple):
 
 
 class Effects(NamedTuple):
-    """The coordinates in physical terms, for each row."""
+    """Coordinates in physical terms, for each row."""
 
     parameters: AnyArray
     """(np, R)."""
@@ -117,7 +118,7 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects
         reach = (scales.x_max[i] - scales.x_center[i]) * xp.exp(z[layout.limits][k])
         limits[i] = scales.x_center[i] + reach
         if config.spill:
-            # In units of the states' own scales, so that the fraction does not depend on them.
+            # Use the states' own scales, so that the fraction does not depend on them.
             ratio = scales.x_scale[(i + 1) % nx] / scales.x_scale[i]
             spill[i] = xp.exp(z[layout.spill][k]) * ratio
     for k, i in enumerate(states.index(name) for name in config.offset if name in states):
@@ -140,7 +141,8 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects
 
 
 def _parameters(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> AnyArray:
-    """Those of the person's equations, those of additions, and spans and rates of states."""
+    """Parameters of the problem file's equations, those of additions, and spans and rates of
+    states."""
     layout, learned, xp = structure.layout, structure.learned, namespace(z)
     own = physical_parameters(structure.ranges, z[layout.parameters])
     if not learned.names:
@@ -159,8 +161,16 @@ def _parameters(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Any
 
 
 def delayed(structure: GreyBoxStructure, delay: AnyArray, u: AnyArray) -> AnyArray:
-    """u (T, nu, S) shifted by `delay` (nu, R) samples, the first sample held before it:
-    (T, nu, R, S), R being 1 where the structure has no delay."""
+    """Delay the inputs; the first sample is held before it.
+
+    Args:
+        structure: grey-box.
+        delay: (nu, R) in samples.
+        u: inputs (T, nu, S).
+
+    Returns:
+        (T, nu, R, S), R being 1 where the structure has no delay.
+    """
     if not structure.config.input_delay:
         return u[:, :, None]
     xp = namespace(delay)
@@ -178,8 +188,18 @@ def delayed(structure: GreyBoxStructure, delay: AnyArray, u: AnyArray) -> AnyArr
 def simulate(
     structure: GreyBoxStructure, scales: Scales, z: AnyArray, x0: AnyArray, u: AnyArray
 ) -> tuple[AnyArray, AnyArray]:
-    """Outputs (T, ny, R, S) and states (T, nx, R, S) from x0 (nx, R, S) at the first sample of
-    u (T, nu, S); z (size, R) and `scales` for R rows."""
+    """Simulate a grey-box.
+
+    Args:
+        structure: grey-box.
+        scales: sizes of the signals, for R rows.
+        z: coordinates (size, R).
+        x0: states (nx, R, S) at the first sample of u.
+        u: inputs (T, nu, S).
+
+    Returns:
+        Outputs (T, ny, R, S) and states (T, nx, R, S).
+    """
     effect = effects(structure, scales, z)
     held = delayed(structure, effect.delay, u)
     states = simulate_states(structure, scales, effect, x0, held)
@@ -198,8 +218,8 @@ def simulate_states(
 def sample_by_sample(
     structure: GreyBoxStructure, scales: Scales, effect: Effects
 ) -> tuple[Confinement, Step]:
-    """What keeps states (nx, R, S) in their bounds before the first sample, and what takes them one
-    sample on with inputs (nu, R, S)."""
+    """Functions that confine states (nx, R, S) to their bounds before the first sample, and that
+    advance them by one sample with inputs (nu, R, S)."""
     confine = _confinement(structure, scales, effect)
     return confine, _stepping(structure, scales, effect, confine)
 
@@ -261,13 +281,13 @@ def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) ->
 
 
 def _product(matrices: AnyArray, vectors: AnyArray) -> AnyArray:
-    """One matrix a row: (m, n, R), (n, R, S) -> (m, R, S)."""
-    # As products of small matrices XLA would take four times as long.
+    """Multiply by one matrix a row: (m, n, R), (n, R, S) -> (m, R, S)."""
+    # XLA takes four times as long for products of small matrices.
     return (matrices[..., None] * vectors).sum(axis=1)
 
 
 def _confinement(structure: GreyBoxStructure, scales: Scales, effect: Effects) -> Confinement:
-    """Keeps states in their bounds and limits, and hands on what spills."""
+    """Function that keeps states in their bounds and limits, and hands on what spills."""
     xp, limited = namespace(effect.limits), structure.config.saturation
     top = xp.minimum(scales.high, np.array(structure.high)[:, None])[..., None]
     bottom = xp.maximum(scales.low, np.array(structure.low)[:, None])[..., None]

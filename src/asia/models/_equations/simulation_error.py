@@ -1,4 +1,4 @@
-"""The sum of squares that training makes small, and its normal equations."""
+"""Sum of squares that training minimises, and its normal equations."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
 
 _INITIAL_RIDGE = 1e-6
-# Of the differences, in coordinates whose search ranges are about 1 wide: below, rounding grows.
+# Step of the differences, in coordinates whose search ranges are about 1 wide; rounding grows below
+# it.
 _STEP = 1e-6
-# Physical quantities are held only as far as the data say nothing of them.
+# Weak ridge on physical quantities, which acts only where the data carry no information.
 _WEAK = 1e-3
 
 
 class SimulationError:
-    """Normalised, masked and, where asked for, robust errors of the fits from `starts`, with the
-    ridges. With a noise model the errors are innovations times the deviation of the residuals, and
+    """Normalised, masked and, if so configured, robust errors of the fits from `starts`, with the
+    ridges.
+
+    With a noise model the errors are innovations times the deviation of the residuals, and
     the cost is the negative log posterior times 2 v / N, where N counts the values and v is the
     mean normalised variance of a residual: a penalty in deviations of a prior has the weight v / N,
     and a ridge the prior deviation that it has beside white noise of that variance.
@@ -45,8 +48,17 @@ class SimulationError:
         simulate: CompiledSimulator,
         whiten: ErrorWeighting | None = None,
     ) -> None:
-        """active (size,): 1 where a coordinate is fitted. `whiten`: of generalised least squares,
-        in units of `y_scale`; None for least squares."""
+        """Prepare the errors.
+
+        Args:
+            structure: grey-box.
+            segments: records of the fit.
+            starts: starting points, one a row.
+            active: (size,), 1 where a coordinate is fitted.
+            simulate: compiled simulation of the segments.
+            whiten: weighting of generalised least squares, in units of `y_scale`; None for least
+                squares.
+        """
         self._structure, self._segments, self._starts = structure, segments, starts
         self._active, self._simulate, self._whiten = active, simulate, whiten
         mask = segments.counts / np.sqrt(segments.counts.sum() * structure.ny)
@@ -58,7 +70,7 @@ class SimulationError:
 
     @property
     def theta0(self) -> Array:
-        """Where the fits start (R, n)."""
+        """Starting points of the fits (R, n)."""
         if self._structure.measured:
             return self._starts.z
         return np.concatenate([self._starts.z, self._starts.shift.reshape(len(self), -1)], axis=1)
@@ -67,7 +79,7 @@ class SimulationError:
         return len(self._starts.z)
 
     def cost(self, theta: Array) -> Array:
-        """(R, K) at points (R, K, n)."""
+        """Cost (R, K) at points (R, K, n)."""
         z, shift = self._parts(theta)
         with np.errstate(all="ignore"):
             total = (self._prior(z)[0] ** 2).sum(axis=2)
@@ -80,7 +92,8 @@ class SimulationError:
         return total
 
     def linearise(self, theta: Array) -> NormalEquations:
-        """At theta (R, n). Rows that have not moved since the last time are not computed again."""
+        """Normal equations at theta (R, n). Rows that have not moved since the last call are not
+        computed again."""
         moved = np.arange(len(self))
         if self._last is None:
             found = self._normal_equations(theta, moved)
@@ -95,8 +108,8 @@ class SimulationError:
         return found
 
     def _normal_equations(self, theta: Array, chosen: Indices) -> NormalEquations:
-        """Of some rows, by central differences. A segment's errors depend on its own initial state
-        only, so those of all segments are moved together."""
+        """Normal equations of some rows, by central differences. A segment's errors depend on its
+        own initial state only, so those of all segments are moved together."""
         size, nx, count = self._structure.layout.size, self._structure.nx, theta.shape[1]
         fitted = np.flatnonzero(self._active)
         cost, gram, gradient = (
@@ -106,8 +119,8 @@ class SimulationError:
         with np.errstate(all="ignore"):
             for part in self._simulate.pieces():
                 e, jacobian = self._derivatives(chosen, z, shift, part)
-                turned = jacobian.swapaxes(2, 3)
-                own, pull = turned @ jacobian, (turned @ e[..., None])[..., 0]
+                transposed = jacobian.swapaxes(2, 3)
+                own, pull = transposed @ jacobian, (transposed @ e[..., None])[..., 0]
                 cost += np.einsum("rsm,rsm->r", e, e)
                 shared = slice(len(fitted))
                 gram[:, fitted[:, None], fitted] += own[..., shared, shared].sum(axis=1)
@@ -125,9 +138,15 @@ class SimulationError:
         return NormalEquations(cost, gram, gradient)
 
     def jacobians(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Of the first row at theta (1, n): errors (S, T, ny), weighted as in the cost, and their
-        derivatives (S, T, ny, P) by the coordinates that are fitted, and (S, T, ny, nx) by the
-        segment's own initial state, () where that is measured."""
+        """Errors and derivatives of the first row, weighted as in the cost.
+
+        Args:
+            theta: (1, n).
+
+        Returns:
+            Errors (S, T, ny), their derivatives (S, T, ny, P) by the coordinates that are fitted,
+            and (S, T, ny, nx) by the segment's own initial state, () where that is measured.
+        """
         fitted, first = np.flatnonzero(self._active), np.arange(1)
         z, shift = self._parts(self._around(theta[:1], fitted))
         with np.errstate(all="ignore"):
@@ -138,9 +157,11 @@ class SimulationError:
         return e, jacobian[..., : len(fitted)], jacobian[..., len(fitted) :]
 
     def penalties(self, theta: Array) -> tuple[Array, Array, float]:
-        """(P, P): what ridges, and what priors, add to the normal equations of the coordinates
-        that are fitted, at theta (1, n); and the weight of the priors. Without the weak ridge on
-        physical quantities: it helps the search and is no knowledge."""
+        """Contributions (P, P) of ridges, and of priors, to the normal equations of the coordinates
+        that are fitted, at theta (1, n); and the weight of the priors.
+
+        The weak ridge on physical quantities is left out: it helps the search and is no knowledge.
+        """
         layout, fitted = self._structure.layout, np.flatnonzero(self._active)
         cost, gradient = np.zeros(1), np.zeros((1, theta.shape[1]))
         held, known = np.zeros((2, 1, theta.shape[1], theta.shape[1]))
@@ -164,12 +185,12 @@ class SimulationError:
         return found[:, 0], ((up - down) / (2.0 * _STEP)).transpose(0, 2, 3, 1)
 
     def _around(self, theta: Array, fitted: Indices) -> Array:
-        """theta (R, n), then every unknown moved up, then down: (R, K, n)."""
+        """Points theta (R, n), then every unknown moved up, then down: (R, K, n)."""
         size, nx = self._structure.layout.size, self._structure.nx
         moves = np.eye(size + nx)[fitted]
         if not self._structure.measured:
             moves = np.concatenate([moves, np.eye(nx, size + nx, size)])
-        # Moves of the initial state are those of every segment's.
+        # A change of the initial state applies to every segment.
         every = (theta.shape[1] - size) // nx
         moves = np.concatenate([moves[:, :size], np.tile(moves[:, size:], (1, every))], axis=1)
         none = np.zeros((1, theta.shape[1]))
@@ -191,16 +212,16 @@ class SimulationError:
     def _add_knowledge(
         self, z: Array, fitted: Indices, cost: Array, gram: Array, gradient: Array
     ) -> None:
-        """z (R, K, size) as from `_around`."""
+        """Add the priors at z (R, K, size) as from `_around`."""
         if not len(self._structure.priors):
             return
         found = self._knowledge(z)
         e, (up, down) = found[..., 0], np.split(found[..., 1:], 2, axis=2)
         jacobian = ((up - down) / (2.0 * _STEP))[..., : len(fitted)].transpose(1, 0, 2)
-        turned = jacobian.swapaxes(1, 2)
+        transposed = jacobian.swapaxes(1, 2)
         cost += (e**2).sum(axis=0)
-        gram[:, fitted[:, None], fitted] += turned @ jacobian
-        gradient[:, fitted] += (turned @ e.T[..., None])[..., 0]
+        gram[:, fitted[:, None], fitted] += transposed @ jacobian
+        gradient[:, fitted] += (transposed @ e.T[..., None])[..., 0]
 
     def _knowledge(self, z: Array) -> Array:
         """Weighted deviations (n, R, K) of expressions in the parameters from their priors, at

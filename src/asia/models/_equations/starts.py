@@ -1,4 +1,4 @@
-"""Where the fit of a grey-box starts: records cut to segments, draws, screening, scales."""
+"""Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales
 from asia.models._least_squares import Minimum
 
-# Where an addition has no effect: a limit far above any state, a fraction of zero.
+# Coordinates at which an addition has no effect: a limit far above any state, a fraction of zero.
 _NO_LIMIT = 20.0
 _NO_SPILL = -30.0
 _SCREENED_PER_START = 16
 _MOST_SCREENED_VALUES = 20_000_000
 _MOST_INITIAL_STATES = 240
-# Samples times squared coordinates of one iteration where initial states are measured.
+# Limit on samples times squared coordinates of one iteration where initial states are measured.
 _MOST_WORK, _MEASURED_WINDOWS = 2e9, (60, 400)
-# Of the width of a parameter's range, where 2 spans it.
+# Deviation of drawn parameters relative to their range, which is 2 wide.
 _SPREAD_OF_PARAMETERS = 0.3
-# Beyond any state in any unit, and sums of its squares are still numbers.
+# Limit beyond any state in any unit, whose sums of squares are still finite.
 _OPEN = 1e100
-# A start this many times as lively as the median one has run away.
+# Ratio to the median amplitude at which a start has diverged.
 _RUNAWAY = 1e6
 
 
@@ -50,45 +50,52 @@ class Starts(NamedTuple):
     z: Array
     """Coordinates (P, size)."""
     shift: Array
-    """Initial states (P, S, nx) from the guess, in units of their scale."""
+    """Differences (P, S, nx) of the initial states from the guess, in units of their scale."""
     x_guess: Array
     """Guessed initial states (P, S, nx)."""
     scales: Scales
-    """Sizes of the signals, of each start."""
+    """Sizes of the signals, for each start."""
 
     def chosen(self, rows: NDArray[np.intp]) -> Starts:
-        """Some of them."""
+        """Select some starting points."""
         scales = self.scales.of_rows(rows)
         return Starts(self.z[rows], self.shift[rows], self.x_guess[rows], scales)
 
 
 class SegmentSimulator(Protocol):
-    """Simulates all segments."""
+    """Simulator of all segments."""
 
     def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:
-        """Outputs (P, S, T, ny) and states (P, S, T, nx) with coordinates z (P, size), from initial
-        states x0 (P, S, nx)."""
+        """Simulate from initial states x0 (P, S, nx) with coordinates z (P, size).
+
+        Returns:
+            Outputs (P, S, T, ny) and states (P, S, T, nx).
+        """
         ...
 
 
 def cut_segments(
     structure: GreyBoxStructure, trajectories: Sequence[Trajectory], horizon: int | None
 ) -> RecordPieces:
-    """Whole records, or, with a horizon, windows spread over them: past and horizon, or where the
-    initial state is measured the last past sample and the horizon."""
-    pieces: list[Trajectory] = list(trajectories)
+    """Cut the records to segments.
+
+    They are whole records, or, with a horizon, windows spread over them: past and horizon, or where
+    the
+    initial state is measured the last past sample and the horizon.
+    """
+    cuts: list[Trajectory] = list(trajectories)
     if horizon is not None:
         length = (1 if structure.measured else structure.n_past) + horizon
-        pieces = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
-        pieces = [t for t in pieces if len(t) == length] or list(trajectories)
-        pieces = [pieces[i] for i in spread(len(pieces), _most_windows(structure, length))]
-    mask = side_by_side([np.ones(len(t)) for t in pieces])
-    u = side_by_side([t.u for t in pieces], "edge")
+        cuts = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
+        cuts = [t for t in cuts if len(t) == length] or list(trajectories)
+        cuts = [cuts[i] for i in spread(len(cuts), _most_windows(structure, length))]
+    mask = side_by_side([np.ones(len(t)) for t in cuts])
+    u = side_by_side([t.u for t in cuts], "edge")
     if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
-        # As in simulation, where the input of the last past sample is not known.
+        # Hold the first known input, as in simulation, where the last past input is unknown.
         u[:, 0] = u[:, 1]
-    counts = side_by_side([measured_samples(t) for t in pieces])
-    return RecordPieces(u, side_by_side([t.y for t in pieces], "edge"), mask, counts)
+    counts = side_by_side([measured_samples(t) for t in cuts])
+    return RecordPieces(u, side_by_side([t.y for t in cuts], "edge"), mask, counts)
 
 
 def _most_windows(structure: GreyBoxStructure, length: int) -> int:
@@ -99,7 +106,7 @@ def _most_windows(structure: GreyBoxStructure, length: int) -> int:
 
 
 def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:
-    """Initial states (S, nx) that fit `i` ended with."""
+    """Initial states (S, nx) at the end of fit `i`."""
     if structure.measured:
         return starts.x_guess[i]
     shift = found.theta[i, structure.layout.size :].reshape(-1, structure.nx)
@@ -140,7 +147,7 @@ def _base_scales(structure: GreyBoxStructure, segments: RecordPieces) -> Scales:
 
 
 def opened(scales: Scales) -> Scales:
-    """Without the limits outside which the simulation of a trained model counts as run away."""
+    """Remove the limits outside which the simulation of a trained model counts as diverged."""
     low = np.full_like(np.asarray(scales.low), -_OPEN)
     return scales._replace(low=low, high=-low)
 
@@ -153,7 +160,8 @@ def _neutral(structure: GreyBoxStructure) -> Array:
 
 
 def _draws(structure: GreyBoxStructure, segments: RecordPieces, count: int) -> int:
-    """Points drawn to choose `count` starts from: as many as memory allows, at most 16 times."""
+    """Number of points drawn to choose `count` starts from: as many as memory allows, at most 16
+    times."""
     values = segments.mask.size * structure.config.substeps * structure.nx * count
     return count * int(np.clip(_MOST_SCREENED_VALUES // values, 1, _SCREENED_PER_START))
 
@@ -165,7 +173,8 @@ def screen(
     count: int,
     rng: np.random.Generator,
 ) -> Starts:
-    """The `count` best of many points drawn in the parameter ranges, the middle among them."""
+    """Choose the `count` best of many points drawn in the parameter ranges, one of them the
+    middle."""
     layout = structure.layout
     drawn = _draws(structure, segments, count)
     z = np.tile(_neutral(structure), (drawn, 1))
@@ -184,7 +193,7 @@ def screen(
 
 
 def _ranking(segments: RecordPieces, scales: Scales, outputs: Array) -> NDArray[np.intp]:
-    """Starts from the smallest simulation error to the greatest."""
+    """Order of the starts from the smallest simulation error to the greatest."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = (outputs - segments.y) / scales.y_scale[:, 0]
         cost = (error**2 * segments.counts[:, :, None]).sum(axis=(1, 2, 3))
@@ -196,7 +205,7 @@ def _spread(states: Array, segments: RecordPieces) -> tuple[Array, Array]:
     inside = states[:, segments.mask > 0]
     deviation = inside.std(axis=1)
     scale = np.maximum(deviation, 1e-3 * np.abs(inside).max(axis=1))
-    # A start that runs away would make its own initial state weightless.
+    # A diverging start would make the weight of its own initial state vanish.
     usual = np.median(scale, axis=0)
     scale = np.minimum(scale, np.where(usual > 0, _RUNAWAY * usual, np.inf))
     return inside.mean(axis=1), np.where(scale > 0, scale, 1.0)
@@ -210,11 +219,11 @@ def augment(
     found: Minimum,
     rng: np.random.Generator,
 ) -> Starts:
-    """Starting points around the best fits of the equations alone, with the additions drawn."""
+    """Starting points around the best fits of the bare equations, with the additions drawn."""
     layout, size = structure.layout, structure.layout.size
     count, learned = len(starts.z), len(structure.learned.names)
     drawn = _draws(structure, segments, count)
-    # The better half of the first fits, in turn: others have often ended in a poor minimum.
+    # Cycle through the better half of the first fits: others have often ended in a poor minimum.
     order = np.argsort(found.cost, kind="stable")[: max(1, count // 2)]
     parents = np.resize(order, drawn)
     z = found.theta[parents, :size].copy()
@@ -230,7 +239,7 @@ def augment(
     z[:, layout.delay] = rng.uniform(0.0, 0.8, z[:, layout.delay].shape)
     if structure.config.drawn:
         z[len(order) :, layout.learned] = rng.normal(size=(drawn - len(order), learned))
-    # One start with next to no effect, so that additions do not begin worse than the equations.
+    # One start with almost no effect, so that additions do not begin worse than the equations.
     z[0, layout.limits], z[0, layout.spill], z[0, layout.delay] = 0.0, -4.0, 0.0
     ranking = _ranking(segments, scales, simulate(z, scales, x0)[0])
     best = np.concatenate([[0], ranking[ranking != 0]])[:count]
@@ -240,7 +249,7 @@ def augment(
 def add_network(
     structure: GreyBoxStructure, starts: Starts, found: Minimum, rng: np.random.Generator
 ) -> Starts:
-    """The best fit again and again, each time with another first layer of the network."""
+    """Repeat the best fit, each time with another first layer of the network."""
     count, best = len(starts.z), int(np.argmin(found.cost))
     inner = structure.nx_own + structure.nu + 1
     z = np.tile(found.theta[best, : structure.layout.size], (count, 1))

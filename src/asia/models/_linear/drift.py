@@ -1,4 +1,4 @@
-"""Inputs at which a system with free integrators stands still."""
+"""Input offset at which a system with free integrators is at rest."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ _ITERATIONS = 20
 
 
 def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
-    """What to add to the inputs (nu,) so that zero is where the integrators stand still: by a fit
-    with a constant as a further input. The smallest shift where several do."""
+    """Offset (nu,) to add to the inputs so that the integrators are at rest at zero.
+
+    It is found by a fit with a constant as a further input; of several offsets it is the smallest.
+    """
     known = [
         replace(r, u=np.hstack([r.u, np.ones((len(r), 1))]), measured_u=r.measured_u)
         for r in records
@@ -25,5 +27,5 @@ def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
     m = s.order - integrators
     steady = np.linalg.solve(np.eye(m) - s.a[:m, :m], s.b[:m])
     rates = s.a[m:, :m] @ steady + s.b[m:]
-    # Of a chain the first is what drifts; the others add up what it does.
+    # Only the first state of a chain drifts; the others integrate it.
     return np.asarray(np.linalg.lstsq(rates[:, :-1], rates[:, -1], rcond=1e-3)[0], np.float64)

@@ -1,4 +1,4 @@
-"""What the records say of the static gains and time constants of a linear model."""
+"""Estimates of the static gains and time constants of a linear model, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from asia.models._data.scaling import Scaling
 from asia.models._linear.long import LongResponse
 from asia.models._linear.system import LinearSystem
 
-# Entries of the matrices: those of a larger model are no quantities that people know.
+# Greatest number of matrix entries: those of a larger model are no quantities of interest to users.
 _MOST_ENTRIES = 150
-# Of a standard error: a fit that is further from its minimum minimises something else.
+# Greatest distance from the minimum in standard errors: a fit further away minimises another cost.
 _NEAR = 0.5
 
-# Samples from which a record is simulated by convolution.
+# Least number of samples for a simulation by convolution.
 _LONG = 65_536
 _MOST_GAINS = 20
 _MOST_TIME_CONSTANTS = 6
@@ -29,7 +29,7 @@ _MOST_TIME_CONSTANTS = 6
 
 @dataclass(frozen=True)
 class ScaledRecord:
-    """One record in z-scores, the inputs delayed."""
+    """Record in z-scores, the inputs delayed."""
 
     u: Array
     """(T, nu)."""
@@ -40,8 +40,11 @@ class ScaledRecord:
 def delayed_records(
     trajectories: Sequence[Trajectory], scaling: Scaling, delay: int
 ) -> list[ScaledRecord]:
-    """Without the samples whose delayed input was not measured. Raises ValueError where outputs
-    were not measured."""
+    """Scale and delay records, without the samples whose delayed input was not measured.
+
+    Raises:
+        ValueError: if outputs were not measured.
+    """
     refuse_gaps(trajectories)
     return [
         ScaledRecord(scaling.inputs(t.u)[: len(t) - delay], scaling.outputs(t.y)[delay:])
@@ -54,12 +57,20 @@ def system_estimates(
     records: Sequence[ScaledRecord],
     report: Callable[[LinearSystem], Sequence[ParameterEstimate]],
 ) -> ParameterEstimates:
-    """Of what `report` makes of the system, whatever the coordinates of its states. The initial
-    state of each record is fitted with it. Raises ValueError for a system of too many numbers, and
-    where the simulation error of the records has no minimum there."""
+    """Estimate the uncertainty of quantities of a system, whatever the coordinates of its states.
+
+    Args:
+        system: fitted system.
+        records: records of the fit; the initial state of each is fitted with the system.
+        report: computes the quantities from a system.
+
+    Raises:
+        ValueError: for a system of too many numbers, and if the simulation error of the records has
+            no minimum at the system.
+    """
     theta, shapes = _packed(system)
     if len(theta) > _MOST_ENTRIES:
-        raise ValueError(f"{len(theta)} numbers: too many to tell their errors")
+        raise ValueError(f"{len(theta)} numbers: too many for standard errors; use a lower order")
     responses = [_free_response(system, len(record.u)) for record in records]
     starts = [
         _start(system, record, response)
@@ -112,7 +123,7 @@ def _unpacked(theta: Array, shapes: Sequence[tuple[int, ...]]) -> LinearSystem:
 
 
 def _free_response(system: LinearSystem, samples: int) -> Array:
-    """(T, ny, n): outputs to each initial state of length 1."""
+    """Outputs (T, ny, n) to each initial state of length 1."""
     plain = LinearSystem(
         system.a, system.b, system.c, system.d, np.zeros_like(system.offset)
     )  # fmt: skip
@@ -121,7 +132,7 @@ def _free_response(system: LinearSystem, samples: int) -> Array:
 
 
 def _start(system: LinearSystem, record: ScaledRecord, response: Array) -> Array:
-    """The initial state with the least simulation error."""
+    """Initial state with the least simulation error."""
     forced = system.simulate(np.zeros((1, system.order)), record.u[None])[1][0]
     flat = response.reshape(-1, system.order)
     return np.linalg.lstsq(flat, (record.y - forced).ravel())[0]

@@ -37,13 +37,13 @@ from asia.models._noise.choice import NoiseChoice
 from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
 from asia.models._noise.weighting import ErrorWeighting
 
-# A system this close to the unit circle or beyond grows without bound on a longer record.
+# Largest modulus of a pole: beyond it the system grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """Levenberg-Marquardt in NumPy."""
+    """Settings of Levenberg-Marquardt in NumPy."""
 
     iterations: int = 50
     """Greatest number of steps."""
@@ -55,13 +55,13 @@ class Refinement:
     tolerance: float = 1e-7
     """Relative decrease of the cost below which it stops."""
     noise: NoiseChoice | None = None
-    """The noise model of `refined_under_noise`; None is least squares."""
+    """Noise model of `refined_under_noise`; None is least squares."""
     integrators: int = 0
-    """Last states whose pole is held at 1."""
+    """Number of last states whose pole is held at 1."""
 
     @classmethod
     def of(cls, method: LevenbergMarquardt | None) -> Refinement:
-        """With the settings of a method."""
+        """Take the settings from a method."""
         if method is None:
             return cls()
         tolerance, noise = max(method.tolerance, 1e-9), NoiseChoice.of(method)
@@ -70,10 +70,10 @@ class Refinement:
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A fitted system."""
+    """Fitted linear system."""
 
     system: LinearSystem
-    """For z-scored signals."""
+    """System for z-scored signals."""
     x0: Array
     """Initial states (R, n) of the training records."""
     error: float
@@ -83,7 +83,14 @@ class LinearFit:
 def fit(
     records: ScaledData, order: int, refinement: Refinement, log: Progress | None = None
 ) -> LinearFit:
-    """Best start of this order by simulation error, then refined; log(iteration, error)."""
+    """Find the best start of this order by simulation error and refine it.
+
+    Args:
+        records: records in z-scores.
+        order: number of states.
+        refinement: settings.
+        log: receives iteration and error.
+    """
     if refinement.integrators:
         pairs = integrating_starts(records, order, refinement.integrators)
     else:
@@ -109,8 +116,11 @@ def _offset(log: Progress | None, by: int, least: float) -> Progress | None:
 def choose_order(
     records: ScaledData, context: Context, max_order: int, tolerance: float, refinement: Refinement
 ) -> int:
-    """Smallest order whose simulation error on held-out stretches, started from their own past
-    windows as the model will be used, is within `tolerance` (relative, of the root) of the best."""
+    """Smallest order whose simulation error on held-out segments is within `tolerance` of the best.
+
+    The segments start from their own past windows, as the model will be used; the tolerance is
+    relative, of the root.
+    """
     pairs = contiguous_splits(records, 3, 2 * past_length(context) + 4 * max_order)
     splits = [(kept, left, _regression_of(kept, context)) for kept, left in pairs]
     errors: list[float] = []
@@ -132,8 +142,15 @@ def encoder_of(
     context: Context,
     regression: BlockedRidge | None = None,
 ) -> Encoder:
-    """Past window -> state, from the model's own states on the records it was fitted to.
-    regression: that on the past windows of these records, where it is known."""
+    """Map from a past window to the state, learned from the model's own states on the records of
+    the fit.
+
+    Args:
+        records: records of the fit.
+        fitted: fit.
+        context: context of the fit.
+        regression: regression on the past windows of these records, if it is known.
+    """
     response = DrivenRecords(records).summed(fitted.system, fitted.x0)
     return window_encoder(records, response.states_of, context, regression=regression)
 
@@ -149,8 +166,10 @@ def _regression_of(records: ScaledData, context: Context) -> BlockedRidge:
 def unseen_error(
     records: ScaledData, fitted: LinearFit, encoder: Encoder, context: Context
 ) -> float:
-    """Sum of squared simulation errors of records not fitted, each from its past window; a record
-    no longer than that adds nothing."""
+    """Sum of squared simulation errors of records that were not fitted, each from its past window.
+
+    A record no longer than its past window adds nothing.
+    """
     start, total = past_length(context), 0.0
     for r in (r for r in records if len(r) > start):
         x0 = encoder(windows(r, context)[:1])
@@ -160,7 +179,8 @@ def unseen_error(
 
 
 def solve_linear_part(records: ScaledData, a: Array, c: Array) -> LinearFit:
-    """B, D, offset and initial states by least squares on the simulation error, A and C given."""
+    """Solve B, D, offset and initial states by least squares on the simulation error, A and C
+    given."""
     n, nu, ny = len(a), records[0].u.shape[1], records[0].y.shape[1]
     zero = LinearSystem(a, np.zeros((n, nu)), c, np.zeros((ny, nu)), np.zeros(ny))
     driven = DrivenRecords(records)
@@ -173,8 +193,10 @@ def solve_linear_part(records: ScaledData, a: Array, c: Array) -> LinearFit:
 
 
 def normalised(response: Response | LongResponse) -> LinearFit:
-    """States scaled to unit mean square over the training records; full whitening would mix
-    states of very different energy and lose accuracy."""
+    """Scale the states to unit mean square over the training records.
+
+    Full whitening would mix states of very different energy and lose accuracy.
+    """
     scale = np.sqrt(response.state_squares)
     t = np.diag(1.0 / np.where(np.isfinite(scale) & (scale > 1e-12), scale, 1.0))
     return LinearFit(response.system.transformed(t), response.x0 @ t.T, response.error)
@@ -187,8 +209,12 @@ def refined_under_noise(
     sampling_time: float,
     log: Progress | None = None,
 ) -> LinearFit:
-    """Generalised least squares from a fit by least squares: noise estimated from its residuals,
-    then refined, in turn until the estimate settles; the fit itself without a noise model."""
+    """Generalised least squares from a fit by least squares.
+
+    The noise is estimated from the residuals and the fit refined, in turn until the estimate
+    settles;
+    without a noise model the fit is returned unchanged.
+    """
     choice, noise = refinement.noise, None
     if choice is None:
         return found
@@ -203,7 +229,7 @@ def refined_under_noise(
         weightings = [
             ErrorWeighting.of(noise, sampling_time, r.weight[None], choice.huber) for r in records
         ]
-        # A slow mode that starts far off would take the place of the slow disturbance.
+        # Hold initial states: a slow mode that starts far off would replace the slow disturbance.
         held = replace(refinement, initial_ridge=Refinement.initial_ridge)
         found = refine(records, found, held, log, weightings)
     return found
@@ -216,7 +242,7 @@ def refine(
     log: Progress | None = None,
     weightings: Sequence[ErrorWeighting] | None = None,
 ) -> LinearFit:
-    """Levenberg-Marquardt on A, B, C, D, offset and the initial states.
+    """Refine A, B, C, D, offset and the initial states by Levenberg-Marquardt.
 
     The parametrisation is redundant (any change of state coordinates); the damping makes the
     step unique. A step to an unstable system is refused.
@@ -228,7 +254,7 @@ def refine(
     arrays = [s.a, s.b, s.c, s.d, s.offset, start.x0]
     shapes, ends = [p.shape for p in arrays], np.cumsum([p.size for p in arrays])[:-1]
     theta0 = np.concatenate([p.ravel() for p in arrays])
-    # The simulation at the parameters that were asked about last.
+    # Last simulation, with its parameters.
     known = theta0, driven.summed(s, start.x0)
 
     def response(theta: Array) -> Response | LongResponse:
@@ -259,7 +285,7 @@ def refine(
         last = current.x0.size
         normal[-last:, -last:] += prior * np.eye(last)
         gradient[-last:] -= prior * current.x0.ravel()
-        # Entries of A that are held.
+        # Held entries of A.
         normal[: free.size] *= free[:, None]
         normal[:, : free.size] *= free
         gradient[: free.size] *= free

@@ -1,4 +1,4 @@
-"""Choice among windowed linear models: how much past the state holds, and the ridge."""
+"""Choice among windowed linear models: number of past samples in the state, and ridge."""
 
 from __future__ import annotations
 
@@ -19,34 +19,37 @@ from asia.models._linear.windows import (
     refined,
 )
 
-# Against the mean squared error in z-scores, from strong to weak.
+# Ridges against the mean squared error in z-scores, from strong to weak.
 _RIDGES = (1.0, 1e-1, 1e-2, 1e-4)
 _QUICK_ITERATIONS = 4
-# Bounds on the numbers a refinement handles: samples times squared parameters.
+# Limits on the work of a refinement: samples times squared parameters.
 _SELECTION_WORK, _FINAL_WORK = 4e9, 2e10
 _FEWEST, MOST_WINDOWS = 24, 2000
 
 
 @dataclass(frozen=True)
 class WindowedChoice:
-    """Lags and ridge, and how well they do."""
+    """Lags and ridge, with their errors."""
 
     lags: WindowLags
     """Past samples kept in the state."""
     ridge: float
-    """Against the mean squared error in z-scores."""
+    """Ridge against the mean squared error in z-scores."""
     errors: tuple[float, ...]
-    """Mean squared error on the windows of each stretch left out."""
+    """Mean squared error on the windows of each segment left out."""
 
     @property
     def error(self) -> float:
-        """Over all stretches."""
+        """Mean error over all segments."""
         return float(np.mean(self.errors))
 
 
 def choose(records: ScaledData, context: Context, refinement: Refinement) -> WindowedChoice | None:
-    """The strongest ridge within one standard error, over the stretches left out, of the best,
-    for each number of lags, and the best of these; None where the past window shows nothing."""
+    """Choose lags and ridge by the error on segments left out.
+
+    For each number of lags the choice is the strongest ridge within one standard error, over the
+    segments, of the best; the result is the best of these, None where the past window is empty.
+    """
     splits = held_out(records, context)
     choices = [
         _best_ridge(splits, lags, context, refinement) for lags in _candidates(records, context)
@@ -57,8 +60,11 @@ def choose(records: ScaledData, context: Context, refinement: Refinement) -> Win
 def held_out(
     records: ScaledData, context: Context
 ) -> list[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]]:
-    """(kept, left out): three times other stretches left out, neighbouring records where there
-    are enough, since records that follow each other are often of one kind."""
+    """Three splits (kept, left out) with other segments left out each time.
+
+    With enough records these are neighbouring records, since successive records are often of one
+    kind.
+    """
     if len(records) >= 3:
         groups = np.array_split(np.arange(len(records)), 3)
         return [
@@ -71,7 +77,7 @@ def held_out(
 def fit_choice(
     records: ScaledData, context: Context, choice: WindowedChoice, refinement: Refinement
 ) -> WindowPredictor:
-    """Lags and ridge refined on windows from all records."""
+    """Refine the chosen lags and ridge on windows from all records."""
     windows = cut_windows(records, context, _count(choice.lags, context, _FINAL_WORK))
     start = one_step(windows, choice.lags, _one_step_ridge(choice.ridge))
     return _refined(start, windows, choice.ridge, refinement.iterations, refinement)
@@ -141,7 +147,7 @@ def _refined(
 
 
 def _one_step_ridge(ridge: float) -> float:
-    # One-step errors are smaller than those over a horizon, and so is what holds against them.
+    # One-step errors are smaller than those over a horizon, and so is their ridge.
     return max(1e-4 * ridge, 1e-9)
 
 

@@ -1,7 +1,7 @@
 """Linear systems whose last states integrate: their poles are held at 1.
 
 A = [[A1, 0], [F, L]] with L lower triangular and ones on its diagonal, so that each of the last
-states adds up what comes before it. A start is found from differences of the outputs.
+states integrates those before it. A start is found from differences of the outputs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from asia.models._linear.subspace import spread_poles, starts
 
 
 def free_entries(order: int, integrators: int) -> Array:
-    """1 where an entry of A (order, order) is searched, 0 where it is held."""
+    """Mask of A (order, order): 1 where an entry is searched, 0 where it is held."""
     free, m = np.ones((order, order)), order - integrators
     free[:m, m:] = 0.0
     free[m:, m:] = np.tril(np.ones((integrators, integrators)), -1)
@@ -24,15 +24,19 @@ def free_entries(order: int, integrators: int) -> Array:
 
 
 def held_entries(order: int, integrators: int) -> Array:
-    """What the entries of A (order, order) are that are held."""
+    """Values of the held entries of A (order, order), zero elsewhere."""
     return np.diag(np.r_[np.zeros(order - integrators), np.ones(integrators)])
 
 
 def integrating_starts(
     records: ScaledData, order: int, integrators: int
 ) -> list[tuple[Array, Array] | None]:
-    """Pairs (A, C) of the order, from the differences of those outputs that change least from one
-    sample to the next. Raises ValueError where the order is less than the integrators."""
+    """Pairs (A, C) of the order, from differences of the outputs that change least from sample to
+    sample.
+
+    Raises:
+        ValueError: if the order is less than the number of integrators.
+    """
     if order < integrators:
         raise ValueError(f"{integrators} integrators need an order of at least {integrators}")
     times = _integrations(records, integrators)
@@ -54,7 +58,7 @@ def integrating_starts(
 
 
 def _integrations(records: ScaledData, integrators: int) -> list[int]:
-    """How often each output integrates: the slowest first, and again from the slowest."""
+    """Number of integrations of each output: the slowest first, and again from the slowest."""
     y = [r.y for r in records]
     steps = np.concatenate([np.diff(v, axis=0) for v in y]).std(axis=0)
     slowest = np.argsort(steps / np.maximum(np.concatenate(y).std(axis=0), 1e-12), kind="stable")
@@ -65,7 +69,7 @@ def _integrations(records: ScaledData, integrators: int) -> list[int]:
 
 
 def _extended(a: Array, c: Array, times: list[int]) -> tuple[Array, Array]:
-    """A system (a, c) for differences, with integrators behind its outputs."""
+    """Append integrators to the outputs of a system (a, c) for differences."""
     m, k, ny = len(a), sum(times), len(c)
     whole, seen, place = np.zeros((m + k, m + k)), np.zeros((ny, m + k)), m
     whole[:m, :m] = a

@@ -1,4 +1,4 @@
-"""Levels of excitation: groups of records, and where a simulation lies between their levels."""
+"""Levels of excitation: groups of records, and weights of a simulation between their levels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from asia.data import Array
 from asia.models._arrays import AnyArray, namespace
 
-# Records whose inputs are further apart than this ratio are of different levels.
+# Least ratio of the input sizes of two levels.
 _APART = 1.2
 
 
@@ -42,8 +42,13 @@ def running_levels(past_u: Array, u: Array, memory: int) -> Array:
 
 
 def shares(levels: Array, at: AnyArray) -> AnyArray:
-    """Weights (..., L) of systems at `levels` (L,), rising, by linear interpolation between the two
-    that lie around each level `at` (...); the outermost beyond. NumPy or JAX."""
+    """Weights (..., L) of systems by linear interpolation between the two levels around each level
+    `at`; the outermost level beyond. NumPy or JAX.
+
+    Args:
+        levels: levels (L,), rising.
+        at: levels of the simulation (...).
+    """
     xp, weights = namespace(at), list[AnyArray]()
     for place, level in enumerate(levels):
         weight = xp.ones_like(at)
@@ -58,6 +63,16 @@ def shares(levels: Array, at: AnyArray) -> AnyArray:
 
 
 def interpolated(levels: Array, each: Array, past: Array, future: Array, memory: int) -> Array:
-    """Outputs (B, H, ny) between those of the levels, each (L, B, H, ny), by the level that the
-    scaled inputs past (B, n_past_u, nu) and future (B, H, nu) run at."""
+    """Interpolate outputs between those of the levels.
+
+    Args:
+        levels: levels (L,), rising.
+        each: outputs of each level (L, B, H, ny).
+        past: scaled past inputs (B, n_past_u, nu).
+        future: scaled inputs (B, H, nu).
+        memory: number of inputs that the running level covers.
+
+    Returns:
+        (B, H, ny).
+    """
     return np.einsum("bhl,lbho->bho", shares(levels, running_levels(past, future, memory)), each)

@@ -1,9 +1,9 @@
-"""Response of a linear system on long records, block by block: states and sensitivities are carried
-from one block to the next, so that memory does not grow with the length of the records.
+"""Response of a linear system on long records, block by block.
 
-Within a block all is computed as in `asia.models._linear.response`. What a block begins with acts
-through the powers of A: x[k] = A^k x[0] + what the inputs of the block do, and the sensitivities
-likewise, as they obey the same recursion.
+States and sensitivities are carried from one block to the next, so that memory does not grow with
+the length of the records. Each block is computed as in `asia.models._linear.response`. The initial
+state of a block acts through the powers of A: x[k] = A^k x[0] + the response to the inputs of the
+block, and the sensitivities likewise, as they obey the same recursion.
 """
 
 from __future__ import annotations
@@ -20,31 +20,32 @@ from asia.models._data.records import ScaledData
 from asia.models._linear.powers import Powers
 from asia.models._linear.system import LinearSystem
 
-# Numbers of the derivatives from which records are long, those of one block, and its samples.
+# Numbers in the derivatives above which records are processed in blocks, and those of one block.
 _LONG, _BLOCK = 4_000_000, 500_000
 _SHORTEST, _LONGEST = 1024, 16384
 
 
 def numbers_of(order: int, nu: int, ny: int) -> int:
-    """Numbers that the derivatives of one sample take, with the transforms they are made by."""
+    """Count of the numbers that the derivatives of one sample take, with the transforms they are
+    made by."""
     signals = order + nu
     return ny * (5 * order * signals + ny * signals)
 
 
 def are_long(records: ScaledData, order: int) -> bool:
-    """Whether the response is better computed block by block."""
+    """Return whether the response is better computed block by block."""
     samples = sum(len(r) for r in records)
     return samples * numbers_of(order, records[0].u.shape[1], records[0].y.shape[1]) > _LONG
 
 
 @dataclass(frozen=True)
 class LongResponse:
-    """States, residuals and normal equations of a system on records, none of which is held."""
+    """States, residuals and normal equations of a system on records, none of which is stored."""
 
     records: ScaledData
     """The records."""
     samples: float
-    """Their squared weights, summed over samples and outputs."""
+    """Sum of the squared weights over samples and outputs."""
     system: LinearSystem
     """The system."""
     x0: Array
@@ -57,7 +58,7 @@ class LongResponse:
         return Powers.of(s.a, int(np.clip(1 << max(size, 1).bit_length() - 1, _SHORTEST, _LONGEST)))
 
     def states_of(self, i: int) -> Iterator[Array]:
-        """(T, n) of the blocks of a record, in time order."""
+        """Iterate over the states (T, n) of the blocks of a record, in time order."""
         record, system, powers, x = self.records[i], self.system, self._powers, self.x0[i]
         for first in range(0, len(record), len(powers.values)):
             u = record.u[first : first + len(powers.values)]
@@ -68,7 +69,7 @@ class LongResponse:
             x = system.a @ states[-1] + system.b @ u[-1]
 
     def _blocks(self, i: int) -> Iterator[tuple[slice, Array, Array]]:
-        """Samples of each block, its states, and the weighted residual (T, ny)."""
+        """Iterate over blocks: samples, states, and the weighted residual (T, ny)."""
         record, first = self.records[i], 0
         for states in self.states_of(i):
             rows = slice(first, first + len(states))
@@ -80,7 +81,7 @@ class LongResponse:
         return record.y[rows] - states @ s.c.T - record.u[rows] @ s.d.T - s.offset
 
     def misfit(self, i: int) -> Array:
-        """y minus output of a record (T, ny)."""
+        """Measured minus simulated output of a record (T, ny)."""
         parts, first = list[Array](), 0
         for states in self.states_of(i):
             parts.append(self._misfit(i, slice(first, first + len(states)), states))
@@ -115,7 +116,7 @@ class LongResponse:
         return error if np.isfinite(error) else float("inf")
 
     def normal_equations(self, *, poles: bool = True) -> tuple[Array, Array]:
-        """As `Response.normal_equations`."""
+        """Normal equations as in `Response.normal_equations`."""
         n, ny, nu = self.system.order, *self.system.d.shape
         core = n * nu + ny * nu + ny + (n + ny) * n * poles
         normal, gradient = np.zeros((core + self.x0.size,) * 2), np.zeros(core + self.x0.size)
@@ -133,12 +134,13 @@ class LongResponse:
         return c @ self._powers.values, (c @ self._powers.spectrum)[..., None]
 
     def _slopes(self, i: int, poles: bool) -> Iterator[tuple[Array, Array]]:
-        """Derivatives (T ny, parameters) of the blocks of a record, with its own initial state
-        alone, and their weighted residuals."""
+        """Derivatives (T ny, parameters) of the blocks of a record, with only its own initial
+        state, and their weighted residuals."""
         record, powers, n = self.records[i], self._powers, self.system.order
         outputs, kernel = self._outputs
         signals = record.u.shape[1] + n * poles
-        # Of the state at the start of a block: by the entries of [A B] or B, then by x0.
+        # Derivatives of the state at the start of a block: by the entries of [A B] or B, then by
+        # x0.
         carried = np.concatenate([np.zeros((n, n * signals)), np.eye(n)], axis=1)
         for rows, states, residual in self._blocks(i):
             length, u = len(states), record.u[rows]

@@ -1,4 +1,4 @@
-"""Powers of the matrix A of a linear system, by which convolutions are computed."""
+"""Powers of the matrix A of a linear system, for convolutions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Powers:
 
     @classmethod
     def of(cls, a: Array, count: int) -> Powers:
-        """By doubling."""
+        """Compute the powers by doubling."""
         values = np.empty((count, *a.shape))
         values[0] = np.eye(len(a))
         done, power = 1, a
@@ -38,7 +38,8 @@ class Powers:
         return cls(values, np.fft.rfft(values, size, axis=0), size)
 
     def delayed(self, spectrum: Spectrum, length: int) -> Array:
-        """(frequencies, ...) -> the first `length` samples, one later than the product says."""
+        """Transform (frequencies, ...) back to the first `length` samples, one later than the
+        product."""
         later = np.fft.irfft(spectrum, self.size, axis=0)[: length - 1]
         return np.concatenate([np.zeros((1, *later.shape[1:])), later])
 

@@ -22,13 +22,15 @@ from asia.models._linear.powers import Powers, Spectrum, transform_size
 from asia.models._linear.system import LinearSystem
 from asia.models._noise.weighting import ErrorWeighting
 
-# Records whose lengths differ by less share the transforms of a system.
+# Rounding of record lengths: records of the same rounded length share the transforms of a system.
 _ROUNDED = 64
 
 
 class DrivenRecords:
-    """Records with the transforms of their inputs; `weightings`, one a record, are those of
-    generalised least squares."""
+    """Records with the transforms of their inputs.
+
+    `weightings`, one a record, belong to generalised least squares.
+    """
 
     def __init__(
         self, records: ScaledData, weightings: Sequence[ErrorWeighting] | None = None
@@ -46,12 +48,12 @@ class DrivenRecords:
         ]
 
     def response(self, system: LinearSystem, x0: Array) -> Response:
-        """Of the system from initial states x0 (R, n)."""
+        """Response of the system from initial states x0 (R, n)."""
         return Response(self, system, x0)
 
     def summed(self, system: LinearSystem, x0: Array) -> Response | LongResponse:
-        """The same for those who need sums over samples alone: on long records block by block, but
-        for generalised least squares."""
+        """Response for sums over samples only: on long records block by block, except for
+        generalised least squares."""
         if self.weightings is None and are_long(self.records, system.order):
             return LongResponse(self.records, self.samples, system, x0)
         return Response(self, system, x0)
@@ -70,16 +72,16 @@ class Response:
 
     @cached_property
     def powers(self) -> dict[int, Powers]:
-        """By the number of samples."""
+        """Powers of A by the number of samples."""
         return {count: Powers.of(self.system.a, count) for count in set(self.driven.counts)}
 
     @cached_property
     def states(self) -> list[Array]:
-        """(T, n) of each record."""
+        """States (T, n) of each record."""
         return [self._states(i) for i in range(len(self.x0))]
 
     def states_of(self, i: int) -> Iterator[Array]:
-        """(T, n) of a record, as the one block that it is."""
+        """States (T, n) of a record, as its only block."""
         yield self.states[i]
 
     @property
@@ -108,13 +110,13 @@ class Response:
 
     @cached_property
     def residual(self) -> Array:
-        """Weighted y minus output of all records, one after the other (samples * ny,); with
-        weightings, what these make of it."""
+        """Weighted measured minus simulated output of all records, one after the other (samples *
+        ny,); whitened where there are weightings."""
         with np.errstate(all="ignore"):
             return np.concatenate([self._weighted(i).ravel() for i in range(len(self.x0))])
 
     def misfit(self, i: int) -> Array:
-        """y minus output of a record (T, ny)."""
+        """Measured minus simulated output of a record (T, ny)."""
         r, s = self.driven.records[i], self.system
         return r.y - self.states[i] @ s.c.T - r.u @ s.d.T - s.offset
 
@@ -137,8 +139,11 @@ class Response:
         return np.concatenate([self._derivatives(i, True) for i in range(len(self.x0))])
 
     def normal_equations(self, *, poles: bool = True) -> tuple[Array, Array]:
-        """Products of the `jacobian` with itself and with the `residual`, record by record; without
-        `poles`, of its columns but those of A and C."""
+        """Products of the `jacobian` with itself and with the `residual`, record by record.
+
+        Args:
+            poles: include the columns of A and C.
+        """
         normal, gradient, first = np.zeros((0, 0)), np.zeros(0), 0
         for i in range(len(self.x0)):
             slopes = self._derivatives(i, poles)

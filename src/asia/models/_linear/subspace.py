@@ -15,7 +15,7 @@ import numpy as np
 from asia.data import Array
 from asia.models._data.records import ScaledData
 
-# Columns of the Hankel matrices that are held at a time.
+# Columns of the Hankel matrices in memory at a time.
 _CHUNK = 8192
 
 
@@ -26,15 +26,15 @@ class Observability:
     factor: Array
     """(blocks * ny, m), columns scaled by the roots of the singular values."""
     ny: int
-    """Outputs."""
+    """Number of outputs."""
 
     def start(self, order: int) -> tuple[Array, Array] | None:
-        """(A, C) of the order, A made stable; None where the factor has too few columns."""
+        """Start (A, C) of the order, A made stable; None where the factor has too few columns."""
         pair = self.shifted(order)
         return None if pair is None else (stabilised(pair[0]), pair[1])
 
     def shifted(self, order: int) -> tuple[Array, Array] | None:
-        """(A, C) as they come, A perhaps unstable."""
+        """Start (A, C) of the order by the shift, A perhaps unstable."""
         if order > self.factor.shape[1] or order > self.factor.shape[0] - self.ny:
             return None
         gamma = self.factor[:, :order]
@@ -43,8 +43,11 @@ class Observability:
 
 
 def starts(records: ScaledData, max_order: int) -> list[Observability]:
-    """Observability factors that serve every order up to `max_order`, from least to most prone
-    to noise; fewer where the records are too short for a method."""
+    """Observability factors that serve every order up to `max_order`, from least to most prone to
+    noise.
+
+    There are fewer where the records are too short for a method.
+    """
     found: list[Observability] = []
     for horizon in (max_order + 2, 2 * max_order + 5):
         factor = _oblique_projection(records, horizon)
@@ -57,13 +60,14 @@ def starts(records: ScaledData, max_order: int) -> list[Observability]:
 
 
 def spread_poles(order: int, ny: int) -> tuple[Array, Array]:
-    """(A, C) with real poles, time constants log-spaced from 1 to 100 samples: never fails."""
+    """Start (A, C) with real poles, time constants log-spaced from 1 to 100 samples; it never
+    fails."""
     time_constants = np.logspace(0.0, 2.0, order) if order > 1 else np.array([10.0])
     return np.diag(np.exp(-1.0 / time_constants)), np.ones((ny, order))
 
 
 def stabilised(a: Array, limit: float = 0.995) -> Array:
-    """Poles outside the unit circle are mirrored inside, and all are kept within `limit`."""
+    """Mirror poles outside the unit circle inside, and keep all within `limit`."""
     poles, vectors = np.linalg.eig(a)
     modulus = np.abs(poles)
     if modulus.max(initial=0.0) <= limit:
@@ -82,7 +86,8 @@ def _hankel(values: Array, first: int, blocks: int, columns: int) -> Array:
 
 
 def _oblique_projection(records: ScaledData, horizon: int) -> Observability | None:
-    """From the products of the Hankel matrices alone, which are small for any number of samples."""
+    """Observability by oblique projection, computed from the products of the Hankel matrices, which
+    are small for any number of samples."""
     nu, ny = records[0].u.shape[1], records[0].y.shape[1]
     past, future_u = horizon * (nu + ny), horizon * nu
     columns = [len(r) - 2 * horizon for r in records]
@@ -110,7 +115,7 @@ def _oblique_projection(records: ScaledData, horizon: int) -> Observability | No
 
 
 def _factor(product: Array, ny: int) -> Observability:
-    """product: of a Hankel-like matrix and its transpose."""
+    """Factor the product of a Hankel-like matrix and its transpose."""
     left, singular, _ = np.linalg.svd(product)
     keep = singular > 1e-14 * singular[0]
     return Observability(left[:, keep] * singular[keep] ** 0.25, ny)

@@ -15,7 +15,7 @@ _BLOCK = 65_536
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """A linear state-space system for z-scored signals."""
+    """Linear state-space system for z-scored signals."""
 
     a: Array
     """(n, n)."""
@@ -48,19 +48,28 @@ class LinearSystem:
 
     @property
     def time_constants(self) -> Array:
-        """Of its decaying modes in samples, the slowest first; a complex pair has one."""
+        """Time constants of the decaying modes in samples, the slowest first; a complex pair has
+        one."""
         poles = np.linalg.eigvals(self.a)
         sizes = np.abs(poles[poles.imag >= 0])
         decaying = sizes[(sizes > 0) & (sizes < 1)]
         return np.sort(-1.0 / np.log(decaying))[::-1]
 
     def transformed(self, t: Array) -> LinearSystem:
-        """The same system with states T x."""
+        """Transform the states to T x."""
         inverse = np.linalg.inv(t)
         return LinearSystem(t @ self.a @ inverse, t @ self.b, self.c @ inverse, self.d, self.offset)
 
     def simulate(self, x0: Array, u: Array) -> tuple[Array, Array]:
-        """x0 (B, n), u (B, T, nu) -> states (B, T, n) and outputs (B, T, ny), by recursion."""
+        """Simulate by recursion.
+
+        Args:
+            x0: initial states (B, n).
+            u: inputs (B, T, nu).
+
+        Returns:
+            States (B, T, n) and outputs (B, T, ny).
+        """
         drive = u @ self.b.T
         states = np.empty((*u.shape[:2], self.order))
         x = x0
@@ -70,8 +79,14 @@ class LinearSystem:
         return states, states @ self.c.T + u @ self.d.T + self.offset
 
     def outputs(self, x0: Array, drive: Callable[[int, int], Array], samples: int) -> Array:
-        """The outputs (B, T, ny) alone; drive(first, stop): inputs (B, stop - first, nu). Blocks of
-        samples follow each other, so that no states are held of long simulations."""
+        """Simulate only the outputs (B, T, ny), block after block, so that no states of long
+        simulations are stored.
+
+        Args:
+            x0: initial states (B, n).
+            drive: drive(first, stop) gives the inputs (B, stop - first, nu).
+            samples: T.
+        """
         y, x = np.empty((len(x0), samples, len(self.c))), x0
         for first in range(0, samples, _BLOCK):
             stop = min(first + _BLOCK, samples)

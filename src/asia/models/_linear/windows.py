@@ -1,8 +1,8 @@
-"""Linear model whose state is the past window itself, fitted over the windows' whole horizon.
+"""Linear model with the past window as state, fitted over the windows' whole horizon.
 
 y[k] = theta' [w[k], u[k], 1], where w[k] holds the last outputs and inputs and the model's own
-outputs take the place of measured ones as they appear. Started by one-step least squares, then
-refined on the simulation error over the horizon; nothing asks it to be stable beyond that.
+outputs replace measured ones as they appear. Started by one-step least squares, then
+refined on the simulation error over the horizon; no constraint makes it stable beyond that.
 Source: Ljung, System Identification, 2nd ed., sections 4.2 and 7.2 (output-error predictor).
 """
 
@@ -24,7 +24,7 @@ MOST_PARAMETERS = 400
 
 @dataclass(frozen=True)
 class WindowLags:
-    """Past samples kept in the state, of those that the protocol shows."""
+    """Numbers of past samples kept in the state, of those that the protocol shows."""
 
     n_past_u: int
     """Inputs shown."""
@@ -50,17 +50,18 @@ class WindowLags:
         return (self.order + self.nu + 1) * self.ny
 
     def state(self, features: Array) -> Array:
-        """Past windows (W, d) as `window` lays them out -> states (W, order)."""
+        """Convert past windows (W, d) in the layout of `window` to states (W, order)."""
         return features @ self.selection()
 
     def selection(self) -> Array:
-        """(d, order) matrix of zeros and ones."""
+        """Matrix (d, order) of zeros and ones that selects the state from a window."""
         split, end = self.n_past_u * self.nu, self.n_past_u * self.nu + self.n_past_y * self.ny
         rows = np.r_[split - self.u * self.nu : split, end - self.y * self.ny : end]
         return np.eye(end)[:, rows]
 
     def shift(self) -> tuple[Array, Array, Array]:
-        """w <- w S + u U + y Y for row vectors: S (order, order), U (nu, order), Y (ny, order)."""
+        """Matrices of w <- w S + u U + y Y for row vectors: S (order, order), U (nu, order), Y (ny,
+        order)."""
         split, size = self.u * self.nu, self.order
         s, from_u, from_y = (np.zeros((n, size)) for n in (size, self.nu, self.ny))
         for first, last, step in ((0, split, self.nu), (split, size, self.ny)):
@@ -74,17 +75,17 @@ class WindowLags:
 
 @dataclass(frozen=True)
 class WindowPredictor:
-    """Coefficients of the model above, for z-scored signals."""
+    """Coefficients of a windowed linear model, for z-scored signals."""
 
     lags: WindowLags
-    """What the state holds."""
+    """Lags in the state."""
     theta: Array
     """(order + nu + 1, ny)."""
     ridge: float = 0.0
     """Ridge of the fit, against the mean squared error."""
 
     def simulate(self, windows: HorizonWindows) -> Array:
-        """(W, H, ny)."""
+        """Simulate windows: outputs (W, H, ny)."""
         s, from_u, from_y = self.lags.shift()
         x, outputs = self.lags.state(windows.features), np.empty_like(windows.y)
         for k in range(windows.u.shape[1]):
@@ -116,8 +117,13 @@ class WindowPredictor:
 
 
 def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowPredictor:
-    """Least squares on all one-step predictions inside the windows; `ridge`, against the mean
-    square of the signals, holds the model to `held`."""
+    """Least squares on all one-step predictions inside the windows.
+
+    Args:
+        windows: training windows.
+        lags: lags in the state.
+        ridge: weight, against the mean square of the signals, of the distance from `held`.
+    """
     s, from_u, from_y = lags.shift()
     x, rows = lags.state(windows.features), []
     for k in range(windows.u.shape[1]):
@@ -136,7 +142,7 @@ def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowP
 
 
 def held(lags: WindowLags) -> Array:
-    """theta of the model that holds the last output: what ridge pulls to."""
+    """Coefficients theta of the model that holds the last output: the centre of the ridge."""
     theta = np.zeros((lags.order + lags.nu + 1, lags.ny))
     if lags.y:
         theta[lags.order - lags.ny : lags.order] = np.eye(lags.ny)
@@ -146,8 +152,8 @@ def held(lags: WindowLags) -> Array:
 def refined(
     start: WindowPredictor, windows: HorizonWindows, ridge: float, iterations: int, tolerance: float
 ) -> WindowPredictor:
-    """Levenberg-Marquardt on the mean squared simulation error over the windows' horizon, plus
-    `ridge` times the squared distance from `held`."""
+    """Refine by Levenberg-Marquardt on the mean squared simulation error over the windows' horizon,
+    plus `ridge` times the squared distance from `held`."""
     rest, samples = held(start.lags), windows.y.size
     if windows.weight is not None:
         samples = max(float(windows.weight.sum()) * windows.y.shape[-1], 1.0)
@@ -186,16 +192,20 @@ def _regressors(x: Array, u: Array) -> Array:
 
 
 def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
-    """J' J (P, P) and J' e (P,), of which no Jacobian is held."""
-    # Either way is as dear as its largest products: by lags samples^2, by steps samples ny^3.
+    """Compute J' J (P, P) and J' e (P,) without storing a Jacobian."""
+    # The cost of each way is that of its largest products: by lags samples^2, by steps samples
+    # ny^3.
     if windows.weight is None and windows.u.shape[1] < 2 * model.lags.ny**3:
         return normal_by_lags(model, windows)
     return normal_by_steps(model, windows)
 
 
 def normal_by_lags(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
-    """All windows share the responses H_r of the outputs to a change r samples before, so that J' J
-    is a sum over lags of products of those with correlations of the regressors."""
+    """Normal equations as sums over lags.
+
+    All windows share the responses H_r of the outputs to a change r samples before, so that J' J
+    is a sum over lags of products of those with correlations of the regressors.
+    """
     lags, ny = model.lags, model.lags.ny
     s, from_u, from_y = lags.shift()
     samples, size = windows.u.shape[1], model.theta.size
@@ -224,7 +234,7 @@ def normal_by_lags(model: WindowPredictor, windows: HorizonWindows) -> tuple[Arr
 
 
 def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
-    """Summed over the sensitivities of one step after the other."""
+    """Normal equations as sums over the sensitivities of one step after the other."""
     lags, ny = model.lags, model.lags.ny
     s, from_u, from_y = lags.shift()
     by_x = model.theta[: lags.order]

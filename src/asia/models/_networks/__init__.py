@@ -1,1 +1,1 @@
-"""What the network families share: simulation, training methods, layers."""
+"""Common parts of the network families: simulation, training methods, layers."""

@@ -1,4 +1,4 @@
-"""The training loop of `methods.Adam`, compiled as one loop over steps."""
+"""Training loop of `methods.Adam`, compiled as one loop over steps."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from asia.models.methods import Adam
 
 
 class AdamState(NamedTuple):
-    """Where training stands."""
+    """State of training between two steps."""
 
     trained: AnyArray
     """Parameters that change, in one vector."""
     optimiser: Any
-    """Its memory."""
+    """State of the optimiser."""
     average: AnyArray | None
     """Moving average of the parameters, or None."""
     carried: Any
     """State of the cell at the end of the last chunks, or None."""
     loss: AnyArray
-    """Sum over the steps since the last look."""
+    """Sum of the loss over the steps since the last check."""
     taken: AnyArray
-    """How many these were."""
+    """Number of these steps."""
 
 
 def run(
@@ -57,8 +57,8 @@ def run(
     monitor: Monitor,
     whiten: NoiseWeighting | None = None,
 ) -> Params:
-    """The parameters after `steps` updates, or after those that `monitor` allows. A step whose
-    gradient is not finite is skipped."""
+    """Train for `steps` updates, or for as many as `monitor` allows. A step whose gradient is
+    not finite is skipped."""
     check_structure(cell, params, method)
     length = method.truncation or horizon
     data = _seen(batch, method, length)
@@ -91,12 +91,12 @@ def run(
 
 
 def split(params: Params) -> tuple[dict[str, Any], Any]:
-    """What is trained, and what is not."""
+    """Split parameters into trained and fixed ones."""
     return {k: v for k, v in params.items() if k != "fixed"}, params.get("fixed")
 
 
 def joined(trained: Mapping[str, Any], fixed: Any) -> Params:
-    """The inverse of `split`, as NumPy arrays."""
+    """Join parameters that `split` separated, as NumPy arrays."""
     return cast(Params, jax.tree.map(np.array, merged(trained, fixed)))
 
 
@@ -170,7 +170,7 @@ def _penalty(cell: NetworkStructure, params: Params) -> jax.Array | float:
 
 
 def _next_chunk(data: Simulations, length: int, step: jax.Array) -> tuple[Simulations, jax.Array]:
-    """The chunk that follows the one of the step before, and whether it is the first of all."""
+    """Next chunk after the one of the step before, and whether it is the first of all."""
     index = step % (data.u.shape[1] // length)
 
     def cut(values: jax.Array) -> jax.Array:

@@ -27,8 +27,10 @@ _BLOCK = 16_384
 def compiled(
     simulate: Simulate, cell: NetworkStructure, params: Params, window: AnyArray, u: AnyArray
 ) -> AnyArray:
-    """What `simulate` gives, as a NumPy array of the precision of u. Long simulations of a network
-    with a state go block by block, by one program for all lengths."""
+    """Simulate by JAX; the result is a NumPy array of the precision of u.
+
+    Long simulations of a network with a state go block by block, by one program for all lengths.
+    """
     with jax.enable_x64(u.dtype == np.float64):
         if u.shape[1] > _BLOCK and not isinstance(cell, FeatureMap | SequenceMap):
             return _by_blocks(cell, params, window, u, simulate is rollout)

@@ -1,4 +1,4 @@
-"""What a family whose model is one network consists of: settings, a structure, `build`, `train`.
+"""Families whose model is one network: settings, a structure, `build`, `train`.
 
 @dataclass(frozen=True)
 class Config: ...
@@ -33,7 +33,7 @@ Own = TypeVar("Own", bound=NetworkConfig, contravariant=True)
 
 @dataclass(frozen=True)
 class Driven(Generic[C]):
-    """A structure that reads its inputs through `drive`, and its outputs by a linear layer."""
+    """Structure that reads its inputs through `drive`, and its outputs by a linear layer."""
 
     config: C
     """Settings of the family."""
@@ -42,7 +42,11 @@ class Driven(Generic[C]):
 
     @classmethod
     def of(cls, config: C, context: Context) -> Any:
-        """The structure for a problem. Raises UserError where they do not go together."""
+        """Structure for a problem.
+
+        Raises:
+            UserError: if settings and problem do not go together.
+        """
         del context
         return cls(config, drive=Features(config.features))
 
@@ -51,26 +55,32 @@ class Driven(Generic[C]):
         raise NotImplementedError
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """Linear in the features (..., hidden) and in u (..., nu): (..., ny)."""
+        """Output (..., ny), linear in the features (..., hidden) and in u (..., nu)."""
         return linear_output(params, features, u)
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
-        """Makes the parameters that training starts from; None solves the output layer for the
-        untrained ones by ridge regression. Raises UserError for records it cannot start from."""
+        """Function that makes the parameters from which training starts.
+
+        Returns:
+            None to solve the output layer of the untrained parameters by ridge regression.
+
+        Raises:
+            UserError: for records that it cannot start from.
+        """
         del trajectories, context
         return None
 
 
 class Build(Protocol[Own]):
-    """`build` of a family."""
+    """Type of a family's `build`."""
 
     def __call__(self, config: Own, context: Context) -> NetworkModel:
-        """An untrained network."""
+        """Build an untrained network."""
         ...
 
 
 class Train(Protocol):
-    """`train` of a family."""
+    """Type of a family's `train`."""
 
     def __call__(
         self,
@@ -79,17 +89,20 @@ class Train(Protocol):
         context: Context,
         method: NetworkMethod,
     ) -> NetworkModel:
-        """The fitted network."""
+        """Fit the network."""
         ...
 
 
 def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C], Train]:
-    """`build` and `train` of the family with these settings and this structure."""
+    """Make `build` and `train` of the family with these settings and this structure."""
     kind, name = config, config.__module__.rpartition(".")[2]
 
     def build(config: C, context: Context) -> NetworkModel:
-        """An untrained network initialised from `context.seed`. Raises UserError where the
-        settings are of another family or do not go with the problem."""
+        """Build an untrained network initialised from `context.seed`.
+
+        Raises:
+            UserError: if the settings are of another family or do not go with the problem.
+        """
         if not isinstance(config, kind):
             raise UserError(f"{name}.build: expected {name}.Config, not {type(config).__name__}")
         cell = structure.of(config, context)
@@ -101,7 +114,11 @@ def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C
         context: Context,
         method: NetworkMethod,
     ) -> NetworkModel:
-        """Fits to the simulation error. Raises UserError for records too short or mis-shaped."""
+        """Fit the network to the simulation error.
+
+        Raises:
+            UserError: for records too short or mis-shaped.
+        """
         check(trajectories, context)
         cell = model.cell
         if not isinstance(cell, structure):
@@ -114,6 +131,6 @@ def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C
         return train_network(replace(model, cell=cell), trajectories, context, method, start)
 
     for function in (build, train):
-        # Part of the family's module, for whom reads it and for pickles by reference.
+        # Attribute the function to the family's module, for readers and for pickles by reference.
         function.__module__, function.__qualname__ = config.__module__, function.__name__
     return build, train

@@ -1,7 +1,7 @@
-"""Elementwise functions of the physical inputs, offered to a network beside the inputs themselves.
+"""Elementwise functions of the physical inputs, offered to a network in addition to the inputs.
 
 A thrust goes with the square of a motor speed: a network that is given the square need not learn
-it. The functions act on the input in physical units, because a z-score has lost where zero is.
+it. The functions act on the input in physical units, because a z-score has lost its zero.
 """
 
 from __future__ import annotations
@@ -42,7 +42,11 @@ FUNCTIONS: dict[str, Callable[[AnyArray], AnyArray]] = {
 
 
 def check_features(settings: NetworkConfig) -> None:
-    """Raises UserError where `settings.features` names an unknown function."""
+    """Check that `settings.features` names known functions.
+
+    Raises:
+        UserError: if it does not.
+    """
     for name in settings.features:
         if name not in FUNCTIONS:
             known = ", ".join(FUNCTIONS)
@@ -52,32 +56,32 @@ def check_features(settings: NetworkConfig) -> None:
 
 
 def drive_size(names: Sequence[str], nu: int) -> int:
-    """Channels a cell with these features is driven by."""
+    """Number of channels that drive a cell with these features."""
     return nu * (1 + len(names))
 
 
 @dataclass(frozen=True)
 class Features:
-    """What turns z-scored inputs into those inputs and standardised functions of the physical
-    ones, each input in units of its own root mean square.
+    """Map from z-scored inputs to those inputs and standardised functions of the physical ones.
 
-    Hashable, so that a structure may hold it; before `fitted` only one without functions can be
-    called.
+    Each physical input is in units of its own root mean square. Hashable, so that a structure may
+    hold
+    it; before `fitted` only one without functions can be called.
     """
 
     names: tuple[str, ...] = ()
     """Functions, of `FUNCTIONS`."""
     offset: tuple[float, ...] = ()
-    """Of each input, its mean in units of its root mean square."""
+    """Mean of each input in units of its root mean square."""
     gain: tuple[float, ...] = ()
-    """Of each input, its standard deviation in units of its root mean square."""
+    """Standard deviation of each input in units of its root mean square."""
     centre: tuple[float, ...] = ()
     """Mean over the training data of each function of each input."""
     spread: tuple[float, ...] = ()
     """Standard deviation over the training data of each function of each input."""
 
     def fitted(self, trajectories: Sequence[Trajectory]) -> Features:
-        """The same functions, standardised on these records."""
+        """Standardise the functions on these records."""
         if not self.names:
             return self
         scaling = Scaling.of(trajectories)
@@ -96,7 +100,7 @@ class Features:
         )
 
     def __call__(self, u: AnyArray) -> AnyArray:
-        """(..., nu) z-scores -> (..., nu * (1 + functions))."""
+        """Map (..., nu) z-scores -> (..., nu * (1 + functions))."""
         if not self.names:
             return u
         numbers = (self.gain, self.offset, self.centre, self.spread)

@@ -1,5 +1,4 @@
-"""Parts of networks that several families share: weights to start from, dense stacks, output layer,
-normalisation, gated units, and linear systems in diagonal form."""
+"""Common parts of networks: initial weights, dense stacks, output layer, gates, linear systems."""
 
 from __future__ import annotations
 
@@ -30,7 +29,7 @@ def uniform(rng: np.random.Generator, shape: tuple[int, ...], fan_in: int) -> Fl
 
 
 def zeros(*shape: int) -> Float32:
-    """float32 zeros."""
+    """Zeros of float32."""
     return np.zeros(shape, np.float32)
 
 
@@ -52,7 +51,8 @@ def mlp_params(
 
 
 def mlp(layers: Sequence[Mapping[str, Any]], x: AnyArray) -> AnyArray:
-    """(..., sizes[0]) -> (..., sizes[-1]); tanh between layers, none after the last."""
+    """Apply dense layers (..., sizes[0]) -> (..., sizes[-1]); tanh between layers, none after
+    the last."""
     xp = namespace(x)
     for layer in layers[:-1]:
         x = xp.tanh(x @ layer["w"] + layer["b"])
@@ -60,7 +60,7 @@ def mlp(layers: Sequence[Mapping[str, Any]], x: AnyArray) -> AnyArray:
 
 
 def normalised(x: AnyArray, gain: AnyArray) -> AnyArray:
-    """Each sample scaled to unit root mean square over its channels, times gain (channels,).
+    """Scale each sample to unit root mean square over its channels, times gain (channels,).
 
     Source: Zhang and Sennrich, NeurIPS 2019 (RMSNorm).
     """
@@ -74,7 +74,7 @@ def gated(x: AnyArray, w: AnyArray, b: AnyArray) -> AnyArray:
 
 
 def decaying(start: AnyArray, log_tau: AnyArray, samples: int) -> AnyArray:
-    """start (B, n) -> (B, samples, n): start * exp(-(k + 1) / tau), tau (n,) in samples."""
+    """Decay start (B, n) -> (B, samples, n): start * exp(-(k + 1) / tau), tau (n,) in samples."""
     xp, time = namespace(start, log_tau), np.arange(1, samples + 1, dtype=start.dtype)
     return start[:, None] * xp.exp(-time[:, None] * xp.exp(-log_tau))
 
@@ -85,8 +85,11 @@ def log_spaced(first: float, last: float, count: int) -> Float32:
 
 
 def poles(log_rate: AnyArray, angle: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """exp(-rate + i angle), inside the unit circle whatever the parameters, and the gain at which
-    white noise of unit variance gives states of unit variance, however slow the pole."""
+    """Poles exp(-rate + i angle), and input gains for states of unit variance.
+
+    The poles lie inside the unit circle whatever the parameters; white noise of unit variance gives
+    states of unit variance, however slow the pole.
+    """
     xp = namespace(log_rate, angle)
     rate = xp.exp(log_rate) + _SLOWEST_RATE
     return xp.exp(complex_number(-rate, angle)), xp.sqrt(-xp.expm1(-2 * rate))
@@ -95,14 +98,22 @@ def poles(log_rate: AnyArray, angle: AnyArray) -> tuple[AnyArray, AnyArray]:
 def turned_pole(
     pole: AnyArray, real: AnyArray, imaginary: AnyArray, drive: tuple[AnyArray, AnyArray]
 ) -> tuple[AnyArray, AnyArray]:
-    """One sample of `diagonal_states` in real numbers: real and imaginary parts after it."""
+    """Advance `diagonal_states` by one sample in real numbers: real and imaginary parts."""
     a, b = pole.real, pole.imag
     return a * real - b * imaginary + drive[0], a * imaginary + b * real + drive[1]
 
 
 def diagonal_states(pole: AnyArray, drive: AnyArray, start: AnyArray) -> AnyArray:
-    """x[k] = pole x[k-1] + drive[k], x[-1] = start: pole (n,), drive (B, T, n), start (B, n), all
-    complex -> (B, T, n)."""
+    """Solve x[k] = pole x[k-1] + drive[k], x[-1] = start.
+
+    Args:
+        pole: (n,), complex.
+        drive: (B, T, n), complex.
+        start: (B, n), complex.
+
+    Returns:
+        (B, T, n).
+    """
     # An associative scan is no faster on a processor and takes eight times as long to compile.
 
     def step(x: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray]:

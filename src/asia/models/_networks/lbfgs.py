@@ -1,6 +1,7 @@
-"""`methods.LBFGS`: SciPy's L-BFGS-B on a compiled loss and gradient.
+"""Training by `methods.LBFGS`: SciPy's L-BFGS-B on a compiled loss and gradient.
 
-In double precision: the line search compares losses that differ in the last digits of a float32.
+It is in double precision: the line search compares losses that differ in the last digits of a
+float32.
 """
 
 from __future__ import annotations
@@ -41,8 +42,11 @@ def run(
     monitor: Monitor,
     whiten: NoiseWeighting | None = None,
 ) -> Params:
-    """The parameters after `steps` iterations, or after those that `monitor` allows, or where no
-    step lowers the loss; a point where the loss is not finite is never taken."""
+    """Train for `steps` iterations, or for as many as `monitor` allows, or until no step lowers the
+    loss.
+
+    A point where the loss is not finite is never taken.
+    """
     length = method.truncation or horizon
     trained, fixed = split(params)
     packing = Packing.of(trained)
@@ -79,7 +83,7 @@ def run(
 
 
 class _BestPoint:
-    """Loss and gradient for SciPy, remembering the best point."""
+    """Loss and gradient for SciPy, with a memory of the best point."""
 
     def __init__(self, value_of: Any, start: np.ndarray[Any, Any]) -> None:
         self._value_of = value_of
@@ -90,7 +94,7 @@ class _BestPoint:
         loss, slope = self._value_of(x)
         value, gradient = float(loss), np.asarray(slope, np.float64)
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
-            # Finite and large: the line search then shortens its step.
+            # A finite large loss, with which the line search shortens its step.
             return 1e10, np.zeros_like(x)
         if value < self.loss:
             self.best, self.loss = np.array(x), value
@@ -98,7 +102,7 @@ class _BestPoint:
 
 
 def _double(tree: Any) -> Any:
-    """The floats of a tree in double precision."""
+    """Convert the floats of a tree to double precision."""
 
     def one(value: Any) -> Any:
         array = np.asarray(value)

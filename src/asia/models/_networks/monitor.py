@@ -1,4 +1,4 @@
-"""What happens between the steps of a fit: the log, scores, early stopping, the plateau rule."""
+"""Checks between the steps of a fit: the log, scores, early stopping, the plateau rule."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ _REPORTS = 25
 _FACTOR, _THRESHOLD, _LOWEST = 0.5, 1e-4, 1e-5
 
 Scorer = Callable[[Params], float]
-"""Lower is better; not finite counts as worst."""
+"""Score of parameters: lower is better; not finite counts as worst."""
 
 
 def marks(method: NetworkMethod, steps: int) -> list[int]:
-    """Numbers of steps after which a fit is looked at, the last one being `steps`: every `every`
-    where a rule of the method counts checks, or as often as validation scores may be asked for,
-    else 25 of the whole."""
+    """Numbers of steps after which a fit is checked, the last one being `steps`.
+
+    A check comes every `every` steps where a rule of the method counts checks, or as often as
+    validation
+    scores are permitted, else 25 times in the whole.
+    """
     if method.stop is not None or _plateau(method):
         allowed = max(1, VALIDATION_SCORES // method.members - 1)
         every = max(method.every, -(-method.steps // allowed))
@@ -34,8 +37,11 @@ def marks(method: NetworkMethod, steps: int) -> list[int]:
 
 @dataclass
 class Plateau:
-    """Learning rate lowered when a score has stopped improving (ReduceLROnPlateau of PyTorch with
-    factor 0.5, relative threshold 1e-4 and lowest rate 1e-5)."""
+    """Rule that lowers the learning rate when a score has stopped improving.
+
+    It is ReduceLROnPlateau of PyTorch with factor 0.5, relative threshold 1e-4 and lowest rate
+    1e-5.
+    """
 
     rate: float
     patience: int
@@ -43,7 +49,7 @@ class Plateau:
     waited: int = 0
 
     def __call__(self, score: float) -> float:
-        """The rate from here on."""
+        """Return the learning rate after this score."""
         if score < self.best * (1.0 - _THRESHOLD):
             self.best, self.waited = score, 0
         else:
@@ -55,10 +61,13 @@ class Plateau:
 
 @dataclass
 class Monitor:
-    """Called by a fit after the steps of `marks`; collects scores and says how to go on.
+    """Check that a fit calls after the steps of `marks`; it collects scores and decides how to go
+    on.
 
-    score: None to run all steps; patience: checks without improvement before stopping, None never
-    to stop; replay: learning rates of an earlier run to repeat.
+    Args:
+        score: score of parameters; None to run all steps.
+        patience: checks without improvement before stopping; None never to stop.
+        replay: learning rates of an earlier run to repeat.
     """
 
     method: NetworkMethod
@@ -84,14 +93,19 @@ class Monitor:
         return 1.0 if isinstance(self.method, LBFGS) else self.method.learning_rate
 
     def start(self, params: Params) -> None:
-        """Scores what the fit starts from: fitted equations may be better than anything after."""
+        """Score the initial parameters: fitted equations may be better than anything after."""
         if self.score is not None:
             value = self.score(params)
             self._keep(0, params, value if np.isfinite(value) else float("inf"))
 
     def __call__(self, step: int, params: Callable[[], Params], loss: float) -> None:
-        """`params` is called for the parameters only when they are needed; loss: mean training
-        loss since the last check."""
+        """Check the fit after a step.
+
+        Args:
+            step: number of the step.
+            params: called for the parameters only when they are needed.
+            loss: mean training loss since the last check.
+        """
         if np.isfinite(loss):
             self.log(step, float(np.sqrt(loss)) if self.method.loss == "mse" else loss)
         value = loss

@@ -1,4 +1,4 @@
-"""The model of a network family: a structure, its parameters and the scaling of its signals."""
+"""Model of a network family: a structure, its parameters and the scaling of its signals."""
 
 from __future__ import annotations
 
@@ -29,34 +29,48 @@ from asia.models._steps import mean
 from asia.models.methods import NetworkMethod
 
 Prepare = Callable[[Params, ScaledData, Scaling], Params]
-"""Parameters to start training from, given z-scored records: for example a linear fit."""
+"""Function that makes the initial parameters from z-scored records: for example a linear fit."""
 
 
 @dataclass(frozen=True)
 class NetworkModel:
-    """A network as a model."""
+    """Network as a model."""
 
     cell: NetworkStructure
-    """Its structure."""
+    """Structure of the network."""
     params: Params
-    """Its parameters."""
+    """Parameters of the network."""
     scaling: Scaling | None = None
-    """From physical units to z-scores; None before training."""
+    """Scaling from physical units to z-scores; None before training."""
     others: tuple[Params, ...] = ()
     """Parameters of further members, whose simulations are averaged with that of `params`."""
     turns: SignalTurns | None = None
     """Symmetries over which simulations are averaged; None: none."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny) float64. Raises UserError before training."""
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny), float64.
+
+        Raises:
+            UserError: before training.
+        """
         if self.turns is None:
             return self._simulated(past_u, past_y, u)
         return self.turns.averaged(self._simulated, past_u, past_y, u)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """See `asia.candidate.StepModel`. Raises UserError before training, and for a structure
-        that cannot go sample by sample."""
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training, and for a structure that cannot go sample by sample.
+        """
         if self.turns is not None:
             return self.turns.initial(replace(self, turns=None), past_u, past_y, u)
         scaling, cell = self._scaling(), self._sequential()
@@ -65,7 +79,8 @@ class NetworkModel:
         return [begin(params, past) for params in self._members(past)]
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """The mean over the members, each in single precision as the network computes."""
+        """Advance by one sample; the output is the mean over the members, each in single
+        precision as the network computes."""
         if self.turns is not None:
             return self.turns.step(replace(self, turns=None), state, u)
         scaling, cell = self._scaling(), self._sequential()
@@ -89,7 +104,7 @@ class NetworkModel:
             return members
         import jax
 
-        # What depends on parameters alone is then found by the same functions.
+        # The parts that depend only on parameters are then found by the same functions.
         return [jax.tree.map(jax.numpy.asarray, params) for params in members]
 
     def _scaling(self) -> Scaling:
@@ -113,11 +128,19 @@ def train_network(
     method: NetworkMethod,
     prepare: Prepare | None = None,
 ) -> NetworkModel:
-    """Fits to the simulation error.
+    """Fit a network to the simulation error.
 
-    `prepare` gives the parameters to start from; None solves the output layer `out_w`, `out_b` by
-    ridge regression where the structure reads it as `linear_output` does. Raises UserError for
-    records too short or mis-shaped, and for a method that does not go with the structure.
+    Args:
+        model: untrained network.
+        trajectories: training records.
+        context: context of the fit.
+        method: training method.
+        prepare: makes the initial parameters; None solves the output layer `out_w`, `out_b` by
+            ridge regression where the structure reads it as `linear_output` does.
+
+    Raises:
+        UserError: for records too short or mis-shaped, and for a method that does not go with the
+            structure.
     """
     from asia.models._networks.training import fit  # imports JAX, which a simulation must not
 
@@ -131,8 +154,8 @@ def train_network(
             "its data and not from a seed; leave members at 1"
         )
     members: list[Params] = []
-    # One after the other, by one compiled program: three at a time, by jax.vmap, take 0.8 times as
-    # long where 8 short chunks are side by side, but 1.0 to 1.25 times where 31 are.
+    # Members are trained sequentially by one compiled program: three in parallel, by jax.vmap, take
+    # 0.8 times as long where 8 short chunks are side by side, but 1.0 to 1.25 times where 31 are.
     for i in range(method.members):
         params, own = model.params, replace(context, seed=context.seed + i)
         if i > 0 and isinstance(cell, Restartable):
@@ -155,7 +178,7 @@ def train_network(
 
 
 def as_built(params: Params, records: ScaledData, scaling: Scaling) -> Params:
-    """A `Prepare` that changes nothing: for families that start from random weights."""
+    """Return the parameters unchanged: a `Prepare` for families that start from random weights."""
     del records, scaling
     return params
 
@@ -163,8 +186,8 @@ def as_built(params: Params, records: ScaledData, scaling: Scaling) -> Params:
 def with_output_layer(
     cell: NetworkStructure, params: Params, records: ScaledData, context: Context
 ) -> Params:
-    """The parameters with an output layer solved by ridge regression on the untrained states, as
-    they are where there is no such layer."""
+    """Solve the output layer by ridge regression on the untrained states; return the parameters
+    unchanged where there is no such layer."""
     if "out_w" not in params or (isinstance(cell, SequenceMap) and not isinstance(cell, Cell)):
         return params
     samples = batch(records, context)

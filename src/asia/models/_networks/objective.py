@@ -1,4 +1,4 @@
-"""Simulation as training sees it, with what is added for robustness, and its loss."""
+"""Simulation in training, with its perturbations for robustness, and the loss."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from asia.models._noise.whitening import (
 )
 from asia.models.methods import Adam, Loss
 
-# Their random numbers come from keys of their own, so that other fits keep theirs.
+# Separate random keys, so that other fits keep their random numbers.
 _SHIFT, _DRAWN = 3, 4
 
 
@@ -41,12 +41,12 @@ class Fed(NamedTuple):
 
 
 class NoiseWeighting(NamedTuple):
-    """Generalised least squares: what `objective` makes of residuals before their squares."""
+    """Whitening of residuals before the loss of generalised least squares."""
 
     noise: ResidualNoise
-    """In z-scores."""
+    """Noise in z-scores."""
     sampling_time: Number
-    """In s."""
+    """Sampling time in s."""
     unit: Number
     """Deviation of the residuals: the loss is then as large as that of least squares."""
     huber: Number | None
@@ -54,14 +54,14 @@ class NoiseWeighting(NamedTuple):
 
     @classmethod
     def of(cls, noise: ResidualNoise, sampling_time: float, huber: float | None) -> NoiseWeighting:
-        """In single precision."""
+        """Convert a noise model to single precision."""
         single = ResidualNoise(*(np.asarray(value, np.float32) for value in noise))
         unit = np.float32(np.sqrt(noise.variance.mean()))
         threshold = None if huber is None else np.float32(huber)
         return cls(single, np.float32(sampling_time), unit, threshold)
 
     def __call__(self, residual: jax.Array, weight: jax.Array) -> jax.Array:
-        """Innovations (B, T, ny), where weight (B, T) is positive."""
+        """Compute innovations (B, T, ny), where weight (B, T) is positive."""
         through = innovation_filter(self.noise, self.sampling_time, weight)
         found = innovations(jax.lax.stop_gradient(through), residual)
         return self.unit * (found if self.huber is None else huber_root(found, self.huber))
@@ -75,8 +75,16 @@ def objective(
     horizons: tuple[int, ...] | None = None,
     whiten: NoiseWeighting | None = None,
 ) -> jax.Array:
-    """residual (B, T, ny), weight (B, T) -> mean loss of the samples that count; with `horizons`
-    the mean over h of that of the first h samples, and with `whiten` that of innovations."""
+    """Mean loss of the samples that count.
+
+    Args:
+        loss: loss of a number.
+        residual: (B, T, ny).
+        weight: (B, T).
+        washout: samples at the start that do not count.
+        horizons: average over h of the loss of the first h samples.
+        whiten: compute the loss of innovations.
+    """
     length = residual.shape[1]
     weight = weight * (jnp.arange(length) >= washout)
     if whiten is not None:
@@ -103,7 +111,11 @@ def error_of(cell: NetworkStructure, loss: Loss, params: Any, data: Simulations)
 
 
 def check_structure(cell: NetworkStructure, params: Params, method: Adam) -> None:
-    """Raises UserError when the method asks for what the network cannot do."""
+    """Check that the network can do what the method requires.
+
+    Raises:
+        UserError: if it cannot.
+    """
     if max(method.teacher, method.teacher_end) > 0 and not isinstance(cell, OutputFeedback):
         raise UserError(
             "Adam: teacher is for networks that feed back their own output, and this one does "
@@ -131,8 +143,11 @@ def forward(
     key: jax.Array,
     state: Any = None,
 ) -> tuple[jax.Array, Any]:
-    """Outputs (B, T, ny) and the state after the last sample, None of a structure without one.
-    `state`: to start from, None for that of the past window."""
+    """Simulate a network in training.
+
+    Returns:
+        Outputs (B, T, ny) and the state after the last sample, None of a structure without one.
+    """
     noisy, dropped, fed_by = jax.random.split(key, 3)
     u = data.u
     if program.noisy:
@@ -163,7 +178,7 @@ def forward(
 def scan(
     cell: Cell, params: Any, state: Any, u: jax.Array, fed: Fed | None = None
 ) -> tuple[jax.Array, Any]:
-    """u (B, T, nu) -> features (B, T, hidden) and the last state."""
+    """Features (B, T, hidden) of inputs u (B, T, nu), and the last state."""
 
     def advance(state: Any, now: tuple[jax.Array, Fed | None]) -> tuple[Any, jax.Array]:
         u, given = now
@@ -188,7 +203,8 @@ def _features(
 
 
 def _drops_weights(cell: NetworkStructure) -> bool:
-    """Where the output is computed inside, dropping a feature means dropping its row of out_w."""
+    """Return whether dropping a feature means dropping its row of out_w, because the output is
+    computed inside."""
     return isinstance(cell, SequenceMap | OutputFeedback)
 
 

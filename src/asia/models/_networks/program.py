@@ -1,5 +1,7 @@
-"""A training method split in two: what decides which program is compiled, and its numbers, which
-are arguments. Folds, refits, seeds and tuned numbers of one structure share a program."""
+"""Training method split into the settings that select a compiled program, and numeric arguments.
+
+Folds, refits, seeds and tuned numbers of one structure share a program.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,12 @@ import optax
 from asia.models.methods import Adam, Loss
 
 Number = Any
-"""A Python number, traced inside a program."""
+"""Python number, traced inside a program."""
 
 
 @dataclass(frozen=True)
 class AdamProgram:
-    """What of `methods.Adam` the program is made for."""
+    """Settings of `methods.Adam` that select a compiled program."""
 
     loss: Loss
     """Loss of a sample."""
@@ -30,21 +32,21 @@ class AdamProgram:
     batch: int | None
     """Chunks of a step."""
     cosine: bool
-    """Whether the learning rate follows a cosine."""
+    """The learning rate follows a cosine."""
     coupled: bool
-    """Whether the decay is part of the gradient."""
+    """The decay is part of the gradient."""
     noisy: bool
-    """Whether noise is added to the inputs."""
+    """Noise is added to the inputs."""
     dropped: bool
-    """Whether features are dropped."""
+    """Features are dropped."""
     fed: bool
-    """Whether measured outputs are fed back."""
+    """Measured outputs are fed back."""
     shifted: bool = False
-    """Whether a constant is added to the inputs."""
+    """A constant is added to the inputs."""
 
     @classmethod
     def of(cls, method: Adam, length: int | None) -> AdamProgram:
-        """Of the method on chunks of this length."""
+        """Take the settings from a method, for chunks of this length."""
         return cls(
             loss=method.loss,
             horizons=method.horizons,
@@ -61,7 +63,7 @@ class AdamProgram:
     def optimiser(
         self, numbers: AdamNumbers, memory: float = 0.999
     ) -> optax.GradientTransformation:
-        """The direction of a step, to be multiplied by the learning rate; `memory`: decay of the
+        """Direction of a step, to be multiplied by the learning rate; `memory`: decay of the
         mean of squared gradients."""
         clip = optax.clip_by_global_norm(numbers.clip)
         if self.coupled:
@@ -70,14 +72,14 @@ class AdamProgram:
         return optax.chain(clip, optax.adamw(1.0, b2=memory, weight_decay=numbers.weight_decay))
 
     def scheduled(self, numbers: AdamNumbers, rate: jax.Array, step: jax.Array) -> jax.Array:
-        """Learning rate of a step; `rate` is what the monitor says."""
+        """Learning rate of a step; `rate` is the monitor's."""
         if not self.cosine:
             return rate
         return rate * 0.5 * (1.0 + jnp.cos(jnp.pi * step / numbers.steps))
 
 
 class AdamNumbers(NamedTuple):
-    """The numbers of `methods.Adam`."""
+    """Numeric settings of `methods.Adam`."""
 
     steps: Number
     weight_decay: Number
@@ -92,7 +94,7 @@ class AdamNumbers(NamedTuple):
 
     @classmethod
     def of(cls, method: Adam) -> AdamNumbers:
-        """Of the method."""
+        """Take the numbers from a method."""
         return cls(*(getattr(method, name) for name in cls._fields))
 
     def teacher_at(self, step: jax.Array) -> jax.Array:
@@ -108,10 +110,10 @@ def started(rule: optax.GradientTransformation, trained: Any) -> Any:
 
 
 def all_finite(*trees: Any) -> jax.Array:
-    """Whether every number in trees of arrays is."""
+    """Return whether every number in trees of arrays is finite."""
     return jnp.isfinite(jnp.sum(jnp.stack([jnp.sum(g**2) for g in jax.tree.leaves(trees)])))
 
 
 def either(first: jax.Array, one: Any, other: Any) -> Any:
-    """One tree or the other."""
+    """Select one tree or the other."""
     return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)

@@ -1,4 +1,4 @@
-"""The training loop of `methods.MultipleShooting`."""
+"""Training loop of `methods.MultipleShooting`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MEMORY = 0.98
 
 
 class ShootingSegments(NamedTuple):
-    """Pieces of the records in time order, and which of them (B,) open a record."""
+    """Segments of the records in time order, and a mask (B,) of those that open a record."""
 
     data: Simulations
     first: AnyArray
@@ -66,8 +66,8 @@ def run(
     steps: int,
     monitor: Monitor,
 ) -> Params:
-    """The parameters after `steps` updates, or after those that `monitor` allows. A step whose
-    gradient is not finite is skipped."""
+    """Train for `steps` updates, or for as many as `monitor` allows. A step whose gradient is
+    not finite is skipped."""
     if isinstance(cell, SequenceMap) or not isinstance(cell, Cell):
         raise UserError(
             "MultipleShooting: the network computes all samples at once and has no state to start "
@@ -163,7 +163,7 @@ def _advance(
 
 
 def _clipped(slopes: Any, clip: Number) -> Any:
-    """Gradients of the starts, each that of its own segment's loss and clipped by itself: one
+    """Gradients of the starts, each that of its own segment's loss and clipped separately: one
     segment that explodes must not hold up the others, nor itself for long."""
     leaves = jax.tree.leaves(slopes)
     count = leaves[0].shape[0]

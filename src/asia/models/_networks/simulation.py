@@ -17,7 +17,7 @@ thread, in seconds of processor time; those of JAX include its import (0.35) and
 
 Width and windows are no reason for JAX, steps in time are: each costs NumPy 10 to 30 us. One
 simulation is worth its compilation from about 70 000 steps on; the switch lies higher, because
-checks ask a model for many lengths. It depends on shapes alone, so that a request has the same
+checks ask a model for many lengths. It depends only on shapes, so that a request has the same
 answer in every process.
 """
 
@@ -44,8 +44,8 @@ _ROWS, _SAMPLES = 256, 2048
 
 
 def outputs_of(cell: NetworkStructure, params: Params, window: AnyArray, u: AnyArray) -> AnyArray:
-    """NumPy arrays of one precision, window (B, d) and u (B, T, nu) -> outputs (B, T, ny), all
-    z-scored."""
+    """Outputs (B, T, ny) of a network, all z-scored NumPy arrays of one precision: window (B, d)
+    and u (B, T, nu)."""
     return _simulated(rollout, cell, params, window, u)
 
 
@@ -55,7 +55,7 @@ def features_of(cell: Cell | FeatureMap, params: Params, window: AnyArray, u: An
 
 
 def is_compiled(windows: int, samples: int) -> bool:
-    """Whether a simulation of so many windows of so many samples is left to JAX."""
+    """Return whether a simulation of so many windows of so many samples is left to JAX."""
     return -(-windows // _ROWS) * samples > _MOST_STEPS
 
 

@@ -40,51 +40,51 @@ class Cell(Protocol):
         ...
 
     def step(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Next state, and what the output of this sample is read from, (B, hidden)."""
+        """Next state, and the features (B, hidden) from which the output of this sample is read."""
         ...
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """features (..., hidden), u (..., nu) -> outputs (..., ny)."""
+        """Outputs (..., ny) from features (..., hidden) and u (..., nu)."""
         ...
 
 
 @runtime_checkable
 class FeatureMap(Protocol):
-    """A structure that computes the features of all samples at once, causally."""
+    """Structure that computes the features of all samples at once, causally."""
 
     def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
-        """window (B, d), u (B, T, nu) -> (B, T, hidden)."""
+        """Features (B, T, hidden) from window (B, d) and u (B, T, nu)."""
         ...
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """features (..., hidden), u (..., nu) -> outputs (..., ny)."""
+        """Outputs (..., ny) from features (..., hidden) and u (..., nu)."""
         ...
 
 
 @runtime_checkable
 class OneSample(Protocol):
-    """A `FeatureMap` that can also go sample by sample, for those who use it in a loop."""
+    """Interface of a `FeatureMap` that can also go sample by sample, for use in a loop."""
 
     def begin(self, params: Any, window: AnyArray) -> Any:
-        """window (B, d) -> what it remembers before the first sample, any tree of arrays."""
+        """State before the first sample, any tree of arrays, from window (B, d)."""
         ...
 
     def advance(self, params: Any, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """What it remembers after a sample u (B, nu), and the features (B, hidden) of it."""
+        """State after a sample u (B, nu), and its features (B, hidden)."""
         ...
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """features (..., hidden), u (..., nu) -> outputs (..., ny)."""
+        """Outputs (..., ny) from features (..., hidden) and u (..., nu)."""
         ...
 
 
 @runtime_checkable
 class SequenceMap(Protocol):
-    """A structure that computes the outputs of all samples at once, causally; it is used in place
+    """Structure that computes the outputs of all samples at once, causally; it is used in place
     of stepping where a structure has both."""
 
     def sequence(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
-        """window (B, d), u (B, T, nu) -> outputs (B, T, ny)."""
+        """Outputs (B, T, ny) from window (B, d) and u (B, T, nu)."""
         ...
 
 
@@ -92,16 +92,17 @@ NetworkStructure: TypeAlias = Cell | FeatureMap | SequenceMap
 
 
 class Simulate(Protocol):
-    """`rollout` or `trace`."""
+    """Type of `rollout` and `trace`."""
 
     def __call__(self, cell: Any, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
-        """window (B, d), u (B, T, nu) -> (B, T, channels)."""
+        """Simulate: window (B, d), u (B, T, nu) -> (B, T, channels)."""
         ...
 
 
 @runtime_checkable
 class OutputFeedback(Protocol):
-    """A cell whose state holds its own last output, which training may replace by the measured."""
+    """Cell whose state holds its own last output, which training may replace by the measured
+    one."""
 
     def feed(self, params: Any, state: Any, y: AnyArray, mask: AnyArray) -> Any:
         """State after a step with its output replaced by y (B, ny), z-scored, of the same sample
@@ -111,7 +112,7 @@ class OutputFeedback(Protocol):
 
 @runtime_checkable
 class Augmented(Cell, Protocol):
-    """A cell that training shows each simulation in one of several equivalent ways."""
+    """Cell for which training draws one of several equivalent ways to see each simulation."""
 
     def drawn(self, params: Any, state: Any, key: AnyArray) -> Any:
         """The state before the first sample, with a way drawn for each row."""
@@ -120,16 +121,16 @@ class Augmented(Cell, Protocol):
 
 @runtime_checkable
 class Penalised(Protocol):
-    """A structure some of whose parameters have a penalty beside the loss."""
+    """Structure with a penalty on some parameters in addition to the loss."""
 
     def penalty(self, params: Any) -> AnyArray:
-        """Added to the loss of a step."""
+        """Penalty that is added to the loss of a step."""
         ...
 
 
 @runtime_checkable
 class Restartable(Protocol):
-    """A structure that can draw its untrained parameters again."""
+    """Structure that can draw its untrained parameters again."""
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
@@ -137,7 +138,7 @@ class Restartable(Protocol):
 
 
 def rollout(cell: NetworkStructure, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
-    """window (B, d), u (B, T, nu) -> outputs (B, T, ny), all z-scored."""
+    """Outputs (B, T, ny) from window (B, d) and u (B, T, nu), all z-scored."""
     if isinstance(cell, SequenceMap):
         return cell.sequence(params, window, u)
     return cell.output(params, trace(cell, params, window, u), u)

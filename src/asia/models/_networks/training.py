@@ -1,4 +1,4 @@
-"""One fit of a network's parameters: what is held out, when to stop, which method runs."""
+"""Fit of a network's parameters: held-out samples, stop rule, training method."""
 
 from __future__ import annotations
 
@@ -39,31 +39,31 @@ class HoldoutSplit:
     """Training samples of a fit that holds some out."""
 
     fitted: PaddedBatch
-    """Fitted while the number of steps is searched."""
+    """Samples of the fit while the number of steps is searched."""
     held_out: PaddedBatch
-    """Judge that number."""
+    """Samples that decide the number of steps."""
     full: PaddedBatch
-    """Fitted after it."""
+    """Samples of the final fit."""
 
 
 @dataclass(frozen=True)
 class FitTask:
-    """What is fitted to what."""
+    """Network, training samples and settings of a fit."""
 
     structure: NetworkStructure
-    """The network."""
+    """Structure of the network."""
     samples: HoldoutSplit | PaddedBatch
-    """Its training samples."""
+    """Training samples."""
     horizon: int | None
-    """In samples; None for whole records."""
+    """Horizon in samples; None for whole records."""
     seed: int
-    """Of what is drawn while training."""
+    """Seed of the random draws of training."""
     log: Progress
-    """Told the progress."""
+    """Receives the progress."""
     score: Scorer | None = None
-    """Of the protocol's early stopping; None where it has none."""
+    """Score of the protocol's early stopping; None where it has none."""
     sampling_time: float = 1.0
-    """In s."""
+    """Sampling time in s."""
 
 
 def fit(
@@ -75,9 +75,18 @@ def fit(
     model_of: Callable[[Params], Model] | None = None,
     copies: int = 1,
 ) -> Params:
-    """Trained float32 parameters; `model_of` makes the model that `context.validation_score` is
-    asked about. So many records in a row as `copies` says are one and the same, turned by
-    symmetries: they are held out together."""
+    """Train float32 parameters.
+
+    Args:
+        structure: network.
+        params: initial parameters.
+        records: records in z-scores.
+        context: context of the fit.
+        method: training method.
+        model_of: makes the model for `context.validation_score`.
+        copies: number of successive records that are transformations of one, which are held out
+            together.
+    """
     score = None
     if method.stop == "validation" and context.validation_score and model_of:
         score = partial(_validation, context.validation_score, model_of)
@@ -98,7 +107,7 @@ def _validation(
 
 
 def train(task: FitTask, params: Params, method: NetworkMethod) -> Params:
-    """The best parameters by the score, or those after the number of steps that did best on the
+    """Best parameters by the score, or those after the number of steps that did best on the
     held-out samples, or those after all steps."""
     patience = method.patience if method.stop is not None else None
     if isinstance(task.samples, PaddedBatch):
@@ -119,7 +128,7 @@ def train(task: FitTask, params: Params, method: NetworkMethod) -> Params:
 
 
 class _Start(NamedTuple):
-    """Where a fit starts, by which method, and how residuals are weighed."""
+    """Initial parameters of a fit, its method, and its weighting of residuals."""
 
     params: Params
     method: NetworkMethod
@@ -127,8 +136,12 @@ class _Start(NamedTuple):
 
 
 def _start(task: FitTask, samples: PaddedBatch, params: Params, method: NetworkMethod) -> _Start:
-    """As given; with a noise model, the parameters after the first half of the steps without it,
-    and the noise of their residuals."""
+    """Prepare a fit.
+
+    With a noise model the parameters are those after the first half of the steps without it, and
+    the
+    noise is that of their residuals; otherwise all is as given.
+    """
     choice = NoiseChoice.of(method)
     if choice is None:
         return _Start(params, method)

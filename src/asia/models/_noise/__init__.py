@@ -1,1 +1,1 @@
-"""What the residual of a simulation consists of, and how a fit takes it into account."""
+"""Noise model of the residual of a simulation, and its use in a fit."""

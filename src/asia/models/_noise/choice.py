@@ -1,4 +1,4 @@
-"""What a training method says of the noise of the outputs."""
+"""Settings of a training method for the noise of the outputs."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ NoiseKind: TypeAlias = Literal["white", "slow"]
 
 
 class NoiseSettings(Protocol):
-    """The settings of a training method that are about noise."""
+    """Settings of a training method that concern noise."""
 
     @property
     def noise_model(self) -> NoiseKind:
-        """What the residual of a simulation is taken for."""
+        """Model of the residual of a simulation."""
         ...
 
     @property
     def slow_time(self) -> float | None:
-        """Time constant of its slow part in s; None estimates it."""
+        """Time constant of the slow part of the noise in s; None estimates it."""
         ...
 
     @property
@@ -32,19 +32,19 @@ class NoiseSettings(Protocol):
 
 @dataclass(frozen=True)
 class NoiseChoice:
-    """What of the noise model is given, and what is estimated."""
+    """Given and estimated parts of the noise model."""
 
     slow: bool
-    """Whether there is a slow part."""
+    """The noise has a slow part."""
     time: float | None = None
-    """Its time constant in s; None estimates it."""
+    """Time constant of the slow part in s; None estimates it."""
     huber: float | None = None
     """Threshold on the innovations, in their deviations, beyond which their cost grows in
     proportion to them; None is least squares."""
 
     @classmethod
     def of(cls, method: NoiseSettings) -> NoiseChoice | None:
-        """None where the method is plain least squares."""
+        """Take the choice from a method; None where the method is plain least squares."""
         slow = method.noise_model == "slow"
         if not slow and method.huber is None:
             return None
@@ -52,7 +52,11 @@ class NoiseChoice:
 
 
 def check_noise(method: NoiseSettings) -> None:
-    """Raises UserError where the settings are not what they may be."""
+    """Check the noise settings of a method.
+
+    Raises:
+        UserError: if a setting is out of its range.
+    """
     check_choice(method, "noise_model", get_args(NoiseKind))
     for name in ("slow_time", "huber"):
         value = getattr(method, name)
@@ -65,8 +69,15 @@ def check_noise(method: NoiseSettings) -> None:
 
 
 def refuse_noise(method: NoiseSettings, place: str) -> None:
-    """Raises UserError where a noise model is asked for and `place`, a family with its settings,
-    cannot serve it."""
+    """Refuse a noise model where a family cannot use one.
+
+    Args:
+        method: method with the settings.
+        place: family with its settings, for the message.
+
+    Raises:
+        UserError: if a noise model is configured.
+    """
     if NoiseChoice.of(method) is not None:
         raise UserError(
             f"{place}: cannot weigh errors by a noise model; leave noise_model, slow_time and "

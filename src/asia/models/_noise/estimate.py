@@ -1,4 +1,4 @@
-"""Maximum likelihood of the noise model from the residuals of a fit. NumPy alone."""
+"""Maximum likelihood of the noise model from the residuals of a fit, in NumPy."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from asia.models._noise.whitening import (
 )
 
 NOISE_ROUNDS = 3
-"""Estimates of the noise at most, each followed by a fit."""
+"""Greatest number of noise estimates, each followed by a fit."""
 LEAST_DEVIATION = 1e-6
-"""Of the output's deviation: a residual smaller than that is rounding."""
+"""Share of the output's deviation below which a residual is rounding."""
 
-# Candidates: time constants, and the slow part over the white one, both even in the logarithm.
+# Numbers of candidates: time constants, and ratios of the slow part to the white one, both spaced
+# logarithmically.
 _TIMES, _RATIOS = 9, 9
 _RATIO_LIMITS = (0.1, 100.0)
-# In samples the shortest time constant, the longest one as a share of the longest segment, and how
-# long that may be in any case. A longer one would leave the level of the output without weight, and
-# the errors of a poor model ask for it.
+# Shortest time constant in samples, longest one as a share of the longest segment, and least upper
+# bound of it in samples. A longer one would leave the level of the output without weight, which the
+# errors of a poor model favour.
 _FASTEST, _LONGEST_SHARE, _LEAST_LONGEST = 3.0, 0.25, 20.0
-# A grid around the best candidate, again and again with half the spacing.
+# Rounds of a grid around the best candidate, each with half the spacing.
 _ROUNDS, _WAYS = 4, np.array([-1.0, 0.0, 1.0])
 _MOST_SAMPLES = 20_000
 _SCALE_ROUNDS = 12
@@ -36,10 +37,17 @@ _SAME_SIZE, _SAME_TIME = 0.03, 0.1
 def estimate_noise(
     residual: Array, mask: Array, sampling_time: float, choice: NoiseChoice, floor: Array
 ) -> ResidualNoise:
-    """From residuals (S, T, ny) where mask (S, T) is positive. `floor` (ny,): least deviation.
+    """Estimate the noise from residuals.
 
     Without a slow part its size is 0, and so it is where it does not raise the likelihood by more
     than two parameters would by chance (Schwarz, Annals of Statistics 6(2), 1978).
+
+    Args:
+        residual: (S, T, ny).
+        mask: (S, T), positive where a residual counts.
+        sampling_time: in s.
+        choice: given and estimated parts.
+        floor: least deviation (ny,).
     """
     residual, mask = _some(residual, mask)
     samples = max(float((mask > 0).sum()), 1.0)
@@ -66,15 +74,15 @@ def estimate_noise(
 
 
 def _some(residual: Array, mask: Array) -> tuple[Array, Array]:
-    """Of long data, segments spread over them, and their first part."""
+    """Subset of long data: segments spread over them, and their first part."""
     length = min(residual.shape[1], _MOST_SAMPLES)
     rows = spread(len(residual), max(1, _MOST_SAMPLES // length))
     return residual[rows, :length], mask[rows, :length]
 
 
 def _best(search: _Search, limits: list[Array], ny: int) -> tuple[Array, Array, Array]:
-    """Logarithms of time constant and ratio (2, ny), the negative log likelihood there (ny,) and
-    the size of the white part (ny,)."""
+    """Best candidate: logarithms of time constant and ratio (2, ny), the negative log likelihood
+    there (ny,) and the size of the white part (ny,)."""
     axes = [np.linspace(a, b, n) for (a, b), n in zip(limits, (_TIMES, _RATIOS), strict=True)]
     spacing = np.array([axis[1] - axis[0] for axis in axes])
     grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")])
@@ -93,7 +101,7 @@ def _best(search: _Search, limits: list[Array], ny: int) -> tuple[Array, Array, 
 
 
 class _Search:
-    """The negative log likelihood, its scale at its optimum, of candidates side by side."""
+    """Negative log likelihood, its scale at its optimum, of candidates side by side."""
 
     def __init__(
         self, residual: Array, mask: Array, sampling_time: float, huber: float | None
@@ -102,7 +110,8 @@ class _Search:
         self._sampling_time = sampling_time
 
     def __call__(self, time: Array, ratio: Array) -> tuple[Array, Array]:
-        """time and ratio (G, ny) -> likelihoods and sizes of the white part (G, ny)."""
+        """Evaluate candidates: time and ratio (G, ny) -> likelihoods and sizes of the white part
+        (G, ny)."""
         wide = time[:, None], ratio[:, None]
         unit = ResidualNoise(*wide, np.ones_like(wide[0]))
         through = innovation_filter(unit, self._sampling_time, self._mask)
@@ -125,8 +134,8 @@ class _Search:
 
 
 def settled(before: ResidualNoise | None, after: ResidualNoise) -> bool:
-    """Whether estimates in a row say the same: deviations within 3 %, time constants within 10 %
-    where there is a slow part."""
+    """Return whether two estimates in a row agree: deviations within 3 %, time constants within 10
+    % where there is a slow part."""
     if before is None:
         return False
     unit = np.sqrt(after.variance)

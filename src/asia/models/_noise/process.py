@@ -1,10 +1,11 @@
-"""The residuals of a fit as autoregressive processes, to tell how sure the fit is.
+"""Autoregressive processes of the residuals of a fit, for its uncertainty.
 
 Their order is found by Burg's method (Kay, Modern Spectral Estimation, 1988, section 7.5) and the
 criterion of Hannan and Quinn (Journal of the Royal Statistical Society B 41(2), 1979). Residuals
-lack what the fit took away of the noise, most of all where that is slow: the coefficients are those
-of restricted maximum likelihood, which looks at what no change of the fitted coordinates explains
-(Harville, Journal of the American Statistical Association 72, 1977).
+are without the part of the noise that the fit absorbed, most of all where that is slow: the
+coefficients are those of restricted maximum likelihood, which uses only the part that no change of
+the fitted coordinates explains (Harville, Journal of the American Statistical Association 72,
+1977).
 """
 
 from __future__ import annotations
@@ -19,29 +20,30 @@ from scipy.signal import lfilter
 from asia.data import Array
 
 _MOST_LAGS = 30
-# Of the length of the records: more lags would be fitted to chance.
+# Greatest number of lags as a share of the record length: more would be fitted to chance.
 _SHARE_OF_LAGS = 0.1
-# What a filter remembers below this share of its beginning does not count.
+# Share of the initial response below which a filter has forgotten.
 _FORGOTTEN = 1e-3
-# Samples in which the correlation of any residual has gone.
+# Samples after which the correlation of any residual has vanished.
 _LONG = 4096
-# Samples of a record that is filtered block by block, and of a block.
+# Least length of a record that is filtered block by block, and length of a block.
 _MANY, _BLOCK = 65_536, 8192
-# Values times lags of one restricted likelihood: with more of them the fit takes hardly anything.
+# Limit on values times lags of one restricted likelihood, and on its lags: on longer records the
+# fit absorbs hardly any noise.
 _MOST_WORK, _MOST_RESTRICTED_LAGS = 5_000_000, 8
 _STABLE = 0.999
 
 
 @dataclass(frozen=True)
 class ResidualProcess:
-    """Residuals as autoregressive processes, one an output, with correlated innovations."""
+    """Autoregressive processes, one an output, with correlated innovations."""
 
     filters: tuple[Array, ...]
-    """(1, a_1, ...) of each output."""
+    """Filter (1, a_1, ...) of each output."""
     covariance: Array
-    """(ny, ny) of the innovations."""
+    """Covariance (ny, ny) of the innovations."""
     restricted: bool
-    """Whether what the fit took away is taken into account."""
+    """The noise that the fit absorbed is taken into account."""
 
     @staticmethod
     def of(
@@ -49,11 +51,16 @@ class ResidualProcess:
         jacobians: Sequence[Array],
         nuisance: Sequence[Array] | None = None,
     ) -> ResidualProcess:
-        """Fitted to residuals (T, ny) of each record, with the derivatives (T, ny, P) of all that
-        was fitted to them, and (T, ny, Q) of what each record has for itself."""
+        """Fit the processes to residuals.
+
+        Args:
+            residuals: (T, ny) of each record.
+            jacobians: derivatives (T, ny, P) of each record by all that was fitted to them.
+            nuisance: derivatives (T, ny, Q) by the record's own unknowns.
+        """
         outputs = range(residuals[0].shape[1])
-        pieces = [[e[:, i] for e in residuals] for i in outputs]
-        filters = tuple(burg(some) for some in pieces)
+        segments = [[e[:, i] for e in residuals] for i in outputs]
+        filters = tuple(burg(some) for some in segments)
         own = 0 if nuisance is None else nuisance[0].shape[-1] * len(nuisance)
         work = sum(e.size for e in residuals) * (jacobians[0].shape[-1] + own)
         lags = max(len(a) for a in filters) - 1
@@ -61,60 +68,65 @@ class ResidualProcess:
         columns = [[np.zeros((len(e), 0)) for e in residuals] for _ in outputs]
         if restricted:
             columns = [_columns(jacobians, nuisance, i) for i in outputs]
-            filters = tuple(map(_restricted, filters, pieces, columns))
-        white = [_innovations(*each, lags) for each in zip(filters, pieces, columns, strict=True)]
+            filters = tuple(map(_restricted, filters, segments, columns))
+        white = [_innovations(*each, lags) for each in zip(filters, segments, columns, strict=True)]
         rank = columns[0][0].shape[1] / len(filters)
         samples = np.stack(white, axis=1)
         freedom = max(len(samples) - rank, 1.0)
         return ResidualProcess(filters, samples.T @ samples / freedom, restricted)
 
     def innovations_of(self, jacobian: Array) -> Array:
-        """(L + T, ny, P): the sum over time of its products with innovations has the covariance of
-        J'e. The first L rows are innovations before the record, which its residuals remember."""
+        """Filtered derivatives (L + T, ny, P): the sum over time of their products with innovations
+        has the covariance of J'e.
+
+        The first L rows belong to innovations before the record, which its residuals remember.
+        """
         before = max(_memory(a, len(jacobian)) for a in self.filters)
         padded = np.concatenate([np.zeros((before, *jacobian.shape[1:])), jacobian])
-        turned = padded[::-1]
-        columns = [lfilter([1.0], a, turned[:, i], axis=0) for i, a in enumerate(self.filters)]
+        reverse = padded[::-1]
+        columns = [lfilter([1.0], a, reverse[:, i], axis=0) for i, a in enumerate(self.filters)]
         return np.stack(columns, axis=1)[::-1]
 
     def middle(self, jacobian: Array) -> Array:
-        """(P, P): the covariance of J'e of one record."""
+        """Covariance (P, P) of J'e of one record."""
         if len(jacobian) > _MANY:
             return self._middle_by_blocks(jacobian)
         found = self.innovations_of(jacobian)
         return np.einsum("tip,ij,tjq->pq", found, self.covariance, found)
 
     def _middle_by_blocks(self, jacobian: Array) -> Array:
-        """The same, from the end of the record back: the filters go on from block to block."""
+        """Covariance of J'e block by block, from the end of the record back: the filters go on from
+        block to block."""
         before = max(_memory(a, len(jacobian)) for a in self.filters)
         parameters = jacobian.shape[-1]
         memories = [np.zeros((len(a) - 1, parameters)) for a in self.filters]
         found = np.zeros((parameters, parameters))
         for first in range(0, len(jacobian) + before, _BLOCK):
-            turned = jacobian[::-1][first : first + _BLOCK]
-            missing = min(first + _BLOCK, len(jacobian) + before) - first - len(turned)
-            turned = np.concatenate([turned, np.zeros((missing, *jacobian.shape[1:]))])
+            reverse = jacobian[::-1][first : first + _BLOCK]
+            missing = min(first + _BLOCK, len(jacobian) + before) - first - len(reverse)
+            reverse = np.concatenate([reverse, np.zeros((missing, *jacobian.shape[1:]))])
             columns = list[Array]()
             for i, a in enumerate(self.filters):
-                column, memories[i] = lfilter([1.0], a, turned[:, i], axis=0, zi=memories[i])
+                column, memories[i] = lfilter([1.0], a, reverse[:, i], axis=0, zi=memories[i])
                 columns.append(column)
             white = np.stack(columns, axis=1)
             found += np.einsum("tip,ij,tjq->pq", white, self.covariance, white, optimize=True)
         return found
 
     def independent(self, samples: int) -> float:
-        """As many independent samples give a variance with the same relative error (Bartlett)."""
+        """Number of independent samples that give a variance with the same relative error
+        (Bartlett)."""
         return samples * float(np.mean([_variance_share(a) for a in self.filters]))
 
 
-def burg(pieces: Sequence[Array]) -> Array:
-    """The filter (1, a_1, ...) that whitens the pieces (T,), its order by the
-    criterion of Hannan and Quinn."""
-    longest = max(len(piece) for piece in pieces)
-    samples = sum(len(piece) for piece in pieces)
+def burg(segments: Sequence[Array]) -> Array:
+    """Filter (1, a_1, ...) that whitens the segments (T,), its order by the criterion of Hannan and
+    Quinn."""
+    longest = max(len(segment) for segment in segments)
+    samples = sum(len(segment) for segment in segments)
     most = min(_MOST_LAGS, int(_SHARE_OF_LAGS * longest))
-    forward, backward = [np.array(p) for p in pieces], [np.array(p) for p in pieces]
-    power = sum(float(p @ p) for p in pieces) / samples
+    forward, backward = [np.array(p) for p in segments], [np.array(p) for p in segments]
+    power = sum(float(p @ p) for p in segments) / samples
     best, chosen = samples * np.log(max(power, 1e-300)), np.ones(1)
     a, penalty = np.ones(1), 2.0 * np.log(np.log(max(samples, 16)))
     for order in range(1, most + 1):
@@ -134,7 +146,7 @@ def burg(pieces: Sequence[Array]) -> Array:
 
 
 def _memory(a: Array, most: int) -> int:
-    """Samples after which an impulse through 1/a has all but gone."""
+    """Number of samples after which an impulse through 1/a has decayed."""
     if len(a) == 1:
         return 0
     impulse = np.zeros(most)
@@ -145,7 +157,7 @@ def _memory(a: Array, most: int) -> int:
 
 
 def _variance_share(a: Array) -> float:
-    """One over the sum of the squared correlations of the process 1/a at all lags."""
+    """Reciprocal of the sum of the squared correlations of the process 1/a at all lags."""
     impulse = np.zeros(_LONG)
     impulse[0] = 1.0
     response = lfilter([1.0], a, impulse)
@@ -157,7 +169,8 @@ def _variance_share(a: Array) -> float:
 def _columns(
     jacobians: Sequence[Array], nuisance: Sequence[Array] | None, output: int
 ) -> list[Array]:
-    """(T, K) of each record: derivatives of one output, a record's own in columns of their own."""
+    """Derivatives (T, K) of one output in each record, those by a record's own unknowns in separate
+    columns."""
     found = [j[:, output] for j in jacobians]
     if nuisance is None:
         return found
@@ -168,15 +181,15 @@ def _columns(
     return [np.hstack(both) for both in zip(found, wide, strict=True)]
 
 
-def _restricted(a: Array, pieces: Sequence[Array], columns: Sequence[Array]) -> Array:
-    """The filter of restricted maximum likelihood, of the same order."""
+def _restricted(a: Array, segments: Sequence[Array], columns: Sequence[Array]) -> Array:
+    """Filter of restricted maximum likelihood, of the same order."""
     order = len(a) - 1
     if not order:
         return a
 
     def criterion(points: Array) -> float:
         through = _filter(_STABLE * np.tanh(points))
-        e, x = _filtered(through, pieces, columns, order)
+        e, x = _filtered(through, segments, columns, order)
         left, sizes, _ = np.linalg.svd(x, full_matrices=False)
         kept = sizes > 1e-7 * sizes.max(initial=1e-300)
         e = e - left[:, kept] @ (left[:, kept].T @ e)
@@ -190,24 +203,25 @@ def _restricted(a: Array, pieces: Sequence[Array], columns: Sequence[Array]) -> 
 
 
 def _filtered(
-    a: Array, pieces: Sequence[Array], columns: Sequence[Array], lags: int
+    a: Array, segments: Sequence[Array], columns: Sequence[Array], lags: int
 ) -> tuple[Array, Array]:
-    """Residuals (N,) and columns (N, K) through a filter, without the samples that lack a past."""
-    lags = min(lags, min(map(len, pieces)) - 1)
-    e = np.concatenate([lfilter(a, [1.0], piece)[lags:] for piece in pieces])
+    """Residuals (N,) and columns (N, K) through a filter, without the samples before which the past
+    is missing."""
+    lags = min(lags, min(map(len, segments)) - 1)
+    e = np.concatenate([lfilter(a, [1.0], segment)[lags:] for segment in segments])
     if not columns[0].shape[1]:
         return e, np.zeros((len(e), 0))
     return e, np.concatenate([lfilter(a, [1.0], part, axis=0)[lags:] for part in columns])
 
 
-def _innovations(a: Array, pieces: Sequence[Array], columns: Sequence[Array], lags: int) -> Array:
-    """(N,): what no change of the columns explains of the filtered residuals."""
-    e, x = _filtered(a, pieces, columns, lags)
+def _innovations(a: Array, segments: Sequence[Array], columns: Sequence[Array], lags: int) -> Array:
+    """Filtered residuals (N,) without the part that a change of the columns explains."""
+    e, x = _filtered(a, segments, columns, lags)
     return e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e
 
 
 def _filter(reflections: Array) -> Array:
-    """(1, a_1, ...) from reflection coefficients: stable where these are within 1."""
+    """Filter (1, a_1, ...) from reflection coefficients: stable where these are within 1."""
     a = np.ones(1)
     for k in reflections:
         a = np.concatenate([a, [0.0]])
@@ -216,7 +230,7 @@ def _filter(reflections: Array) -> Array:
 
 
 def _reflections(a: Array) -> Array:
-    """The inverse of `_filter` (Levinson's recursion backwards)."""
+    """Inverse of `_filter` (Levinson's recursion backwards)."""
     found: list[float] = []
     while len(a) > 1:
         k = float(a[-1])

@@ -1,4 +1,4 @@
-"""Errors of a simulation as generalised least squares weighs them. NumPy alone."""
+"""Weighting of simulation errors by generalised least squares, in NumPy."""
 
 from __future__ import annotations
 
@@ -18,11 +18,14 @@ from asia.models._noise.whitening import (
 
 @dataclass(frozen=True)
 class ErrorWeighting:
-    """Whitens errors. Under white noise of one output the result is the error as it was: a ridge
-    keeps the deviation that it has beside least squares with residuals of the same variance."""
+    """Whitening of errors.
+
+    Under white noise of one output the result is the error as it was: a ridge
+    keeps the deviation that it has beside least squares with residuals of the same variance.
+    """
 
     through: InnovationFilter
-    """The filter of the noise model."""
+    """Filter of the noise model."""
     unit: float
     """Deviation of the residuals, over the outputs in the root mean square."""
     huber: float | None
@@ -32,20 +35,21 @@ class ErrorWeighting:
     def of(
         cls, noise: ResidualNoise, sampling_time: float, mask: Array, huber: float | None
     ) -> ErrorWeighting:
-        """For errors in the unit of the noise model where mask (S, T) is positive."""
+        """Make the weighting of errors in the unit of the noise model, where mask (S, T) is
+        positive."""
         unit = float(np.sqrt(noise.variance.mean()))
         return cls(innovation_filter(noise, sampling_time, mask), unit, huber)
 
     def __call__(self, error: Array, part: slice = slice(None)) -> Array:
-        """Errors (..., S, T, ny) of some segments -> what is squared."""
+        """Whiten errors (..., S, T, ny) of some segments; the results are squared."""
         found = innovations(InnovationFilter(*(a[part] for a in self.through)), error)
         if self.huber is not None:
             found = huber_root(found, self.huber)
         return self.unit * found
 
     def jacobian(self, error: Array, derivatives: Array) -> Array:
-        """Derivatives (S, T, ny, P) of what is squared from those of the errors (S, T, ny)."""
-        # One column at a time: the filter's temporary arrays are then small.
+        """Derivatives (S, T, ny, P) of the whitened errors, from those of the errors (S, T, ny)."""
+        # Column by column, so that the filter's temporary arrays are small.
         columns = [innovations(self.through, column) for column in np.moveaxis(derivatives, -1, 0)]
         found = self.unit * np.stack(columns, axis=-1)
         if self.huber is None:

@@ -1,8 +1,8 @@
-"""The residual of a simulation as a slow disturbance plus white noise, and how it is whitened.
+"""Noise model of the residual, a slow disturbance plus white noise, and its whitening filter.
 
 The slow part is an Ornstein-Uhlenbeck process, the white part the noise of the sensor. Innovations
-of the stationary Kalman filter of that model, divided by their deviations, are white: the sum of
-their squares is the one that generalised least squares makes small. Written once for NumPy and JAX.
+of the stationary Kalman filter of that model, divided by their deviations, are white: generalised
+least squares minimises the sum of their squares. Written once for NumPy and JAX.
 Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, chapter 3.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from asia.models._arrays import AnyArray, namespace, scan
 
-# What is left of a prediction, as a share, when it no longer counts.
+# Share of a prediction below which it no longer counts.
 _FORGOTTEN = 1e-30
 
 
@@ -24,18 +24,18 @@ class ResidualNoise(NamedTuple):
     time: AnyArray
     """Time constant of the slow part in s (ny,)."""
     slow: AnyArray
-    """Its standard deviation, in the unit of the residuals (ny,)."""
+    """Standard deviation of the slow part, in the unit of the residuals (ny,)."""
     white: AnyArray
     """Standard deviation of the white part (ny,)."""
 
     @property
     def variance(self) -> AnyArray:
-        """Of the residual (ny,)."""
+        """Variance of the residual (ny,)."""
         return self.slow**2 + self.white**2
 
 
 class InnovationFilter(NamedTuple):
-    """The Kalman filter of a noise model on given samples, (..., T, ny) each.
+    """Kalman filter of a noise model on given samples, (..., T, ny) each.
 
     The prediction of the slow part follows s[k+1] = decay[k] s[k] + gain[k] e[k], s[0] = 0.
     """
@@ -43,15 +43,20 @@ class InnovationFilter(NamedTuple):
     decay: AnyArray
     gain: AnyArray
     weight: AnyArray
-    """One over the deviation of the innovation; 0 where a sample does not count."""
+    """Reciprocal of the deviation of the innovation; 0 where a sample does not count."""
 
 
 def innovation_filter(
     noise: ResidualNoise, sampling_time: AnyArray, mask: AnyArray
 ) -> InnovationFilter:
-    """For samples that count where mask (..., T) is positive. A sample that does not count leaves
-    the filter to its prediction, so that padding and gaps change no other innovation. Deviations
-    must be positive in sum; all fields may have leading dimensions that fit those of `mask`."""
+    """Make the Kalman filter for samples that count where mask (..., T) is positive.
+
+    A sample that does not count leaves the filter to its prediction, so that padding and gaps
+    change
+    no other innovation. Deviations must be positive in sum; all fields may have leading dimensions
+    that
+    fit those of `mask`.
+    """
     xp = namespace(mask, *noise)
     keep = xp.exp(-sampling_time / noise.time)
     slow, white = noise.slow**2, noise.white**2
@@ -71,8 +76,10 @@ def innovation_filter(
 
 
 def innovations(through: InnovationFilter, residual: AnyArray) -> AnyArray:
-    """Residuals (..., T, ny) -> innovations in their deviations, of the same shape; the filter's
-    leading dimensions are those of the residuals, or fit them."""
+    """Convert residuals (..., T, ny) to innovations in their deviations, of the same shape.
+
+    The filter's leading dimensions are those of the residuals, or fit them.
+    """
     xp = namespace(residual, through.gain)
     decay, predicted = through.decay, through.gain * residual
     shift, samples = 1, residual.shape[-2]
@@ -91,8 +98,8 @@ def innovations(through: InnovationFilter, residual: AnyArray) -> AnyArray:
 
 
 def huber_root(error: AnyArray, threshold: float) -> AnyArray:
-    """Errors whose square is Huber's loss: that of the error up to the threshold, then growing in
-    proportion to it."""
+    """Convert errors so that their square is Huber's loss: that of the error up to the threshold,
+    then growing in proportion to it."""
     xp, size = namespace(error), abs(error)
     tail = xp.sqrt(xp.maximum(2.0 * threshold * size - threshold**2, 1e-12))
     return xp.where(size <= threshold, error, xp.sign(error) * tail)

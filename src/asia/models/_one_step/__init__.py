@@ -1,1 +1,1 @@
-"""Models that predict one step ahead and are used in free run."""
+"""Models that predict one step ahead, used in free run."""

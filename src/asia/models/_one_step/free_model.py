@@ -1,4 +1,4 @@
-"""What families that predict one step ahead and are used in free run share."""
+"""Common parts of the families that predict one step ahead and are used in free run."""
 
 from __future__ import annotations
 
@@ -22,34 +22,53 @@ from asia.models._one_step.polynomial import Polynomial, PolynomialRun, all_term
 C = TypeVar("C")
 
 RIDGES = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2)
-# Choosing takes hundreds of fits; this many samples tell candidates apart.
+# Samples for choices of lags, which take hundreds of fits; this many distinguish candidates.
 _SELECTION_SAMPLES = 6000
 
 
 @dataclass(frozen=True)
 class FreeRunModel(Generic[C]):
-    """An input-output model."""
+    """Input-output model used in free run."""
 
     config: C
     """Settings of the family."""
     run: FreeRun | None = None
-    """The model in free run; None before training."""
+    """Model in free run; None before training."""
     scaling: Scaling | None = None
-    """From physical units to z-scores; None before training."""
+    """Scaling from physical units to z-scores; None before training."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny). Raises UserError before training."""
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            UserError: before training.
+        """
         run, s = self._trained()
         return s.physical(run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         run, s = self._trained()
         return run.initial(s.inputs(past_u), s.outputs(past_y), s.inputs(u))
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """See `asia.candidate.StepModel`. Raises UserError before training."""
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
         run, s = self._trained()
         state, y = run.step(state, s.inputs(u))
         return state, s.physical(y)
@@ -62,27 +81,28 @@ class FreeRunModel(Generic[C]):
 
 @dataclass(frozen=True)
 class LagChoice:
-    """Lags and delay, or what the data decide them among: the fewest parameters within the
-    tolerance of the best."""
+    """Lags and delay, or limits of their choice: the fewest parameters within the tolerance of the
+    best."""
 
     outputs: int | None
-    """Lagged outputs; None: among 1..max_order."""
+    """Number of lagged outputs; None: chosen from 1..max_order."""
     inputs: int | None
-    """Lagged inputs; None: among 1..max_order."""
+    """Number of lagged inputs; None: chosen from 1..max_order."""
     delay: int | None
-    """In samples; None: among 0..max_delay."""
+    """Delay in samples; None: chosen from 0..max_delay."""
     max_order: int
     """Greatest number of lags tried."""
     max_delay: int = 10
     """Greatest delay tried."""
     tolerance: float = 0.03
-    """Relative, of the root mean squared error."""
+    """Relative tolerance of the root mean squared error."""
 
 
 def linear_run(
     records: ScaledData, lags: Lags, context: Context, ridge: float, margin: float
 ) -> PolynomialRun:
-    """ARX by ridge regression, limited to the training range widened by `margin` times."""
+    """Fit an ARX model by ridge regression, limited to the training range widened by `margin`
+    times."""
     ny, nu = records[0].y.shape[1], records[0].u.shape[1]
     terms = all_terms(lags.outputs * ny + lags.inputs * nu, 1)
     x, y = equations(records, lags, terms)
@@ -94,7 +114,7 @@ def linear_run(
 
 
 def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lags:
-    """Lags of a linear model by its simulation error on what was left out of the fit."""
+    """Choose the lags of a linear model by its simulation error on samples left out of the fit."""
     part = selection(records, context, choice.max_order)
     highest = max(1, min(choice.max_order, min(len(r) for r in part) // 12))
     delay = choice.delay
@@ -115,7 +135,7 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
 
 
 def selection(records: ScaledData, context: Context, max_order: int) -> list[ScaledTrajectory]:
-    """What choices are made on: parts long enough to leave something to simulate."""
+    """Records for choices: parts long enough to leave something to simulate."""
     shortest = 3 * (past_length(context) + (context.horizon or 0)) + 12 * max_order
     return shortened(
         [r for r in records if len(r) > past_length(context)], _SELECTION_SAMPLES, shortest
@@ -128,7 +148,7 @@ def choose_ridge(
     fit: Callable[[ScaledData, float], FreeRun],
     shortest: int,
 ) -> float:
-    """The ridge with the least simulation error on what was left out of the fit."""
+    """Choose the ridge with the least simulation error on samples left out of the fit."""
     errors = left_out_error(
         records, context, lambda kept: [fit(kept, ridge) for ridge in RIDGES], shortest
     )
@@ -136,7 +156,11 @@ def choose_ridge(
 
 
 def usable(records: ScaledData, lags: Lags) -> None:
-    """Raises UserError where no record is long enough for the lags."""
+    """Check that a record is long enough for the lags.
+
+    Raises:
+        UserError: if none is.
+    """
     if all(len(r) <= lags.memory for r in records):
         raise UserError(
             f"training records: the longest has {max(len(r) for r in records)} samples, the model "

@@ -1,4 +1,4 @@
-"""One-step models that are linear in their parameters: products of lagged signals.
+"""Polynomial one-step models, linear in their parameters: products of lagged signals.
 
 A product is a row of indices into [1, z], z the regressors, so that a row of zeros is the constant
 and products of lower degree are padded with zeros.
@@ -23,7 +23,7 @@ Terms = NDArray[np.intp]
 
 # Numbers in a block of Jacobian rows.
 _BLOCK = 4_000_000
-# Products in a Gauss-Newton matrix, and the samples it is made from, at least and at most.
+# Limit on the products in a Gauss-Newton matrix, and on its samples, at least and at most.
 _WORK = 1e10
 _SAMPLES = (1000, 10_000)
 
@@ -37,28 +37,28 @@ class Polynomial:
     theta: Array
     """Coefficients (M, ny)."""
     used: NDArray[np.bool_]
-    """Which coefficients are free (M, ny)."""
+    """Mask of the free coefficients (M, ny)."""
 
     def __call__(self, z: AnyArray) -> AnyArray:
-        """(B, d) -> (B, ny)."""
+        """Predict (B, d) -> (B, ny)."""
         return products(z, self.terms) @ self.theta
 
 
 @dataclass(frozen=True)
 class PolynomialRun(FreeRun):
-    """A polynomial in free run."""
+    """Polynomial in free run."""
 
     one_step: Polynomial
 
 
 def all_terms(size: int, degree: int) -> Terms:
-    """Every product of up to `degree` of `size` regressors, the constant first."""
+    """All products of up to `degree` of `size` regressors, the constant first."""
     rows = combinations_with_replacement(range(size + 1), degree)
     return np.array(list(rows), dtype=np.intp).reshape(-1, degree)
 
 
 def products(z: AnyArray, terms: Terms) -> AnyArray:
-    """z (..., d) -> (..., M)."""
+    """Evaluate products: z (..., d) -> (..., M)."""
     full = namespace(z).concatenate([np.ones((*z.shape[:-1], 1)), z], axis=-1)
     result = full[..., terms[:, 0]]
     for column in terms.T[1:]:
@@ -69,8 +69,8 @@ def products(z: AnyArray, terms: Terms) -> AnyArray:
 def equations(
     records: ScaledData, lags: Lags, terms: Terms, most: int = 60_000_000
 ) -> tuple[Array, Array]:
-    """Regression matrix (N, M) and targets (N, ny) of all records; with more than `most` numbers
-    evenly spread rows of it."""
+    """Regression matrix (N, M) and targets (N, ny) of all records; evenly spread rows of it if it
+    has more than `most` numbers."""
     stride = max(1, -(-sum(len(r) for r in records) * len(terms) // most))
     pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]
     z = np.concatenate([x[::stride] for x, _ in pairs])
@@ -78,7 +78,7 @@ def equations(
 
 
 def solve(gram: Array, cross: Array, ridge: float) -> Array:
-    """Ridge regression, columns scaled to unit size: gram (M, M), cross (M, ny) -> (M, ny)."""
+    """Ridge regression with columns scaled to unit size: gram (M, M), cross (M, ny) -> (M, ny)."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     normal = gram / np.outer(scale, scale) + ridge * np.eye(len(gram))
     return np.linalg.lstsq(normal, cross / scale[:, None], rcond=1e-13)[0] / scale[:, None]
@@ -87,11 +87,20 @@ def solve(gram: Array, cross: Array, ridge: float) -> Array:
 def refine(
     start: PolynomialRun, data: Stretches, method: LevenbergMarquardt, ridge: float
 ) -> tuple[PolynomialRun, list[float]]:
-    """Levenberg-Marquardt on the simulation error; `ridge` weighs the squared distance of the
-    coefficients from their start against it. Returns also the root of the cost by iteration.
+    """Refine by Levenberg-Marquardt on the simulation error.
 
     The gradient of a simulated output obeys a linear recursion in the model's own derivatives
     (Narendra and Parthasarathy, IEEE Trans. Neural Networks 1(1), 1990).
+
+    Args:
+        start: model at the start.
+        data: segments.
+        method: settings.
+        ridge: weight of the squared distance of the coefficients from their start against the
+            error.
+
+    Returns:
+        The refined model, and the root of the cost by iteration.
     """
     model = start.one_step
     origin = model.theta[model.used]
@@ -122,7 +131,7 @@ def refine(
 
 
 def refinement_samples(run: PolynomialRun) -> int:
-    """Samples whose Gauss-Newton matrix is still cheap to make."""
+    """Number of samples whose Gauss-Newton matrix is still cheap to make."""
     used = run.one_step.used
     return int(np.clip(_WORK / (used.shape[1] * used.sum() ** 2), *_SAMPLES))
 

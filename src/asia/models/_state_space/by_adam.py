@@ -1,4 +1,4 @@
-"""A neural state-space model fitted by Adam, its map from past windows to states with it."""
+"""Fit of a neural state-space model by Adam, with its map from past windows to states."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from asia.models.methods import Adam
 def encoded(
     params: dict[str, Any], start: Encoder, hidden: int, context: Context
 ) -> dict[str, Any]:
-    """With an encoder that starts as `start`, its `hidden` tanh functions without effect."""
+    """Add an encoder that starts as `start`, with `hidden` tanh functions without effect."""
     rng = np.random.default_rng(context.seed + 1)
     d = window_size(context)
     inner = rng.standard_normal((d, hidden)) / np.sqrt(max(d, 1))
@@ -35,7 +35,7 @@ def fit_by_adam(
     method: Adam,
     copies: int,
 ) -> Any:
-    """Trained in single precision."""
+    """Train in single precision."""
     from asia.models._networks.training import fit
 
     trained = fit(cell, _cast(params, np.float32), records, context, method, copies=copies)
@@ -50,7 +50,7 @@ def fit_encoded(
     method: Adam,
     copies: int,
 ) -> tuple[dict[str, Any], Encoder]:
-    """The same for parameters with an encoder, which comes beside them."""
+    """Train parameters with an encoder, which is returned separately."""
     trained = fit_by_adam(cell, params, records, context, method, copies)
     return trained, Encoder(**trained.pop("encoder"))
 

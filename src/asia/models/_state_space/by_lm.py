@@ -1,6 +1,5 @@
-"""A neural state-space model fitted by Levenberg-Marquardt: its best fits, each with the map from
-past windows to initial states.
-"""
+"""Fits of a neural state-space model by Levenberg-Marquardt, with maps from past windows to
+states."""
 
 from __future__ import annotations
 
@@ -24,30 +23,30 @@ from asia.models._state_space.structure import StateSpaceStructure
 
 @dataclass(frozen=True)
 class LmOptions:
-    """What is asked for beside the method."""
+    """Options of the fits, apart from the method."""
 
     ridge: dict[str, float]
-    """Of each top-level parameter name."""
+    """Ridge of each top-level parameter name."""
     members: int
-    """How many fits are kept."""
+    """Number of fits that are kept."""
     hidden: int
-    """Units of the map from past windows to states."""
+    """Number of tanh units of the map from past windows to states."""
     pieces: bool
-    """Whether the fits begin with pieces of the records."""
+    """Begin the fits with short segments of the records."""
     past_fit: bool
-    """Whether initial states are fitted to the past window."""
+    """Fit initial states to the past window."""
     seed: int
-    """Of the starts."""
+    """Seed of the starts."""
 
 
 @dataclass(frozen=True)
 class FittedMembers:
-    """The best fits."""
+    """Best fits of a model."""
 
     members: tuple[tuple[dict[str, Any], Encoder], ...]
-    """Parameters, and the map from past windows to states."""
+    """Parameters, and the map from past windows to states, of each fit."""
     starts: tuple[PastFit, ...]
-    """How their initial states are fitted to the past window; () where the map gives them."""
+    """Fits of the initial states to the past window; () where the map gives them."""
     cost: float
     """Least cost."""
 
@@ -61,8 +60,8 @@ def fit_members(
     method: LevenbergMarquardt,
     options: LmOptions,
 ) -> FittedMembers:
-    """Fits from `method.starts` starting points, one where all are the same. Each simulates as the
-    linear model."""
+    """Fit from `method.starts` starting points, one where all are the same. Each start simulates
+    as the linear model."""
     rng = np.random.default_rng(options.seed)
     count = method.starts if structure.starts_vary else 1
     starts = starts_of(structure, found, records, count, scaling, rng)
@@ -76,7 +75,7 @@ def fit_members(
         )
         begin, x0 = [one.params for one in before], [one.x0 for one in before]
         fits = fit_states(structure, starts, samples, ridge, method, log, time, begin=begin, x0=x0)
-        # Pieces may mislead as well: one start goes without.
+        # One start begins with whole records, since segments may mislead too.
         starts = starts[:1]
     fits += fit_states(structure, starts, samples, ridge, method, log, time)
     fits.sort(key=lambda one: one.cost)

@@ -18,15 +18,24 @@ from asia.models._arrays import AnyArray, bounded, namespace, relu
 
 Coefficients = Mapping[str, Any]
 
-# Of the exponents of learned ratios, which keeps them numbers.
+# Limit on the exponents of learned ratios, which keeps them finite.
 _LARGEST = 8.0
 
 
 def resisted(
     p: Coefficients, now: AnyArray, z: AnyArray, free: AnyArray
 ) -> tuple[AnyArray, AnyArray]:
-    """States (..., n) and forces (..., m) at a sample, and the next state without friction -> the
-    next state with it, and the forces in it."""
+    """Solve the friction of one sample.
+
+    Args:
+        p: coefficients.
+        now: states (..., n).
+        z: forces (..., m).
+        free: next state without friction (..., n).
+
+    Returns:
+        The next state with friction, and the forces in it.
+    """
     xp = namespace(free)
     stiffness = xp.exp(bounded(p["stiff"], -_LARGEST, _LARGEST))
     uneven = xp.exp(bounded(p["uneven"], -_LARGEST, _LARGEST))
@@ -40,8 +49,17 @@ def resisted(
 
 
 def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """States (..., n), inputs (..., nu) and followers (..., m) before -> what the play takes, and
-    the followers after."""
+    """Solve the play of one sample.
+
+    Args:
+        p: coefficients.
+        x: states (..., n).
+        v: inputs (..., nu).
+        behind: followers (..., m) before the sample.
+
+    Returns:
+        The motion that the play takes, and the followers after the sample.
+    """
     signal = x @ p["w"] + v @ p["wu"]
     after = bounded(behind, signal - 1.0, signal + 1.0)
     return signal - after, after

@@ -2,9 +2,9 @@
 
 The best linear models of several orders are split into two filters in every way; a static function
 on a grid is solved by least squares for each way, the most promising are fitted for a few
-iterations on parts of the records, and those with the least error on the stretches left out go on,
-in the end on all records. A linear model's own error says little of its order where most of it is
-distortion, so the order is judged here. Source: Sjoberg and Schoukens, Initializing
+iterations on parts of the records, and those with the least error on the segments left out go on,
+in the end on all records. A linear model's own error is a poor guide to its order where most of it
+is distortion, so the order is chosen here. Source: Sjoberg and Schoukens, Initializing
 Wiener-Hammerstein models based on partitioning of the best linear approximation, Automatica 48(2),
 2012.
 """
@@ -31,33 +31,34 @@ from asia.models._state_space.filters import (
 )
 from asia.models._state_space.wiener_hammerstein_starts import LinearFilter, shares
 
-# Orders of the linear model where none is given, iterations of its fit, and the samples for it.
+# Orders of the linear model if none is given, iterations of its fit, and its samples.
 _ORDERS = (2, 3, 4, 5, 6, 7, 8)
 _LINEAR, _LINEAR_SAMPLES = Refinement(iterations=15), 4000
-# Samples of the short fits, the share of them left out, and samples that judge a split.
-_SEARCHED_SAMPLES, _LEFT_OUT, _JUDGED_SAMPLES, _SETTLE = 12_000, 0.3, 3000, 50
-# Samples at the start of a record that no fit counts, so that none bends its filters to make up for
-# initial states, which it finds slowly; at most this share of a record.
+# Samples of the short fits, share of them left out, and samples for the evaluation of a split.
+_SEARCHED_SAMPLES, _LEFT_OUT, _EVALUATION_SAMPLES, _SETTLE = 12_000, 0.3, 3000, 50
+# Samples at the start of a record that no fit counts, at most this share of a record. Otherwise the
+# filters would compensate for initial states, which the fit finds slowly.
 _TRANSIENT, _TRANSIENT_SHARE = 200, 0.1
-# A single extreme value, beyond all that was fitted, says nothing of the filters.
+# Share of the errors that counts: a single extreme value, beyond all that was fitted, carries no
+# information on the filters.
 _TRIMMED = 0.99
-# Splits that are judged of an order, that are fitted, and those that are fitted further.
+# Splits evaluated for each order, splits fitted, and splits fitted further.
 _MOST_SPLITS, _FITTED, _FITTED_ON = 600, 4, 6
 _FEW, _MORE = 20, 100
-# The static function's grid reaches so many deviations of its argument.
+# Range of the static function's grid, in deviations of its argument.
 _REACH = 3.5
 
 
 @dataclass(frozen=True)
 class FilterFit:
-    """A model that the search found."""
+    """Model found by the search."""
 
     filters: TwoFilters
-    """Its parameters."""
+    """Parameters of the model."""
     delay: int
-    """Of the input, in samples."""
+    """Delay of the input, in samples."""
     error: float
-    """Mean squared error on the stretches left out, or on all that was fitted."""
+    """Mean squared error on the segments left out, or on all that was fitted."""
     history: Array
     """Root of the cost by iteration."""
 
@@ -71,8 +72,18 @@ def searched(
     method: LevenbergMarquardt,
     log: Progress,
 ) -> FilterFit:
-    """The model with the least training error of those that the search ends with,
-    `method.starts` of them; choice: order and delay, each None where it is open."""
+    """Search for the model with the least training error, of `method.starts` that reach the last
+    stage.
+
+    Args:
+        records: records in z-scores.
+        context: context of the fit.
+        choice: order and delay, each None where it is open.
+        hidden: number of tanh units.
+        ridge: ridges.
+        method: settings of the last fits.
+        log: receives iteration and error.
+    """
     part = _shortened(records, _SEARCHED_SAMPLES)
     kept, left = _divided(part)
     settled = [replace(r, weight=r.weight * _behind_start(len(r))) for r in records]
@@ -101,8 +112,10 @@ def searched(
 def _linear_models(
     part: ScaledData, context: Context, choice: linear.Config
 ) -> list[tuple[int, LinearSystem]]:
-    """Delays with linear models of every order asked for. A delay estimated with few states may
-    stand for states that are missing, so that none competes."""
+    """Linear models of every permitted order, with their delays.
+
+    A delay estimated with few states may replace missing states, so that no such delay competes.
+    """
     short = _shortened(part, _LINEAR_SAMPLES)
     orders = _ORDERS if choice.order is None else (choice.order,)
     orders = tuple(o for o in orders if 8 * o <= min(len(r) for r in short)) or orders[:1]
@@ -114,25 +127,21 @@ def _linear_models(
     for delay in sorted(delays):
         for order in orders:
             known = linear.Config(order=order, delay=delay)
-            quiet = replace(context, log=_unheard)
+            quiet = replace(context, log=lambda step, loss: None)
             fit, _, _ = linear.fit_records(short, quiet, known, _LINEAR)
             found.append((delay, fit.system))
     return found
 
 
-def _unheard(step: float, loss: float) -> None:
-    del step, loss
-
-
 def _shortened(records: ScaledData, samples: int) -> list[ScaledTrajectory]:
-    """The first records, at most four, and of each the first samples, to so many in all."""
+    """Cut the first samples of at most four records, about so many in all."""
     few = sorted(records, key=len, reverse=True)[:4]
     each = samples // len(few)
     return [r.part(0, min(len(r), each)) for r in few]
 
 
 def _divided(part: ScaledData) -> tuple[list[ScaledTrajectory], list[ScaledTrajectory]]:
-    """The same records twice: with the weights of what is fitted, and of what is left out."""
+    """Copy the records twice: with the weights of the fitted part, and of the part left out."""
     masks = holdout_masks(part, _LEFT_OUT, shortest=_SETTLE)
     pairs = list(zip(part, masks, strict=True))
     kept = [replace(r, weight=r.weight * ~m * _behind_start(len(r))) for r, m in pairs]
@@ -140,22 +149,22 @@ def _divided(part: ScaledData) -> tuple[list[ScaledTrajectory], list[ScaledTraje
 
 
 def _split(late: ScaledData, system: LinearSystem, hidden: int) -> list[TwoFilters]:
-    """The best splits of a linear model."""
-    judged = [
+    """Best splits of a linear model."""
+    evaluated = [
         start
         for pair in shares(system, _MOST_SPLITS)
         if (start := _start(late, system, pair, hidden)) is not None
     ]
-    judged.sort(key=lambda pair: pair[0])
-    return [filters for _, filters in judged[:_FITTED]]
+    evaluated.sort(key=lambda pair: pair[0])
+    return [filters for _, filters in evaluated[:_FITTED]]
 
 
 def _start(
     late: ScaledData, system: LinearSystem, pair: tuple[LinearFilter, LinearFilter], hidden: int
 ) -> tuple[float, TwoFilters] | None:
-    """A split with its static function solved for, and its mean squared error."""
+    """Solve the static function of a split; return its mean squared error too."""
     one, two = pair
-    parts = [r.part(0, _JUDGED_SAMPLES) for r in late[:2]]
+    parts = [r.part(0, _EVALUATION_SAMPLES) for r in late[:2]]
     with np.errstate(all="ignore"):
         middles = [one(r.u)[:, 0] for r in parts]
         size = float(np.concatenate(middles).std())
@@ -216,7 +225,7 @@ def _fitted(
 
 
 def _behind_start(length: int) -> Array:
-    """Weights (T,): none at the start of a record."""
+    """Weights (T,) that are zero at the start of a record."""
     start = min(_TRANSIENT, int(_TRANSIENT_SHARE * length))
     return (np.arange(length) >= start).astype(np.float64)
 

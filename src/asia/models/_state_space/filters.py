@@ -1,9 +1,10 @@
-"""A Wiener-Hammerstein model with one input and one output as two filters and a static function.
+"""Wiener-Hammerstein model with one input and one output as two filters and a static function.
 
 Costs and normal equations of the simulation error. Derivatives with respect to the coefficients of
 a filter are delayed copies of two filtered signals, so that an iteration takes a few dozen passes
-of a recursive filter over the records instead of a recursion over matrices. Records are taken in
-chunks whose sums are all that is kept: memory does not grow with their length. Source: Ljung,
+of a recursive filter over the records instead of a recursion over matrices. Records are processed
+in
+chunks of which only sums are kept: memory does not grow with their length. Source: Ljung,
 System Identification, 2nd ed., section 10.3.
 """
 
@@ -21,7 +22,7 @@ from asia.models._data.records import ScaledData, ScaledTrajectory
 from asia.models._least_squares import NormalEquations
 from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
 
-# Samples of a chunk. Derivatives by initial states are taken in the first one only: they have
+# Samples of a chunk. Derivatives by initial states are computed only in the first one: they have
 # decayed after it.
 _CHUNK = 8192
 
@@ -30,17 +31,20 @@ class FilterRidge(NamedTuple):
     """Weights, against the mean squared error, of squared distances from the start."""
 
     linear: float
-    """Of the coefficients of the filters and the offset."""
+    """Weight for the coefficients of the filters and the offset."""
     bend: float
-    """Of the static function."""
+    """Weight for the static function."""
     initial: float
-    """Of the initial states."""
+    """Weight for the initial states."""
 
 
 class TwoFilters(NamedTuple):
-    """Parameters. A filter is numerator and denominator in the delay, the denominator without its
-    leading one; the static function is w = v + bend' tanh(slope v + shift), linear in what is
-    fitted of it: units that move as well make long narrow valleys."""
+    """Parameters of two filters and a static function.
+
+    A filter is numerator and denominator in the delay, the denominator without its
+    leading one; the static function is w = v + bend' tanh(slope v + shift), linear in its
+    fitted part: units that move as well make long narrow valleys.
+    """
 
     numerator1: Array
     """(n1 + 1,)."""
@@ -62,11 +66,11 @@ class TwoFilters(NamedTuple):
     """Initial states of both filters, transposed direct form II (R, n1 + n2)."""
 
     def packed(self) -> Array:
-        """What is fitted in one vector: all but the grid of the tanh units."""
+        """Pack the fitted parameters into one vector: all but the grid of the tanh units."""
         return np.concatenate([value.ravel() for value in self._fitted()])
 
     def unpacked(self, theta: Array) -> TwoFilters:
-        """From a vector, in the shapes of these and on their grid."""
+        """Unpack a vector into these shapes, on the same grid."""
         shapes = self._fitted()
         parts = np.split(theta, np.cumsum([value.size for value in shapes])[:-1])
         b1, a1, bend, b2, a2, offset, x0 = (
@@ -88,7 +92,7 @@ class TwoFilters(NamedTuple):
     def state_space(
         self, template: WienerHammersteinStructure
     ) -> tuple[WienerHammersteinStructure, dict[str, Any]]:
-        """The same model in state space, its initial states unchanged."""
+        """Convert the model to state space, its initial states unchanged."""
         first, second = len(self.denominator1), len(self.denominator2)
         structure = _with_sizes(template, first, second, len(self.bend))
         function = {
@@ -111,7 +115,7 @@ def _with_sizes(
 
 
 def _realised(numerator: Array, denominator: Array) -> tuple[Array, Array, Array, Array]:
-    """Transposed direct form II."""
+    """Realise a filter in transposed direct form II."""
     n = len(denominator)
     a = np.eye(n, k=1)
     a[:, :1] = -denominator[:, None]
@@ -128,11 +132,11 @@ class FilterEquations:
         self._total = max(sum(float((r.weight**2).sum()) for r in records), 1.0)
 
     def costs(self, theta: Array) -> Array:
-        """theta (1, K, P) -> (1, K)."""
+        """Costs at theta (1, K, P) -> (1, K)."""
         return np.array([[self._cost(one) for one in theta[0]]])
 
     def normal(self, theta: Array) -> NormalEquations:
-        """At theta (1, P)."""
+        """Normal equations at theta (1, P)."""
         away = theta[0] - self._origin
         cost, gradient = float(self._pull @ away**2), self._pull * away
         gram = np.diag(self._pull)
@@ -169,7 +173,7 @@ def simulated(p: TwoFilters, u: Array, record: int) -> Array:
 def _filtered(
     numerator: Array, denominator: Array, values: Array, state: Array
 ) -> tuple[Array, Array]:
-    """Along the last axis; values (..., T), state (..., n)."""
+    """Filter values (..., T) along the last axis from state (..., n)."""
     full = np.concatenate([[1.0], denominator])
     if len(full) == 1 and len(numerator) == 1:
         return numerator[0] * values, state
@@ -178,7 +182,7 @@ def _filtered(
 
 
 class _Copies:
-    """A signal through 1 / A and its delayed copies, chunk by chunk."""
+    """Signal through 1 / A with its delayed copies, chunk by chunk."""
 
     def __init__(self, denominator: Array, most: int) -> None:
         self._denominator, self._most = denominator, most
@@ -194,7 +198,7 @@ class _Copies:
 
 
 class _FilterDerivatives:
-    """Of a filter's output by numerator, denominator and initial state."""
+    """Derivatives of a filter's output by numerator, denominator and initial state."""
 
     def __init__(self, denominator: Array) -> None:
         n = len(denominator)
@@ -204,7 +208,8 @@ class _FilterDerivatives:
         self._by_state = _Copies(denominator, n)
 
     def __call__(self, given: Array, out: Array, first: bool) -> tuple[Array, Array]:
-        """By the coefficients (2n + 1, c) and, in the first chunk, by the initial state (n, c)."""
+        """Derivatives by the coefficients (2n + 1, c) and, in the first chunk, by the initial
+        state (n, c)."""
         n = self._n
         rows = np.concatenate(
             [self._by_input(given, range(n + 1)), self._by_output(-out, range(1, n + 1))]

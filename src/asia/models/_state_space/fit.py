@@ -1,5 +1,6 @@
-"""Levenberg-Marquardt on the simulation error of a neural state-space model: fits from several
-starts, and the noise estimated between them.
+"""Levenberg-Marquardt on the simulation error of a neural state-space model.
+
+Fits go from several starts, and the noise is estimated between them.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ from asia.models._state_space.structure import StateSpaceStructure
 
 
 class StateFit(NamedTuple):
-    """A fit from one start."""
+    """Fit from one start."""
 
     x0: Array
     """Initial states (R, n)."""
     params: dict[str, Any]
-    """As the structure reads them."""
+    """Parameters as the structure reads them."""
     cost: float
     """Mean squared error and ridge."""
     history: Array
@@ -45,7 +46,7 @@ class StateFit(NamedTuple):
 
 
 def of_records(records: ScaledData, x0: Array) -> StateSamples:
-    """Whole records, their initial states to be found from x0 (R, n)."""
+    """Stack whole records, their initial states to be found from x0 (R, n)."""
     u, y, weight = (
         side_by_side([getattr(r, name) for r in records]) for name in ("u", "y", "weight")
     )
@@ -63,11 +64,21 @@ def fit_states(
     begin: Sequence[dict[str, Any]] | None = None,
     x0: Sequence[Array] | None = None,
 ) -> list[StateFit]:
-    """A fit from each start, the least cost first. `ridge` maps each top-level parameter name,
-    and "x0", to its ridge, which holds it to the start. begin: parameters that the fits begin with,
-    where these are not the starts; x0: initial states of each. log(iteration, root of the least
-    cost so far) over all starts. With a noise model all go on from where they are, after each
-    estimate from the best fit's residuals."""
+    """Fit from each start, the least cost first.
+
+    With a noise model all fits are continued after each estimate from the best fit's residuals.
+
+    Args:
+        structure: equations of the model.
+        starts: parameters that the ridge holds the fits to.
+        samples: records or segments.
+        ridge: ridge of each top-level parameter name and of "x0".
+        method: settings.
+        log: receives iteration and the root of the least cost so far, over all starts.
+        sampling_time: in s.
+        begin: parameters that the fits begin with; None: the starts.
+        x0: initial states that the fits begin with; None: those of `samples`.
+    """
     trees = [start if samples.known else {**start, "x0": samples.x0} for start in starts]
     runs = _Runs(structure, trees, samples, ridge, method, log)
     results = runs.fitted(_begun(trees, begin, x0), None)
@@ -99,7 +110,7 @@ def _begun(
 
 
 class _Runs(NamedTuple):
-    """Fits from several starts, and what they have in common."""
+    """Fits from several starts, with their common settings."""
 
     structure: StateSpaceStructure
     origins: Sequence[dict[str, Any]]
@@ -111,7 +122,7 @@ class _Runs(NamedTuple):
     def fitted(
         self, starts: Sequence[dict[str, Any]], weighting: ErrorWeighting | None
     ) -> list[StateFit]:
-        """In the order of the starts."""
+        """Continue the fits, in the order of the starts."""
         lowest, results = np.inf, list[StateFit]()
         for i, (origin, start) in enumerate(zip(self.origins, starts, strict=True)):
             pull = {
@@ -133,7 +144,7 @@ class _Runs(NamedTuple):
 
 
 def _logged(log: Progress, count: int, lowest: float) -> Watch:
-    """The root of the least cost so far, by iterations counted from `count`."""
+    """Log of the root of the least cost so far, by iterations counted from `count`."""
 
     def watch(done: int, cost: float) -> None:
         if np.isfinite(cost):

@@ -1,4 +1,4 @@
-"""What training a neural state-space model found, and its simulation."""
+"""Fitted neural state-space model, and its simulation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from asia.models._steps import first_of_line, median, through_line
 
 @dataclass(frozen=True)
 class FittedStateSpace:
-    """What training found."""
+    """Result of training a neural state-space model."""
 
     structure: StateSpaceStructure
     """Equations of the model."""
@@ -34,20 +34,19 @@ class FittedStateSpace:
     """Parameters as `StateSpaceStructure` reads them, in z-scores, and the map from the past
     window to the initial state."""
     delay: int
-    """Of the inputs, in samples."""
+    """Delay of the inputs, in samples."""
     scaling: Scaling
-    """From physical units to z-scores."""
+    """Scaling from physical units to z-scores."""
     turns: SignalTurns | None = None
     """Symmetries over which simulations are averaged; None: none."""
     starts: tuple[PastFit, ...] = ()
-    """How the initial state of each member is fitted to the past window; () where the encoder gives
-    it."""
+    """Fit of the initial state of each member to the past window; () where the encoder gives it."""
     transport: Transport | None = None
-    """How inputs are carried to where they act; None: at once."""
+    """Transport of the inputs to their place of action; None: at once."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu), physical units ->
-        (B, H, ny)."""
+        """Simulate in physical units: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B,
+        H, nu) -> (B, H, ny)."""
         if self.transport is not None:
             past_u, u = carried_windows(self.transport, past_u, u)
         if self.turns is None:
@@ -55,8 +54,8 @@ class FittedStateSpace:
         return self.turns.averaged(self._simulated, past_u, past_y, u)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """States of the members and the inputs that the delay holds back; before them what is in
-        the pipe, where there is one."""
+        """States of the members and the inputs that the delay holds back; before them the
+        content of the pipe, where there is one."""
         if self.transport is not None:
             pipe, leaving, acting = _entered(self.transport, past_u, u)
             return pipe, replace(self, transport=None).initial(leaving, past_y, acting)
@@ -67,7 +66,7 @@ class FittedStateSpace:
         return starts, first_of_line(past, first, self.delay)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """The median over the members."""
+        """Advance by one sample; the output is the median over the members."""
         if self.transport is not None:
             pipe, inner = state
             pipe, acting = _through(self.transport, pipe, u)
@@ -85,8 +84,13 @@ class FittedStateSpace:
         return (after, line), self.scaling.physical(median(outputs))
 
     def _starts(self, past: AnyArray, y: AnyArray, u: AnyArray) -> list[AnyArray]:
-        """State of each member (B, n) at the first sample, from z-scored past inputs (B, n_past_u,
-        nu), past outputs (B, n_past_y, ny) and the first input (B, nu)."""
+        """State of each member (B, n) at the first sample.
+
+        Args:
+            past: z-scored past inputs (B, n_past_u, nu).
+            y: z-scored past outputs (B, n_past_y, ny).
+            u: first input (B, nu).
+        """
         features = window(past, y)
         if self.structure.lags is not None:
             return [features @ self.structure.lags.selection()] * len(self.members)
@@ -115,14 +119,13 @@ class FittedStateSpace:
 
 @dataclass(frozen=True)
 class StateCell:
-    """The model as Adam trains it and as it is simulated: see
-    `asia.models._networks.structure.Cell`."""
+    """Cell of the model for Adam and for simulation: see `asia.models._networks.structure.Cell`."""
 
     structure: StateSpaceStructure
     """Equations of the model."""
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
-        """Encoder, or the past window itself."""
+        """State from the encoder, or the past window itself."""
         if self.structure.lags is not None:
             return window @ self.structure.lags.selection().astype(window.dtype)
         p = params["encoder"]
@@ -134,24 +137,24 @@ class StateCell:
         return self.structure.split(params, state, self.structure.input(params, u))
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
-        """r."""
+        """Output after the static function r."""
         del u
         return self.structure.output(params, features)
 
 
 @dataclass(frozen=True)
 class _StartedCell(StateCell):
-    """The model from known states, which are given in place of the past window."""
+    """Cell of the model that receives its states in place of the past window."""
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
-        """The states."""
+        """Return the states."""
         del params
         return window
 
 
 def carried_windows(transport: Transport, past_u: Array, u: Array) -> tuple[Array, Array]:
-    """Inputs of the past window (B, n_past_u, nu) and after it (B, H, nu), as they leave the
-    pipe, with the pace as one input more."""
+    """Inputs of the past window (B, n_past_u, nu) and after it (B, H, nu) at the outlet of the
+    pipe, with the pace as an additional input."""
     known = np.concatenate([past_u, u], axis=1)
     leaving = np.stack([transport.carried(one) for one in known])
     return leaving[:, : past_u.shape[1]], leaving[:, past_u.shape[1] :]
@@ -160,8 +163,14 @@ def carried_windows(transport: Transport, past_u: Array, u: Array) -> tuple[Arra
 def carried_records(
     records: Sequence[Trajectory], context: Context, pace: int
 ) -> tuple[Transport, list[Trajectory], Context]:
-    """The pipe that these records show, and the records and their context behind it. Raises
-    UserError where input `pace` has values that are not positive."""
+    """Estimate the pipe from records.
+
+    Returns:
+        The pipe, the records at its outlet, and their context.
+
+    Raises:
+        UserError: if input `pace` has values that are not positive.
+    """
     try:
         transport = find_transport(records, pace).transport
     except ValueError as error:
@@ -173,10 +182,16 @@ def carried_records(
 
 
 def _entered(transport: Transport, past_u: AnyArray, u: AnyArray) -> tuple[Any, AnyArray, AnyArray]:
-    """What is in the pipe at the first sample, what has left it during the past window (B,
-    n_past_u, nu + 1), and what acts at the first sample (B, nu + 1). The pipe holds the inputs of
-    the samples in which its content entered (B, length, nu), the oldest first, and the amounts
-    (B, length) that have passed since these began."""
+    """Fill the pipe from the past window.
+
+    The pipe holds the inputs of the samples in which its content entered (B, length, nu), the
+    oldest
+    first, and the amounts (B, length) that have passed since these began.
+
+    Returns:
+        The pipe at the first sample, its outlet during the past window (B, n_past_u, nu + 1), and
+        its outlet at the first sample (B, nu + 1).
+    """
     xp, length = namespace(past_u, u), transport.longest + 1
     first = past_u[:, 0] if past_u.shape[1] else u
     pace = xp.maximum(first[:, transport.pace], transport.least_pace)
@@ -189,7 +204,7 @@ def _entered(transport: Transport, past_u: AnyArray, u: AnyArray) -> tuple[Any, 
 
 
 def _through(transport: Transport, pipe: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-    """The pipe after inputs u (B, nu), and what leaves it during this sample (B, nu + 1): one
+    """Advance the pipe by inputs u (B, nu); its outlet during this sample is (B, nu + 1). One
     sample of `Transport.carried`."""
     xp, (held, since) = namespace(u), pipe
     pace = xp.maximum(u[:, transport.pace], transport.least_pace)[:, None]
@@ -198,7 +213,7 @@ def _through(transport: Transport, pipe: Any, u: AnyArray) -> tuple[Any, AnyArra
     amount = xp.concatenate([since[:, :-1] - since[:, 1:], since[:, -1:], pace], axis=1)
 
     def left(most: AnyArray) -> AnyArray:
-        """Share of each sample's amount that lies further back than so much."""
+        """Share of each sample's amount that lies further back than this amount."""
         return bounded((began - most) / amount, 0.0, 1.0)
 
     share = left(transport.volume - pace) - left(np.asarray(transport.volume))

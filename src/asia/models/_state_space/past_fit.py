@@ -1,9 +1,10 @@
-"""Initial state of a state-space model, fitted to the past window.
+"""Fit of the initial state of a state-space model to the past window.
 
 The map from past windows to states errs by more than the sensor, and where small differences grow
-that decides the simulation. So the state at the first sample of the window is taken from the map,
-and moved until the model simulates the window: the state of greatest posterior probability, by
-Gauss-Newton steps, with the errors of map and model on the training records as deviations.
+that error dominates the simulation. So the state at the first sample of the window is taken from
+the map, and moved until the model simulates the window: the state of greatest posterior
+probability, by Gauss-Newton steps, with the errors of map and model on the training records as
+deviations.
 """
 
 from __future__ import annotations
@@ -40,18 +41,18 @@ _SCHEDULE = DampingSchedule((1.0,), 0.2, 10.0, 0.0, float("inf"), retries=False)
 
 @dataclass(frozen=True)
 class PastFit:
-    """How a state is fitted to the past window."""
+    """Settings of the fit of a state to the past window."""
 
     samples: int
-    """Of the window, its last ones."""
+    """Number of last samples of the window that are used."""
     x_deviation: Array
-    """(n,) of what the map from the past window says of the state before them."""
+    """Deviation (n,) of the state that the map predicts before these samples."""
     y_deviation: Array
-    """(ny,) of the model's output."""
+    """Deviation (ny,) of the model's output."""
 
 
 def window_samples(context: Context) -> int:
-    """Samples of the past window in which inputs and outputs are known."""
+    """Number of samples of the past window in which inputs and outputs are known."""
     return min(context.n_past_u, context.n_past_y)
 
 
@@ -62,7 +63,8 @@ def past_fit(
     context: Context,
     hidden: int,
 ) -> tuple[Encoder, PastFit]:
-    """Map from the past window to the state before its last samples, and how that is fitted."""
+    """Map from the past window to the state before its last samples, and settings of the fit to
+    them."""
     skip, back = past_length(context), window_samples(context)
     features, states, errors = list[Array](), list[Array](), list[Array]()
     for record, x0, at in zip(records, fit.x0, window_rows(records, context), strict=True):
@@ -91,9 +93,19 @@ def fitted_state(
     u: AnyArray,
     y: AnyArray,
 ) -> AnyArray:
-    """guess (B, n) of the state at the first of `how.samples` samples, u (B, samples + 1, nu) and
-    y (B, samples, ny), z-scored -> the state (B, n) after them. Each window for itself; NumPy or
-    JAX."""
+    """Fit the state of each window separately; NumPy or JAX.
+
+    Args:
+        structure: equations of the model.
+        params: parameters.
+        how: settings.
+        guess: guess (B, n) of the state at the first of `how.samples` samples.
+        u: z-scored inputs (B, samples + 1, nu).
+        y: z-scored outputs (B, samples, ny).
+
+    Returns:
+        The state (B, n) after the samples.
+    """
     xp, (batch, n) = namespace(guess, u, y), guess.shape
     ways = _DIFFERENCE * np.concatenate([np.zeros((1, n)), np.diag(how.x_deviation)])
 

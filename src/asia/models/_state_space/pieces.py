@@ -1,7 +1,7 @@
-"""Fits that begin with short pieces of the records, each from a state of its own.
+"""Fits that begin with short segments of the records, each with its own initial state.
 
 Over a whole record the simulation error of a system in which small differences grow has many local
-minima; over pieces it has few. The pieces grow to the whole records. Sources: Ribeiro, Tiels,
+minima; over segments it has few. The segments grow to the whole records. Sources: Ribeiro, Tiels,
 Umenberger, Schon and Aguirre, Automatica 121, 2020; Bock, multiple shooting, 1981.
 """
 
@@ -25,28 +25,27 @@ from asia.models._state_space.structure import StateSpaceStructure
 
 
 class _Lengths(NamedTuple):
-    """How long pieces are."""
+    """Lengths of the segments."""
 
     shortest: int
-    """Samples of the first, at least."""
+    """Least number of samples of the first segments."""
     by_state: int
-    """Samples for each state of the model."""
+    """Number of samples for each state of the model."""
     growth: int
     """Factor from one length to the next."""
 
 
-# Samples of a piece, at least and for each state, and the factor by which pieces grow. Pieces of a
-# whole period already miss the minimum of a strong oscillator, but elements of friction and play
-# show only in pieces in which the motion turns.
+# Lengths of the segments. Segments of a whole period already miss the minimum of a strong
+# oscillator, but elements of friction and play show only in segments with a reversal.
 _SMOOTH, _WITH_ELEMENTS = _Lengths(20, 4, 3), _Lengths(40, 8, 4)
-# How many pieces are fitted.
+# Greatest number of segments.
 _MOST = 60
-# Iterations on pieces, the ridge of their states, and what holds the first guess of these.
+# Iterations on segments, the ridge of their states, and that of the first guess of these.
 _ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
 
 
-class _Piece(NamedTuple):
-    """Where a piece is."""
+class _Segment(NamedTuple):
+    """Position of a segment."""
 
     record: int
     start: int
@@ -63,62 +62,68 @@ def fit_pieces(
     log: Progress,
     sampling_time: float,
 ) -> list[StateFit]:
-    """From each start, the parameters that fit the pieces, and with them the initial states (R, n)
-    of whole records: of the first piece of a record, else x0 (R, n), those of the linear system."""
+    """Fit the segments from each start.
+
+    Returns:
+        Parameters, and initial states (R, n) of whole records: of the first segment of a record,
+        else x0 (R, n), those of the linear system.
+    """
     lengths = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
     length = max(lengths.shortest, lengths.by_state * structure.size)
-    pieces = _spread(records, length)
+    segments = _spread(records, length)
     few = replace(method, iterations=min(method.iterations, _ITERATIONS))
     ridge = {**ridge, "x0": _STATE_RIDGE}
-    first = [_guess(structure, system, records, piece, length) for piece in pieces]
+    first = [_guess(structure, system, records, segment, length) for segment in segments]
     states, fits = [np.array(first)] * len(starts), list[StateFit]()
     begin: Sequence[dict[str, Any]] = starts
     while any(2 * len(r) >= 3 * length for r in records):
         fits = [
             fit_states(
-                structure, [start], _cut(records, pieces, length, known), ridge, few, log,
+                structure, [start], _cut(records, segments, length, known), ridge, few, log,
                 sampling_time, begin=[params],
             )[0]
             for start, params, known in zip(starts, begin, states, strict=True)
         ]  # fmt: skip
         begin = [one.params for one in fits]
         length *= lengths.growth
-        kept = _thinned(pieces, length)
-        whole = [_initial(pieces, one.x0, x0) for one in fits]
+        kept = _thinned(segments, length)
+        whole = [_initial(segments, one.x0, x0) for one in fits]
         states = [one.x0[kept] for one in fits]
-        pieces = [pieces[i] for i in kept]
+        segments = [segments[i] for i in kept]
         fits = [one._replace(x0=x) for one, x in zip(fits, whole, strict=True)]
     return fits
 
 
-def _spread(records: ScaledData, length: int) -> list[_Piece]:
-    """At most `_MOST` pieces that follow each other, spread over the records, the first samples of
+def _spread(records: ScaledData, length: int) -> list[_Segment]:
+    """Choose at most `_MOST` successive segments, spread over the records, the first samples of
     each record among them."""
     every = [
-        [_Piece(i, start) for start in range(0, max(len(r) - length // 2, 1), length)]
+        [_Segment(i, start) for start in range(0, max(len(r) - length // 2, 1), length)]
         for i, r in enumerate(records)
     ]
-    first = [pieces[0] for pieces in every[:_MOST]]
-    later = [piece for pieces in every for piece in pieces[1:]]
+    first = [segments[0] for segments in every[:_MOST]]
+    later = [segment for segments in every for segment in segments[1:]]
     room = _MOST - len(first)
     chosen = [later[i] for i in spread(len(later), room)] if later and room else []
     return sorted([*first, *chosen])
 
 
-def _thinned(pieces: Sequence[_Piece], length: int) -> list[int]:
-    """Which of them to keep so that pieces of this length do not overlap."""
+def _thinned(segments: Sequence[_Segment], length: int) -> list[int]:
+    """Choose the segments to keep so that segments of this length do not overlap."""
     kept: list[int] = []
-    for i, piece in enumerate(pieces):
-        last = pieces[kept[-1]] if kept else None
-        if last is None or last.record != piece.record or piece.start - last.start >= length:
+    for i, segment in enumerate(segments):
+        last = segments[kept[-1]] if kept else None
+        if last is None or last.record != segment.record or segment.start - last.start >= length:
             kept.append(i)
     return kept
 
 
-def _cut(records: ScaledData, pieces: Sequence[_Piece], length: int, states: Array) -> StateSamples:
-    """Samples of the pieces, with their states to be found from `states`."""
+def _cut(
+    records: ScaledData, segments: Sequence[_Segment], length: int, states: Array
+) -> StateSamples:
+    """Cut the samples of the segments, with their states to be found from `states`."""
     u, y, weight = (
-        side_by_side([getattr(records[p.record], n)[p.start : p.start + length] for p in pieces])
+        side_by_side([getattr(records[p.record], n)[p.start : p.start + length] for p in segments])
         for n in ("u", "y", "weight")
     )
     return StateSamples(states, u, y, weight, known=False)
@@ -128,13 +133,13 @@ def _guess(
     structure: StateSpaceStructure,
     system: LinearSystem,
     records: ScaledData,
-    piece: _Piece,
+    segment: _Segment,
     length: int,
 ) -> Array:
-    """State (n,) from which the linear system simulates the first samples of the piece best."""
+    """State (n,) from which the linear system simulates the first samples of the segment best."""
     n, few = system.order, min(length, max(10, 3 * system.order))
-    part = slice(piece.start, piece.start + few)
-    u, y = records[piece.record].u[part], records[piece.record].y[part]
+    part = slice(segment.start, segment.start + few)
+    u, y = records[segment.record].u[part], records[segment.record].y[part]
     _, forced = system.simulate(np.zeros((1, n)), u[None])
     rows, row = list[Array](), system.c
     for _ in range(len(u)):
@@ -147,10 +152,10 @@ def _guess(
     return np.pad(state, (0, structure.size - n))
 
 
-def _initial(pieces: Sequence[_Piece], found: Array, x0: Array) -> Array:
+def _initial(segments: Sequence[_Segment], found: Array, x0: Array) -> Array:
     """Initial states (R, n) of whole records."""
     states = x0.copy()
-    for piece, state in zip(pieces, found, strict=True):
-        if piece.start == 0:
-            states[piece.record] = state
+    for segment, state in zip(segments, found, strict=True):
+        if segment.start == 0:
+            states[segment.record] = state
     return states

@@ -2,7 +2,7 @@
 
 The Jacobian comes from the sensitivity equations: derivatives of one step are taken by reverse
 differentiation at many samples at once, and only the product of state Jacobians runs through time.
-It is never held as a whole: its products are summed chunk by chunk, so that memory does not grow
+It is never stored as a whole: its products are summed chunk by chunk, so that memory does not grow
 with the length of the records.
 """
 
@@ -24,19 +24,19 @@ from asia.models._noise.weighting import ErrorWeighting
 from asia.models._noise.whitening import InnovationFilter, huber_root
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Numbers in the derivatives of one chunk of samples, and of each chunk where one is not enough.
+# Limits on the numbers in the derivatives of one chunk, and of each of several chunks.
 _CHUNK_VALUES, _FEWER_VALUES = 4_000_000, 400_000
 _ITERATIONS_BETWEEN_LOGS = 5
 
 Watch: TypeAlias = Callable[[int, float], None]
-"""Told the iterations that are done, and the cost after them."""
+"""Function that receives the number of completed iterations, and the cost after them."""
 
 
 class StateSamples(NamedTuple):
-    """Samples side by side."""
+    """Records or segments side by side."""
 
     x0: Array
-    """Where the search for the initial states (R, n) starts or, when `known`, what they are."""
+    """Initial states (R, n), or starting points of their search unless `known`."""
     u: Array
     """(R, T, nu)."""
     y: Array
@@ -44,7 +44,7 @@ class StateSamples(NamedTuple):
     weight: Array
     """(R, T), 0 in the padding."""
     known: bool
-    """Whether the initial states are given."""
+    """The initial states are given."""
 
 
 class SampleChunks(NamedTuple):
@@ -63,7 +63,7 @@ class SampleChunks(NamedTuple):
     origin: Any
     """(P,)."""
     through: InnovationFilter | None = None
-    """Of the noise model, (K, c, R, ny) each; None without one."""
+    """Filter of the noise model, (K, c, R, ny) each; None without one."""
     huber: Any = None
     """Threshold on the innovations, in the unit of the errors; None without one."""
 
@@ -111,12 +111,12 @@ class CompiledEquations:
         self.done = 0
 
     def costs(self, theta: Array) -> Array:
-        """theta (1, K, P) -> (1, K)."""
+        """Costs at theta (1, K, P) -> (1, K)."""
         with jax.enable_x64(True):
             return np.asarray(_costs(*self._program, self._data, theta[0]))[None]
 
     def normal(self, theta: Array) -> NormalEquations:
-        """At theta (1, P)."""
+        """Normal equations at theta (1, P)."""
         with jax.enable_x64(True):
             found = [np.asarray(v) for v in _normal(*self._program, self._data, theta[0])]
         if self.done and self.done % _ITERATIONS_BETWEEN_LOGS == 0:
@@ -126,7 +126,7 @@ class CompiledEquations:
 
 
 class _Simulation:
-    """What the programs have in common."""
+    """Simulation of chunks, common to the programs."""
 
     def __init__(
         self, structure: StateSpaceStructure, packing: Packing, data: SampleChunks
@@ -139,13 +139,14 @@ class _Simulation:
         return tree["x0"] if "x0" in tree else jnp.asarray(self.data.x0)
 
     def step(self, theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
-        """(n,), (nu,) -> next state and output in one vector (n + ny,)."""
+        """Map (n,), (nu,) to next state and output in one vector (n + ny,)."""
         p, structure = self.packing.unpack(theta), self.structure
         state, w = structure.split(p, x, structure.input(p, u))
         return jnp.concatenate([state, structure.output(p, w)])
 
     def chunk(self, theta: jax.Array, x: jax.Array, part: Any) -> Any:
-        """One chunk from x (R, n): the last state, all states (c, R, n), errors (c, R, ny)."""
+        """Simulate a chunk from x (R, n): the last state, all states (c, R, n), errors (c, R,
+        ny)."""
         u, y = part[:2]
         n, many = self.structure.size, jax.vmap(self.step, (None, 0, 0))
 
@@ -157,13 +158,13 @@ class _Simulation:
         return x, states, outputs - y
 
     def predicted(self, columns: int) -> jax.Array | None:
-        """Of the noise model before the first sample, for so many columns of errors."""
+        """Initial prediction of the noise model, for so many columns of errors."""
         if self.data.through is None:
             return None
         return jnp.zeros((*self.data.y.shape[2:], columns))
 
     def weighed(self, predicted: Any, values: jax.Array, part: Any) -> tuple[Any, jax.Array]:
-        """Columns of errors (c, R, ny, P), whitened and weighted, and the filter's last state."""
+        """Whiten and weigh columns of errors (c, R, ny, P); return the filter's last state too."""
         weight, through = part[2], part[3]
         if through is not None:
 
@@ -178,8 +179,8 @@ class _Simulation:
         return predicted, weight[..., None, None] * values
 
     def bent(self, error: jax.Array, part: Any) -> tuple[jax.Array, jax.Array | None]:
-        """Weighted errors (c, R, ny) with Huber's loss as their square, and the derivatives;
-        without a threshold as they are, and None."""
+        """Transform weighted errors (c, R, ny) so that their square is Huber's loss, with the
+        derivatives; without a threshold return them unchanged, and None."""
         if self.data.huber is None:
             return error, None
         threshold = jnp.maximum(self.data.huber * part[2][..., None], 1e-30)
@@ -190,7 +191,7 @@ class _Simulation:
 
     @property
     def parts(self) -> Any:
-        """The chunks, for `scan`."""
+        """Chunks, for `scan`."""
         return self.data.u, self.data.y, self.data.weight, self.data.through
 
 
@@ -220,7 +221,7 @@ def _costs(
 def _normal(
     structure: StateSpaceStructure, packing: Packing, data: SampleChunks, theta: jax.Array
 ) -> Any:
-    """Sum of squared errors, J' J and J' e, with those of the ridge."""
+    """Sum of squared errors, J' J and J' e, including the ridge."""
     run, n, p = _Simulation(structure, packing, data), structure.size, theta.size
     by_step = jax.jacrev(run.step, argnums=(0, 1))
     derivatives = jax.vmap(jax.vmap(by_step, (None, 0, 0)), (None, 0, 0))

@@ -15,31 +15,31 @@ from asia.models._linear.fit import LinearFit, Refinement, refine
 from asia.models._linear.system import LinearSystem
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Stiffness that a start has, in turn, for motions of unit size, and width of a play.
+# Stiffness of the elements of a start, by turns, for motions of unit size, and width of a play.
 _STIFFNESS = (30.0, 2.0, 0.5)
 _WIDTH = 0.5
-# Samples that tell how large the signals are which elements act on.
+# Samples for the size of the signals that elements act on.
 _SIZED = 4000
 
 
 def symmetric(
     found: LinearFit, records: ScaledData, copies: int, refinement: Refinement
 ) -> LinearFit:
-    """The linear model refined on all records, which say that it is symmetric; turned ones start
-    at rest."""
+    """Refine the linear model on records and their transformations, so that it is symmetric;
+    transformed records start at rest."""
     x0 = np.zeros((len(records), found.system.order))
     x0[::copies] = found.x0
     return refine(records, replace(found, x0=x0), refinement)
 
 
 def with_elements(structure: StateSpaceStructure, found: LinearFit) -> LinearFit:
-    """The linear model with elements at rest in its initial states."""
+    """Add elements at rest to the initial states of the linear model."""
     more = structure.size - structure.order
     return replace(found, x0=np.pad(found.x0, ((0, 0), (0, more))))
 
 
 def encoded_at_rest(structure: StateSpaceStructure, encoder: Encoder) -> Encoder:
-    """An affine encoder of the linear model's state, with elements at rest."""
+    """Affine encoder of the linear model's state, with elements at rest."""
     more = structure.size - structure.order
     return affine(np.pad(encoder.weights, ((0, 0), (0, more))), np.pad(encoder.bias, (0, more)))
 
@@ -52,7 +52,7 @@ def starts_of(
     scaling: Scaling,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
-    """So many starting points."""
+    """Make so many starting points."""
     s = found.system
     starts = [structure.start(s, rng) for _ in range(count)]
     if structure.size == structure.order:
@@ -72,10 +72,16 @@ def starts_of(
 def _friction(
     system: LinearSystem, states: Array, zero: Array, turns: range, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Elements of friction without effect, one a turn.
+    """Elements of friction without effect, one for each number in `turns`.
 
-    states (T, n) of the linear system give the sizes; outputs are at rest at `zero` (ny,). The
-    directions are the difference of the output, the output, and random ones, in turn.
+    The directions are the difference of the output, the output, and random ones, in turn.
+
+    Args:
+        system: linear system.
+        states: states (T, n) of the linear system, which give the sizes.
+        zero: outputs at rest (ny,).
+        turns: numbers of the elements.
+        rng: random generator.
     """
     n, ny, count = system.order, len(system.c), len(turns)
     difference = system.c @ (np.eye(n) - np.linalg.pinv(system.a))
@@ -102,8 +108,18 @@ def _friction(
 def _play(
     system: LinearSystem, states: Array, u: Array, turns: range, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """The same of elements of play; inputs u (T, nu). The directions are the inputs, the outputs,
-    and random ones, in turn, and each round of them has half the width of the one before."""
+    """Elements of play without effect, one for each number in `turns`.
+
+    The directions are the inputs, the outputs, and random ones, in turn, and each round of them has
+    half the width of the one before.
+
+    Args:
+        system: linear system.
+        states: states (T, n) of the linear system.
+        u: inputs (T, nu).
+        turns: numbers of the elements.
+        rng: random generator.
+    """
     n, nu, count = system.order, u.shape[1], len(turns)
     known = [np.eye(n + nu)[n + j] for j in range(nu)]
     known += [np.concatenate([row, np.zeros(nu)]) for row in system.c]

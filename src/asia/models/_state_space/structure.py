@@ -3,7 +3,7 @@
 x[k+1] = A x + B v + f,  w = C x + D v + offset + g,  v = u + s(u),  y = w + r(w), where the
 functions that a structure leaves out are zero, and those it has end in a layer that starts at
 zero, so that the model starts as the linear one. Elements of friction and of play have states of
-their own behind x.
+their own after x.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ Nonlinearity = Literal["state", "input", "output", "both", "none"]
 Basis = Literal["tanh", "polynomial"]
 Coefficients = Mapping[str, Any]
 
-# Monomials are evaluated on signals of unit size limited to this, so that a simulation which
-# leaves the training range grows linearly at most.
+# Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
+# grows linearly at most.
 _RANGE = 4.0
 
 
@@ -38,54 +38,55 @@ class StateSpaceStructure:
     """Sizes and kind of the functions; hashable."""
 
     order: int
-    """States."""
+    """Number of states."""
     nu: int
-    """Inputs."""
+    """Number of inputs."""
     ny: int
-    """Outputs."""
+    """Number of outputs."""
     nonlinearity: Nonlinearity
-    """Where the static functions are."""
+    """Place of the static functions."""
     basis: Basis
-    """What the functions are made of."""
+    """Basis of the functions."""
     hidden: int
     """Units of a layer of tanh functions."""
     degree: int
     """Greatest degree of polynomials."""
     channels: int | None
-    """How many linear combinations of [x, v] f and g read; None lets them read all of [x, v]."""
+    """Number of linear combinations of [x, v] that f and g read; None lets them read all of [x,
+    v]."""
     lags: WindowLags | None = None
-    """Where the state is the past window itself: its next value follows from the output, and f is
-    left out."""
+    """Lags of a state that is the past window itself: its next value follows from the output,
+    and f is left out."""
     friction: int = 0
-    """Elements of dry friction, each with a state."""
+    """Number of elements of dry friction, each with a state."""
     play: int = 0
-    """Elements of play, each with a state."""
+    """Number of elements of play, each with a state."""
     integrators: int = 0
-    """Last ones of the states whose pole is held at 1 and which f and g do not read."""
+    """Number of last states whose pole is held at 1 and which f and g do not read."""
 
     @property
     def size(self) -> int:
-        """States of the model and of its elements."""
+        """Number of states of the model and of its elements."""
         return self.order + self.friction + self.play
 
     @property
     def starts_vary(self) -> bool:
-        """Whether starting points differ: polynomials all start at zero."""
+        """Starting points differ: polynomials all start at zero."""
         drawn = self.nonlinearity != "none" and self.basis == "tanh"
         return drawn or self.channels is not None or self.size > self.order
 
     def input(self, p: Coefficients, u: Any) -> Any:
-        """v from u (..., nu)."""
+        """Input v after the static function s, from u (..., nu)."""
         return u + self._net(p["s"], u) if "s" in p else u
 
     def split(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
-        """States x (..., n), inputs v (..., nu) -> next states and outputs before r."""
+        """Advance states x (..., n) with inputs v (..., nu); return the outputs before r too."""
         if "dry" in p or "play" in p:
             return self._split_with_elements(p, x, v)
         return self._smooth(p, x, v)
 
     def _smooth(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
-        """`split` without elements."""
+        """Advance as `split` does, without elements."""
         output = x @ p["c"] + v @ p["d"] + p["offset"]
         if self.lags is not None:
             output = output + self._change(p, x, v)
@@ -114,7 +115,7 @@ class StateSpaceStructure:
         return namespace(x, v).concatenate([state, *parts], axis=-1), output
 
     def _dynamics(self, p: Coefficients) -> Any:
-        """A, transposed."""
+        """Transposed matrix A."""
         if not self.integrators:
             return p["a"]
         free, held = _transposed_entries(self.order, self.integrators)
@@ -128,7 +129,7 @@ class StateSpaceStructure:
         return self._net(p["f"], both @ p["read"]) @ p["act"]
 
     def output(self, p: Coefficients, w: Any) -> Any:
-        """y from w (..., ny)."""
+        """Output y after the static function r, from w (..., ny)."""
         return w + self._net(p["r"], w) if "r" in p else w
 
     def _net(self, p: Coefficients, z: Any) -> Any:
@@ -187,7 +188,8 @@ class StateSpaceStructure:
         }
 
     def simulate(self, p: Coefficients, x0: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """x0 (B, n), u (B, T, nu) -> states (B, T, n) and outputs (B, T, ny), NumPy or JAX."""
+        """Simulate from x0 (B, n) with u (B, T, nu): states (B, T, n) and outputs (B, T, ny),
+        NumPy or JAX."""
 
         def step(x: AnyArray, v: AnyArray) -> tuple[AnyArray, tuple[AnyArray, AnyArray]]:
             after, output = self.split(p, x, v)
@@ -197,10 +199,10 @@ class StateSpaceStructure:
         return states.swapaxes(0, 1), self.output(p, outputs.swapaxes(0, 1))
 
 
-# Asked for at every sample of a simulation.
+# Called at every sample of a simulation.
 @cache
 def _monomials(signals: int, degree: int) -> tuple[NDArray[np.intp], ...]:
-    """For each degree from 2 on, the signals (monomials, degree) that are multiplied."""
+    """Indices (monomials, degree) of the signals that are multiplied, for each degree from 2 on."""
     return tuple(
         np.array(list(combinations_with_replacement(range(signals), d)))
         for d in range(2, degree + 1)

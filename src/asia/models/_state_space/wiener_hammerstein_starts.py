@@ -1,7 +1,8 @@
 """Starts of a Wiener-Hammerstein model.
 
-They come from the best linear model of the whole: its poles and zeros are shared out between the
-two systems in every way, and each way is judged with the static function solved by least squares.
+They come from the best linear model of the whole: its poles and zeros are distributed over the
+two systems in every way, and each way is evaluated with the static function solved by least
+squares.
 Source: Schoukens, Pintelon and Rolain, Identification of Wiener-Hammerstein systems by an
 exhaustive and efficient search, Automatica 50(2), 2014.
 """
@@ -25,22 +26,22 @@ from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructu
 
 Roots = NDArray[np.complex128]
 
-# Shares of poles and zeros that are tried at most, and samples that judge one.
+# Greatest number of distributions of poles and zeros, and samples for the evaluation of one.
 _MOST_SHARES = 200
-_JUDGED_SAMPLES = 4000
+_EVALUATION_SAMPLES = 4000
 _SETTLE = 50
-_SLOW, _ELSEWHERE = 0.98, 0.7
+_SLOW, _FREE_ROOT = 0.98, 0.7
 
 
 class WienerHammersteinStart(NamedTuple):
-    """A starting point."""
+    """Starting point with its error."""
 
     structure: WienerHammersteinStructure
-    """Its sizes."""
+    """Sizes of the systems."""
     params: dict[str, Any]
-    """As the structure reads them."""
+    """Parameters as the structure reads them."""
     error: float
-    """Its mean squared error, infinite where it was not judged."""
+    """Mean squared error, infinite where it was not evaluated."""
 
 
 class LinearFilter(NamedTuple):
@@ -54,7 +55,7 @@ class LinearFilter(NamedTuple):
     """Factor."""
 
     def system(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D."""
+        """State-space matrices A, B, C and D."""
         numerator, denominator = signal.zpk2tf(self.zeros, self.poles, self.gain)
         if len(self.poles) == 0:
             static = np.array([[self.gain]])
@@ -63,10 +64,11 @@ class LinearFilter(NamedTuple):
         return np.asarray(a), np.asarray(b), np.asarray(c), np.asarray(d)
 
     def in_delays(self) -> tuple[Array, Array]:
-        """Numerator and denominator, both as long as the poles ask for, in powers of the delay."""
+        """Numerator and denominator in powers of the delay, both as long as the number of poles
+        requires."""
         numerator, denominator = signal.zpk2tf(self.zeros, self.poles, self.gain)
         delayed = np.zeros(len(self.poles) - len(self.zeros))
-        # A constant comes back as a number.
+        # A constant polynomial is returned as a number.
         up, down = (np.asarray(c, np.float64).reshape(-1) for c in (numerator, denominator))
         return np.concatenate([delayed, up]), down
 
@@ -81,9 +83,12 @@ def wiener_hammerstein_starts(
     rng: np.random.Generator,
     most: int,
 ) -> list[WienerHammersteinStart]:
-    """The `most` best starts. With one input and output all shares of poles and zeros compete;
-    with more, the linear model stands before or after the static function and new modes that do
-    not yet act stand on the other side."""
+    """Find the `most` best starts.
+
+    With one input and output all distributions of poles and zeros compete; with more, the linear
+    model
+    comes before or after the static function, with new modes that do not yet act on the other side.
+    """
     if template.nu == template.ny == 1:
         function = template.function(rng, 1)
         found = [
@@ -98,11 +103,11 @@ def wiener_hammerstein_starts(
 def shares(
     system: LinearSystem, most: int = _MOST_SHARES
 ) -> list[tuple[LinearFilter, LinearFilter]]:
-    """The ways, `most` at most, to share out the poles and zeros of a system with one input and
-    one output between a first and a second filter."""
+    """Distribute the poles and zeros of a system with one input and one output over a first and
+    a second filter, in at most `most` ways."""
     zeros, poles, gain = signal.ss2zpk(system.a, system.b, system.c, system.d)
     zeros, poles = np.asarray(zeros, complex), np.asarray(poles, complex)
-    # A zero this far out is the rounding of a delay.
+    # A zero this far out is the rounding error of a delay.
     far = np.abs(zeros) > 1e3
     gain = float(np.real(gain * np.prod(-zeros[far])))
     poles, zeros = _settled(poles, zeros[~far])
@@ -118,18 +123,18 @@ def shares(
 
 
 def _settled(poles: Roots, zeros: Roots) -> tuple[Roots, Roots]:
-    """A slow pole that a zero nearly cancels fits drift, not dynamics: the two start elsewhere."""
+    """Remove slow poles that a zero nearly cancels: such a pair fits drift, not dynamics."""
     poles, zeros = poles.copy(), zeros.copy()
     for i in np.flatnonzero((np.abs(poles) > _SLOW) & (np.abs(poles.imag) < 1e-9)):
         near = np.flatnonzero((np.abs(zeros - poles[i]) < 2 * (1 - _SLOW)) & (zeros.imag == 0))
         if len(near):
-            zeros[near[0]] += _ELSEWHERE - poles[i]
-            poles[i] = _ELSEWHERE
+            zeros[near[0]] += _FREE_ROOT - poles[i]
+            poles[i] = _FREE_ROOT
     return poles, zeros
 
 
 def _groups(roots: Roots) -> list[Roots]:
-    """Real roots alone, complex ones with their conjugates."""
+    """Groups of roots: each real root, and each complex root with its conjugate."""
     real = [
         roots[i : i + 1].real.astype(complex) for i in np.flatnonzero(np.abs(roots.imag) < 1e-9)
     ]
@@ -152,7 +157,7 @@ def _shared_start(
     function: dict[str, Any],
 ) -> WienerHammersteinStart | None:
     one, two = pair
-    middles = [one(r.u[:_JUDGED_SAMPLES]) for r in records]
+    middles = [one(r.u[:_EVALUATION_SAMPLES]) for r in records]
     size = float(np.concatenate(middles).std())
     if not np.isfinite(size) or size < 1e-12:
         return None

@@ -1,4 +1,4 @@
-"""What a grey-box can be given beyond the equations: sensors, lags, smooth corrections, priors."""
+"""Additions of a grey-box to the equations: sensors, lags, smooth corrections, priors."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ TIED = replace(CASCADE, priors={"b/a": Prior(1.0, 0.05)})
 
 
 def test_a_prior_decides_what_the_records_do_not_tell() -> None:
-    """Of two first-order systems in a row the records do not tell which is the slow one."""
+    """The records of two first-order systems in a row do not show which is the slow one."""
 
     def rate(x: Array, u: Array) -> Array:
         return np.array([0.4 * (u[0] - x[0]), 0.15 * (x[0] - x[1])])

@@ -42,7 +42,7 @@ def record(seed: int, rising: bool = True, limit: float = np.inf) -> Trajectory:
 
 
 def error(model: object, on: Trajectory, context: Context) -> float:
-    """On the record's rest, over its deviation."""
+    """Simulation error after the past window, over the deviation of the record."""
     past = max(context.n_past_u, context.n_past_y)
     y = model.simulate(on.u[None, :past], on.y[None, :past], on.u[None, past:])[0]  # type: ignore[attr-defined]
     return float(np.sqrt(np.mean((y - on.y[past:]) ** 2)) / on.y.std())

@@ -63,7 +63,7 @@ def fitted(train: Trajectory, **config) -> greybox.GreyBox:
 
 
 def error(model: greybox.GreyBox, new: Trajectory) -> float:
-    """Of the simulation of a record, in deviations of its output."""
+    """Simulation error of a record, in deviations of its output."""
     y = model.simulate(new.u[None, :5], new.y[None, :5], new.u[None, 5:])[0]
     return float(np.sqrt(np.mean((y - new.y[5:]) ** 2)) / new.y.std())
 

@@ -1,5 +1,4 @@
-"""What a grey-box says of its parameters: errors, correlations, what the records do not determine,
-and its equations with the numbers in them."""
+"""Estimates of a grey-box: errors, correlations, undetermined parameters, printed equations."""
 
 from __future__ import annotations
 
@@ -75,7 +74,7 @@ def test_intervals_lie_around_values_and_hold_the_truth() -> None:
 
 
 def test_a_product_that_alone_matters_is_not_identifiable() -> None:
-    """Only b c is seen: neither b nor c has an error, a has one."""
+    """Neither b nor c has an error where only b c acts; a has one."""
     product = replace(
         LAG,
         parameters={**LAG.parameters, "c": ParameterRange(0.1, 3.0)},

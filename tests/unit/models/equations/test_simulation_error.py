@@ -23,7 +23,8 @@ RECORDS = [duffing_record(60, 0, 0.01), duffing_record(45, 1, 0.01)]
 
 
 def error_of(config: greybox.Config, horizon: int | None = None) -> SimulationError:
-    """Of two starts that are not at a minimum; the last coordinate is not fitted."""
+    """Simulation error of two starts that are not at a minimum; the last coordinate is not
+    fitted."""
     context = replace(context_for(DUFFING, "force", "y", 0.15), horizon=horizon)
     structure = greybox.build(config, context).structure
     segments = cut_segments(structure, RECORDS, horizon)

@@ -1,4 +1,4 @@
-"""What holds for every neural family of this table: windows, long simulations, restarts."""
+"""Common tests of the neural families of this table: windows, long simulations, restarts."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def response(u: np.ndarray) -> np.ndarray:
 
 
 def error(method: NetworkMethod, seed: int, slow: float) -> float:
-    """Of a simulation against the truth, its mean left out."""
+    """Simulation error against the truth, without its mean."""
     rng = np.random.default_rng(seed)
     u = rng.standard_normal((2, SAMPLES))
     truth = np.stack([response(row) for row in u])

@@ -25,7 +25,7 @@ def fitted(
 
 
 def error(model: neural_ss.NeuralStateSpace, new: Trajectory) -> float:
-    """Of the simulation of a record, in deviations of its output."""
+    """Simulation error of a record, in deviations of its output."""
     y = model.simulate(new.u[None, :10], new.y[None, :10], new.u[None, 10:])[0]
     return float(np.sqrt(np.mean((y - new.y[10:]) ** 2)) / new.y.std())
 

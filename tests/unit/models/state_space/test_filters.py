@@ -34,7 +34,7 @@ def record(length: int, seed: int) -> ScaledTrajectory:
 
 
 def gradient(equations: FilterEquations, theta: Array) -> Array:
-    """By differences."""
+    """Gradient by differences."""
     steps = 1e-6 * np.eye(len(theta))
     points = np.stack([theta + steps, theta - steps]).reshape(1, -1, len(theta))
     up, down = equations.costs(points)[0].reshape(2, -1)

@@ -27,7 +27,7 @@ METHOD = LevenbergMarquardt(25)
 
 
 def error(method: LevenbergMarquardt, seed: int) -> float:
-    """Of a simulation against the truth, its mean left out."""
+    """Simulation error against the truth, without its mean."""
     rng = np.random.default_rng(seed)
     u, truth = rng.standard_normal((2, SAMPLES)), np.zeros((2, SAMPLES))
     for k in range(1, SAMPLES):

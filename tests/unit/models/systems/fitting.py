@@ -1,4 +1,4 @@
-"""What the tests of the input-output families share: fitting, reloading, a windows problem."""
+"""Common helpers of the tests of input-output families: fitting, reloading, a windows problem."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What is written into the equations, and what is known of their parameters."""
+"""Additions to the equations, and priors on their parameters."""

@@ -1,9 +1,9 @@
-"""Sparse discovery of terms that the equations lack, by the simulation error.
+"""Sparse discovery of missing terms of the equations, by the simulation error.
 
 All terms of a library are written into the equations with numbers that are zero. The sensitivity of
-the simulation error to these numbers says how much of the error each term would explain beside
-what the fitted parameters can explain. The best one is freed, the model is fitted again, and so
-on; terms that no longer help are taken away. No derivative of a measured signal is needed, and
+the simulation error to these numbers shows how much of the error each term would explain in
+addition to the fitted parameters. The best one is freed, the model is fitted again, and so
+on; terms that no longer help are removed. No derivative of a measured signal is needed, and
 states may be hidden. Sources: the greedy search of Chen, Billings and Luo, Int. J. Control 50(5),
 1989; the library of Brunton, Proctor and Kutz, PNAS 113(15), 2016.
 """
@@ -27,12 +27,12 @@ from asia.models._least_squares import LevenbergMarquardt, minimise
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
 
-# A term is taken, and kept, where it lowers the cost by this share: less is often luck, because
-# errors of a model that lacks something are alike from one sample to the next.
+# Least relative decrease of the cost for a term to be added or kept. A smaller one is often due to
+# chance, because errors of an incomplete model are correlated in time.
 _LEAST_GAIN = 0.02
-# Of a term's squared sensitivity, what parameters and other terms cannot imitate.
+# Least share of a term's squared sensitivity that parameters and other terms cannot reproduce.
 _LEAST_OWN = 1e-6
-# Terms that are tried by a fit before one is taken, and the iterations of such a fit.
+# Terms tried by a fit before one is added, and the iterations of such a fit.
 _TRIED, _ITERATIONS = 3, 15
 # Simulations of one call of the compiled program.
 _ROWS = 32
@@ -44,8 +44,17 @@ def discover(
     fitted: FittedEquations,
     method: LevenbergMarquardt,
 ) -> tuple[GreyBoxStructure, FittedEquations]:
-    """The structure with up to `Config.most_terms` terms, and its fit; both as they are where no
-    term helps."""
+    """Add the terms that reduce the simulation error, at most `Config.most_terms` of them.
+
+    Args:
+        structure: grey-box without the terms.
+        segments: records of the fit.
+        fitted: fit of that grey-box.
+        method: settings of the fits.
+
+    Returns:
+        The structure with the terms, and its fit; both unchanged where no term helps.
+    """
     search = _TermSearch.of(structure, segments, fitted, method)
     chosen = search.chosen(structure.config.most_terms)
     if not chosen:
@@ -57,19 +66,19 @@ def discover(
 
 @dataclass(frozen=True)
 class _Selection:
-    """A model on the way."""
+    """Model with some of the terms."""
 
     chosen: tuple[int, ...]
     """Numbers of its terms."""
     theta: Array
-    """Where its fit ended (n,)."""
+    """Coordinates at the end of its fit (n,)."""
     cost: float
-    """There."""
+    """Cost at `theta`."""
 
 
 @dataclass(frozen=True)
 class _TermSearch:
-    """All terms are in the equations; a coordinate that is zero and held there is none."""
+    """Greedy search with all terms in the equations; a coordinate held at zero is no term."""
 
     terms: list[Term]
     first: int
@@ -115,7 +124,7 @@ class _TermSearch:
         return state.chosen
 
     def _without_idle(self, state: _Selection) -> _Selection:
-        """Without those earlier terms that the newest has made needless."""
+        """Remove an earlier term that the newest one has made needless."""
         for k in state.chosen[:-1]:
             less = self._fit(tuple(j for j in state.chosen if j != k), state.theta)
             if (1.0 - _LEAST_GAIN) * less.cost <= state.cost:
@@ -123,8 +132,8 @@ class _TermSearch:
         return state
 
     def _promising(self, state: _Selection) -> list[int]:
-        """Terms in the order of what they would explain, the first few, by the normal equations at
-        the fit with all terms free."""
+        """First few terms in the order of the error that they would explain, by the normal
+        equations at the fit with all terms free."""
         at = self._error(range(len(self.terms))).linearise(state.theta[None])
         numbers = np.arange(len(self.terms)) + self.first
         taken = numbers[list(state.chosen)]
@@ -158,7 +167,7 @@ class _TermSearch:
 
 
 def _starts_at(fitted: FittedEquations, z: Array) -> Starts:
-    """One starting point: coordinates z (size,), and the initial states of a fit."""
+    """Single starting point: coordinates z (size,), and the initial states of a fit."""
     assert fitted.x0 is not None
     x0 = fitted.x0[None]
     return Starts(z[None], np.zeros_like(x0), x0, opened(fitted.scales.for_rows()))

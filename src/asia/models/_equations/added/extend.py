@@ -1,4 +1,4 @@
-"""The person's equations with what a config adds to them written in."""
+"""Equations from the problem file, extended by the additions of a config."""
 
 from __future__ import annotations
 
@@ -31,16 +31,18 @@ from asia.problem.physics.expressions import Binary, Expression, Name, Node, Num
 
 Range = tuple[float, float]
 
-# Of a sensor: its zero in spans, the logarithms of its power and of its slopes.
+# Prior deviations of a sensor: of its zero in spans, of the logarithms of its power and of its
+# slopes.
 _ZERO_DEVIATION, _POWER_DEVIATION, _SLOPE_DEVIATION = 0.1, 0.5, 0.5
-# Of the logarithm of a time constant, about one sample.
+# Prior deviation of the logarithm of a time constant, about one sample.
 _LAG_DEVIATION = 0.7
-# Keeps the slope of a power finite at zero, in spans.
+# Shift in spans that keeps the slope of a power finite at zero.
 _POWER_SHIFT = 0.02
 
 
 def extended(structure: GreyBoxStructure, segments: RecordPieces) -> GreyBoxStructure:
-    """The structure with all additions that are changes of expressions; itself without any."""
+    """Write all additions that change expressions into a structure; return it unchanged without
+    any."""
     if not structure.config.extends or structure.learned.names:
         return structure
     return _Builder(structure, segments).built()
@@ -73,7 +75,7 @@ class _Builder:
             place = system.states.index(velocity)
             dynamics[place] = Binary("-", dynamics[place], force.node)
         dynamics += [self._lag(name) for name in late]
-        # States of additions, each with its derivative, behind those of the lags.
+        # States of additions, each with its derivative, after those of the lags.
         new = [*behind.values(), *(pair for _, force in forces for pair in force.states)]
         dynamics += [derivative for _, derivative in new]
         observation = [_inlined(system, e) for e in system.observation]
@@ -113,13 +115,13 @@ class _Builder:
         return found + [(name, bouc_wen(self._extension, name, step)) for name in config.hysteresis]
 
     def _play(self, name: str) -> tuple[str, Node]:
-        # As fast as steps of Runge and Kutta follow without a swing.
+        # Fastest time constant that Runge-Kutta steps follow without oscillation.
         time = self._structure.sampling_time / (1.5 * self._config.substeps)
         return play(self._extension, name, self._span(name)[1], time)
 
     def _shown(self, lagged: list[str]) -> tuple[tuple[int, int], ...]:
-        """Outputs that show states; what shows a state shows a lag of it, or a play behind it, as
-        well."""
+        """Outputs that show states; an output that shows a state also shows its lag or the play
+        behind it."""
         shown, states = dict(self._structure.measured_states), self._system.states
         for k, name in enumerate(lagged):
             if name in states and states.index(name) in shown:
@@ -127,7 +129,7 @@ class _Builder:
         return tuple(shown.items())
 
     def _as_read(self, name: str) -> Node:
-        """A signal as the equations read it."""
+        """Signal in the form that the equations read."""
         node = Name(name)
         if name not in self._config.smooth:
             return node
@@ -137,7 +139,7 @@ class _Builder:
         return formula("x * exp(bend)", x=node, bend=_process(weights, place))
 
     def _span(self, name: str) -> tuple[Node, Node]:
-        """The lowest value of a signal, and its range."""
+        """Lowest value of a signal, and its range."""
         if name not in self._system.inputs:
             return self._extension.span(name)
         low, high = self._input_ranges[self._system.inputs.index(name)]
@@ -146,7 +148,7 @@ class _Builder:
     def _lag(self, name: str) -> Node:
         step = self._structure.sampling_time
         time = self._extension.number(f"{name} lag", step, _LAG_DEVIATION, positive=True)
-        # Shorter ones would make an explicit step unstable.
+        # A shorter lag would make an explicit step unstable.
         least = Number(0.5 * step / self._config.substeps)
         return formula(
             "(x - late) / max(time, least)",
@@ -154,7 +156,7 @@ class _Builder:
         )  # fmt: skip
 
     def _sensor(self, output: int, node: Node) -> Node:
-        """The output as a rising curve of its expression."""
+        """Output as a rising curve of its expression."""
         name = self._system.outputs[output]
         low, high = self._sensor_range(output, node)
         place = formula(
@@ -185,7 +187,7 @@ class _Builder:
 
 
 def _range(values: Array) -> Range:
-    """From the lowest to the highest value, never empty."""
+    """Lowest and highest value, never equal."""
     low, high = float(values.min()), float(values.max())
     return low, high if high > low else low + 1.0
 
@@ -195,7 +197,7 @@ def _expression(node: Node) -> Expression:
 
 
 def _inlined(system: Equations, e: Expression) -> Node:
-    """An expression with the definitions put in."""
+    """Expression with the definitions put in."""
     known: dict[str, Node] = {}
     for name, definition in system.definitions:
         known[name] = substituted(definition.root, known)
@@ -203,7 +205,7 @@ def _inlined(system: Equations, e: Expression) -> Node:
 
 
 def _process(weights: Sequence[Node], place: Node) -> Node:
-    """A weighted sum of squared exponential kernels."""
+    """Weighted sum of squared exponential kernels."""
     terms = [
         formula(
             "w * exp(-0.5 * ((x - knot) / length) ** 2)",
@@ -215,7 +217,7 @@ def _process(weights: Sequence[Node], place: Node) -> Node:
 
 
 def _rising(weights: Sequence[Node], place: Node) -> Node:
-    """A curve through (0, 0) and (1, 1) whose slope is positive: linear between knots, the
+    """Curve through (0, 0) and (1, 1) whose slope is positive: linear between knots, the
     exponential of a Gaussian process at them."""
     slopes = [formula("exp(g)", g=_process(weights, Number(k / (KNOTS - 1)))) for k in range(KNOTS)]
     parts: list[Node] = []

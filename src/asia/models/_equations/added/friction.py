@@ -1,6 +1,7 @@
-"""Dry friction, hysteresis and play as terms and states of a person's equations.
+"""Dry friction, hysteresis and play as terms and states of the equations.
 
-Forces are per unit of inertia: they are taken from the derivative of a velocity. All widths are
+Forces are per unit of inertia: they are subtracted from the derivative of a velocity. All widths
+are
 kept above what the integrator's step can follow. Sources: Armstrong-Helouvry, Dupont and Canudas de
 Wit, Automatica 30(7), 1994 (Stribeck); Canudas de Wit, Olsson, Astrom and Lischinsky, IEEE Trans.
 Automatic Control 40(3), 1995 (LuGre); Wen, J. Engineering Mechanics 102(2), 1976 (Bouc-Wen).
@@ -13,31 +14,38 @@ from dataclasses import dataclass
 from asia.models._equations.added.numbers import Extension, formula
 from asia.problem.physics.expressions import Name, Node, Number
 
-# Of levels, in the usual rate of the velocity, of how much more than sliding sticking takes, and
-# of a bristle's damping.
+# Prior deviations: of levels, in the usual rate of the velocity; of the excess of sticking over
+# sliding friction; of a bristle's damping.
 _LEVEL_DEVIATION, _STRIBECK_DEVIATION, _DAMPING_DEVIATION = 2.0, 0.5, 1.0
-# Velocities over the velocity's span, and displacements over the square of that span by its rate.
+# Velocities relative to the velocity's span, and displacements relative to the square of that span
+# divided by its rate.
 _STRIBECK_VELOCITY, _WIDTH, _BREAKAWAY, _YIELD = 0.1, 0.01, 0.01, 0.1
 _SIZE_DEVIATION = 1.2
-# Half the width of a play over the span of its signal, and the deviation of the logarithm.
+# Half width of a play relative to the span of its signal, and the deviation of its logarithm.
 _PLAY, _PLAY_DEVIATION = 0.02, 2.0
 BOUND = 3.0
-"""Of states that are relative to a level."""
+"""Bound of states that are relative to a level."""
 
 
 @dataclass(frozen=True)
 class Force:
-    """What is taken from the derivative of a velocity."""
+    """Force that is subtracted from the derivative of a velocity."""
 
     node: Node
-    """The force per unit of inertia."""
+    """Force per unit of inertia."""
     states: tuple[tuple[str, Node], ...] = ()
-    """States of its own, each with its derivative."""
+    """States of the force, each with its derivative."""
 
 
 def stribeck(extension: Extension, velocity: str, step: float) -> Force:
-    """Smooth Coulomb friction with Stribeck effect and viscous friction, each with levels of its
-    own in the two directions; `step` is the integrator's, in s."""
+    """Smooth Coulomb friction with Stribeck effect and viscous friction, each with separate levels
+    in the two directions.
+
+    Args:
+        extension: collects the numbers.
+        velocity: name of the velocity.
+        step: step of the integrator in s.
+    """
     level, uneven, extra, bend = _levels(extension, velocity)
     width = _size(extension, f"{velocity} friction width", _WIDTH)
     viscous = extension.number(f"{velocity} viscous friction", 0.0, _LEVEL_DEVIATION)
@@ -76,7 +84,7 @@ def lugre(extension: Extension, velocity: str, step: float) -> Force:
 
 
 def bouc_wen(extension: Extension, velocity: str, step: float) -> Force:
-    """Bouc-Wen hysteresis: a restoring force that yields, with a memory of where it turned."""
+    """Bouc-Wen hysteresis: a restoring force that yields, with a memory of its reversals."""
     level = extension.number(f"{velocity} hysteresis", 0.0, _LEVEL_DEVIATION)
     power = extension.number(f"{velocity} sharpness", 1.0, 0.5, positive=True)
     share = extension.number(f"{velocity} loop shape", 0.5, 0.3)
@@ -93,7 +101,14 @@ def bouc_wen(extension: Extension, velocity: str, step: float) -> Force:
 
 
 def play(extension: Extension, name: str, span: Node, time: float) -> tuple[str, Node]:
-    """A state that follows a signal behind a play, as fast as `time` in s, and its derivative."""
+    """State that follows a signal behind a play, and its derivative.
+
+    Args:
+        extension: collects the numbers.
+        name: name of the signal.
+        span: range of the signal.
+        time: time constant of the following in s.
+    """
     half = extension.number(f"{name} play", _PLAY, _PLAY_DEVIATION, positive=True)
     state = f"{name} behind play"
     derivative = formula(
@@ -124,7 +139,7 @@ def _size(extension: Extension, name: str, mean: float) -> Node:
 def _displacement(
     extension: Extension, velocity: str, size: Node, level: Node, step: float
 ) -> Node:
-    """A displacement that the integrator can follow."""
+    """Displacement that the integrator can follow."""
     return formula(
         "max(size * span * span / rate, h * h * rate * abs(level), h * abs(v))",
         size=size, span=extension.span(velocity)[1], rate=extension.rate(velocity),

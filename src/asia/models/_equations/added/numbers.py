@@ -1,7 +1,7 @@
 """Additions that are written into the equations: lags, smooth corrections, bent sensors.
 
-Each is a change of the parsed expressions with learned numbers of its own, so that simulation needs
-to know nothing of them.
+Each changes the parsed expressions and brings learned numbers, so that simulation needs no
+knowledge of them.
 """
 
 from __future__ import annotations
@@ -24,29 +24,30 @@ from asia.problem.physics.expressions import (
 )
 
 KNOTS = 6
-# Of a kernel, in spans of the signal: a correction bends about once over the span.
+# Length scale of a kernel, in spans of the signal: a correction bends about once over the span.
 LENGTH = 0.4
 
 
 @dataclass(frozen=True)
 class LearnedNumbers:
-    """Numbers that additions bring: parameters of the extended equations behind the person's."""
+    """Numbers that additions bring: parameters of the extended equations, after those of the
+    problem file."""
 
     names: tuple[str, ...] = ()
-    """One a number."""
+    """Names, one a number."""
     mean: tuple[float, ...] = ()
     """Prior means, of the logarithm where the number is positive."""
     factor: tuple[tuple[float, ...], ...] = ()
     """Square root (n, n) of the prior covariance: coordinates are standard normal."""
     positive: tuple[bool, ...] = ()
-    """Whether the logarithm is searched."""
+    """The logarithm is searched, one flag a number."""
     spans: tuple[str, ...] = ()
     """States whose lowest and highest value are appended, for expressions that need them."""
     rates: tuple[str, ...] = ()
     """States whose usual rate of change is appended after these."""
 
     def values(self, z: AnyArray) -> list[AnyArray]:
-        """The numbers from their coordinates z (n, ...)."""
+        """Numbers from their coordinates z (n, ...)."""
         xp = namespace(z)
         if not self.names:
             return []
@@ -58,7 +59,7 @@ NO_NUMBERS = LearnedNumbers()
 
 
 class Extension:
-    """Collects additions to a system of equations."""
+    """Collector of additions to a system of equations."""
 
     def __init__(self) -> None:
         self._names: list[str] = []
@@ -69,7 +70,7 @@ class Extension:
         self._rates: list[str] = []
 
     def number(self, name: str, mean: float, deviation: float, positive: bool = False) -> Node:
-        """A new number."""
+        """Add a number."""
         self._add([name], [np.log(mean) if positive else mean], np.array([[deviation]]), positive)
         return Name(name)
 
@@ -80,14 +81,14 @@ class Extension:
         return [Name(n) for n in names]
 
     def span(self, state: str) -> tuple[Node, Node]:
-        """The lowest value of a state, and its range."""
+        """Lowest value of a state, and its range."""
         if state not in self._spans:
             self._spans.append(state)
         low, high = Name(f"{state} low"), Name(f"{state} high")
         return low, Binary("-", high, low)
 
     def rate(self, state: str) -> Node:
-        """The usual rate of change of a state: the root of its mean square."""
+        """Usual rate of change of a state: the root of its mean square."""
         if state not in self._rates:
             self._rates.append(state)
         return Name(f"{state} rate")
@@ -118,19 +119,19 @@ class Extension:
 
 @cache
 def _kernel_root() -> np.ndarray:
-    """Maps standard normal coordinates to weights of the kernels at the knots."""
+    """Matrix from standard normal coordinates to weights of the kernels at the knots."""
     x = np.linspace(0.0, 1.0, KNOTS)
     gram = np.exp(-0.5 * ((x[:, None] - x) / LENGTH) ** 2) + 1e-4 * np.eye(KNOTS)
     return np.linalg.inv(np.linalg.cholesky(gram)).T
 
 
 def formula(text: str, **nodes: Node) -> Node:
-    """A tree from text whose names are replaced."""
+    """Parse text to a tree and replace its names."""
     return substituted(parse_expression(text, "addition").root, nodes)
 
 
 def substituted(node: Node, nodes: Mapping[str, Node]) -> Node:
-    """The tree with some names replaced by trees."""
+    """Replace some names of a tree by trees."""
     match node:
         case Name(name):
             return nodes.get(name, node)
@@ -160,7 +161,7 @@ def names_in(node: Node) -> frozenset[str]:
 
 
 def total(terms: Sequence[Node]) -> Node:
-    """A sum."""
+    """Sum of trees."""
     found = terms[0]
     for term in terms[1:]:
         found = Binary("+", found, term)

@@ -15,21 +15,24 @@ from asia.problem.physics.expressions import parse_expression
 
 @dataclass(frozen=True)
 class ParameterPriors:
-    """Values of expressions that are probable before any data are seen."""
+    """Gaussian priors of expressions in the parameters."""
 
     system: Equations | None = None
     """Expressions in the parameters, as outputs; None where there are no priors."""
     mean: tuple[float, ...] = ()
-    """Of each."""
+    """Mean of each expression."""
     deviation: tuple[float, ...] = ()
-    """Standard deviations."""
+    """Standard deviation of each expression."""
 
     def __len__(self) -> int:
         return len(self.mean)
 
     def deviations(self, parameters: Array) -> Array:
-        """How far (n, R) the expressions are from their means, in standard deviations, at
-        parameters (np, R)."""
+        """Distances (n, R) of the expressions from their means, in standard deviations.
+
+        Args:
+            parameters: (np, R).
+        """
         nothing = np.zeros((0, *parameters.shape[1:]))
         if self.system is None:
             return nothing
@@ -43,8 +46,17 @@ NO_PRIORS = ParameterPriors()
 def parameter_priors(
     system: Equations, priors: Iterable[tuple[str, float, float]], width: float
 ) -> ParameterPriors:
-    """Of expression, mean and standard deviation each. Raises UserError for an expression that does
-    not parse or names something else than parameters and constants."""
+    """Parse priors on expressions in the parameters.
+
+    Args:
+        system: equations with the parameters.
+        priors: expression, mean and standard deviation each.
+        width: factor on the standard deviations.
+
+    Raises:
+        UserError: for an expression that does not parse or that names something else than
+            parameters and constants.
+    """
     rows = list(priors)
     if not rows:
         return NO_PRIORS

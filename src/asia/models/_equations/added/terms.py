@@ -1,4 +1,4 @@
-"""Terms that equations may lack: products of signals, each with a number of its own."""
+"""Candidate terms of the equations: products of signals, each with a number of its own."""
 
 from __future__ import annotations
 
@@ -14,38 +14,43 @@ from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.ode import functions
 from asia.problem.physics.expressions import Binary, Expression, Name, parse_expression
 
-# A library of more has no cubes, and then no products of two signals of its own.
+# Greatest size of a library; a larger one is built without cubes, and then without products of two
+# signals.
 _MOST_TERMS = 120
-# Of the numbers, in usual rates of the state over usual sizes of the product: wide, since the ridge
-# on them is there to keep the search bounded and not to say that a term is small.
+# Prior deviation of the numbers, in usual rates of the state over usual sizes of the product. It is
+# wide, since the ridge only bounds the search and does not claim that a term is small.
 _DEVIATION = 10.0
-# Cosine of the angle between two products over the records from which on they are one.
+# Least cosine of the angle between two products over the records at which they count as equal.
 _ALIKE = 0.9999
 
 
 @dataclass(frozen=True)
 class Term:
-    """A number times an expression, in the derivative of a state."""
+    """Number times an expression, in the derivative of a state."""
 
     state: str
-    """Whose derivative."""
+    """State whose derivative gets the term."""
     text: str
-    """The expression, in states and inputs."""
+    """Expression in states and inputs."""
     deviation: float
     """Prior standard deviation of the number, whose prior mean is 0."""
 
     @property
     def name(self) -> str:
-        """Of its number."""
+        """Name of the number."""
         return f"{self.state}: {self.text}"
 
 
 def library(structure: GreyBoxStructure, x: Array, u: Array, rates: Array) -> list[Term]:
     """Terms for the states in `Config.discover`: a constant, signals, products of two, signals
-    times their size and cubes, each but for those that are proportional to another.
+    times their size and cubes, without those that are proportional to another.
 
-    x (N, nx) and u (N, nu): simulated states and inputs; rates (nx,): root mean squares of the
-    derivatives of the states."""
+    Args:
+        structure: grey-box.
+        x: simulated states (N, nx).
+        u: inputs (N, nu).
+        rates: root mean squares of the derivatives of the states (nx,).
+    """
     system, own = structure.equations, structure.nx_own
     names = (*system.states[:own], *system.inputs)
     values = dict(zip(names, np.concatenate([x[:, :own], u], axis=1).T, strict=True))
@@ -62,8 +67,8 @@ def library(structure: GreyBoxStructure, x: Array, u: Array, rates: Array) -> li
 
 
 def with_terms(structure: GreyBoxStructure, terms: Sequence[Term]) -> GreyBoxStructure:
-    """The structure with these terms written into its equations, their numbers behind those that
-    are learned already."""
+    """Write terms into the equations of a structure; their numbers follow those that are learned
+    already."""
     system, learned = structure.equations, structure.learned
     place = len(structure.ranges) + len(learned.names)
     names = tuple(term.name for term in terms)
@@ -101,17 +106,14 @@ def _with_products(expression: Expression, terms: Sequence[Term]) -> Expression:
 
 
 def _texts(names: Sequence[str], states: int) -> list[str]:
-    """Of the expressions, the simplest first."""
-    products = [_square(a, b) for a, b in combinations_with_replacement(names, 2)]
+    """Texts of the expressions, the simplest first."""
+    pairs = combinations_with_replacement(names, 2)
+    products = [f"{a}**2" if a == b else f"{a} * {b}" for a, b in pairs]
     found = ["1", *names, *products, *(f"{a} * abs({a})" for a in names)]
     cubes = [f"{a}**3" for a in names]
     if states * (len(found) + len(cubes)) <= _MOST_TERMS:
         found += cubes
     return found[: max(1, _MOST_TERMS // states)]
-
-
-def _square(a: str, b: str) -> str:
-    return f"{a}**2" if a == b else f"{a} * {b}"
 
 
 def _distinct(values: Mapping[str, Array]) -> dict[str, float]:

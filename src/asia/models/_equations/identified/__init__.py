@@ -1,1 +1,1 @@
-"""What a trained grey-box says of itself: its parameters with their uncertainty, its equations."""
+"""Report of a trained grey-box: its parameters with their uncertainty, its equations."""

@@ -1,4 +1,4 @@
-"""What the records say of the parameters of a trained grey-box."""
+"""Estimates of the parameters of a trained grey-box, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -25,20 +25,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Around:
-    """A trained grey-box beside the records that it was fitted to."""
+    """Trained grey-box with the records that it was fitted to."""
 
     structure: GreyBoxStructure
-    """What was fitted."""
+    """Structure of the fit."""
     fitted: FittedEquations
-    """The coordinates that were found."""
+    """Result of the fit."""
     segments: RecordPieces
-    """The records as the fit cut them."""
+    """Records as the fit cut them."""
     values: Callable[[Array], dict[str, float]]
-    """The named parameters at coordinates (size,)."""
+    """Named parameters at coordinates (size,)."""
 
     def estimates(self, equations: Sequence[str]) -> ParameterEstimates:
-        """Raises ValueError where these are not the records of the fit."""
-        # Imports JAX, which a trained model does without.
+        """Estimate the uncertainty of the parameters.
+
+        Args:
+            equations: lines of the equations with the numbers put in.
+
+        Raises:
+            ValueError: if these are not the records of the fit.
+        """
+        # Import of JAX, which a trained model does not need.
         from asia.models._equations.programs import CompiledSimulator
 
         structure, segments = self.structure, self.segments

@@ -1,4 +1,4 @@
-"""The equations of a trained grey-box as text, with the numbers put in."""
+"""Text of the equations of a trained grey-box, with the numbers put in."""
 
 from __future__ import annotations
 
@@ -18,8 +18,13 @@ _OF_MINUS, _OF_NAMES = 3, 5
 
 
 def equation_lines(structure: GreyBoxStructure, scales: Scales, effect: Effects) -> list[str]:
-    """Definitions, dynamics, outputs, then what keeps states in their limits and delays inputs.
-    scales: as arrays (n,); effect: as arrays without rows."""
+    """Definitions, dynamics, outputs, then the limits of states and the delays of inputs.
+
+    Args:
+        structure: grey-box.
+        scales: sizes of the signals, as arrays (n,).
+        effect: decoded coordinates, as arrays without rows.
+    """
     system = structure.equations
     values = dict(system.constants) | {
         name: float(v) for name, v in zip(system.parameters, effect.parameters, strict=True)
@@ -43,22 +48,22 @@ def equation_lines(structure: GreyBoxStructure, scales: Scales, effect: Effects)
 
 
 def text(node: Node, values: Mapping[str, float]) -> str:
-    """An expression, with `values` in the place of their names."""
+    """Text of an expression, with `values` in the place of their names."""
     return _text(node, values)[0]
 
 
 def number(value: float) -> str:
-    """Five digits, as people write them."""
+    """Number with five digits."""
     return f"{value:.5g}"
 
 
 def signed(value: float) -> str:
-    """` + 0.5` or ` - 0.5`."""
+    """Number with its sign as operator: ` + 0.5` or ` - 0.5`."""
     return f" {'-' if value < 0 else '+'} {number(abs(value))}"
 
 
 def _text(node: Node, values: Mapping[str, float]) -> tuple[str, int]:
-    """With how strongly it binds."""
+    """Text of a tree, and the precedence of its operator."""
     match node:
         case Number(value):
             return number(value), _OF_NAMES if value >= 0 else _OF_MINUS
@@ -74,7 +79,8 @@ def _text(node: Node, values: Mapping[str, float]) -> tuple[str, int]:
             strength = _STRENGTH[symbol]
             power = symbol == "**"
             first = _inside(left, values, strength + power)
-            # a - (b + c), a / (b c): the right side of what does not commute keeps its own.
+            # a - (b + c), a / (b c): the right operand of a non-commutative operator keeps its
+            # parentheses.
             second = _inside(right, values, strength + (symbol in "-/"))
             return f"{first}{symbol}{second}" if power else _pair(first, symbol, second), strength
         case Call(function, arguments):
@@ -93,8 +99,8 @@ def _inside(node: Node, values: Mapping[str, float], least: int) -> str:
 
 
 def _added(structure: GreyBoxStructure, scales: Scales, effect: Effects, i: int) -> str:
-    """What is added to the derivative of a state: linear term and offset in physical units, the
-    network by its size."""
+    """Terms that are added to the derivative of a state: linear term and offset in physical units,
+    the network by its size."""
     config, own = structure.config, structure.nx_own
     rate = float(scales.rate[i])
     parts, constant = "", rate * float(effect.rate_offset[i])

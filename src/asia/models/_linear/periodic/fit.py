@@ -1,4 +1,4 @@
-"""A linear system and its initial states from records with periodic inputs."""
+"""Fit of a linear system and its initial states to records with periodic inputs."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ from asia.models._linear.periodic.modes import in_blocks, resolvent
 from asia.models._linear.periodic.subspace import observability
 from asia.models._linear.system import LinearSystem
 
-# Every third line is left out while the order is chosen.
+# Step of the lines left out while the order is chosen.
 _EVERY = 3
-# Past windows that the initial state is learned from, in numbers of these.
+# Limits on the past windows of the encoder: in numbers, and in windows.
 _WINDOW_NUMBERS, _MOST_WINDOWS = 6_000_000, 20_000
-# Orders are tried in steps of this share.
+# Relative step between orders that are tried.
 _STEP = 0.12
 
 
 @dataclass(frozen=True)
 class PeriodicChoice:
-    """The order, or how it is chosen."""
+    """Order, or limits of its choice."""
 
     order: int | None
-    """None takes the smallest whose error at lines left out is near the least."""
+    """Number of states; None takes the smallest whose error at lines left out is near the least."""
     most: int
     """Greatest order tried."""
     tolerance: float
-    """How near: relative, of the root."""
+    """Relative tolerance of that choice, of the root."""
 
 
 def fit_periodic(
@@ -53,8 +53,11 @@ def fit_periodic(
     iterations: int,
     log: Progress | None = None,
 ) -> tuple[LinearSystem, Encoder] | None:
-    """System and map from past windows to states. None where the records are not periodic, not in
-    steady state or too short for the order."""
+    """Fit a system and the map from past windows to states.
+
+    Returns:
+        None where the records are not periodic, not in steady state or too short for the order.
+    """
     steady = steady_records(records)
     if steady is None:
         return None
@@ -94,7 +97,7 @@ def _orders(most: int) -> list[int]:
 
 
 def _started(lines: ExcitedLines, orders: Sequence[int]) -> dict[int, LinearSystem]:
-    """Systems of these orders by the subspace method, those that it gives."""
+    """Systems of these orders by the subspace method, as many as it gives."""
     factor = observability(lines, max(orders))
     found: dict[int, LinearSystem] = {}
     for order in orders:
@@ -106,14 +109,14 @@ def _started(lines: ExcitedLines, orders: Sequence[int]) -> dict[int, LinearSyst
 
 
 def _with_offset(system: LinearSystem, records: Sequence[SteadyRecord]) -> LinearSystem:
-    """Means of the outputs without those that the inputs explain."""
+    """Set the offset: means of the outputs without those that the inputs explain."""
     gain = system.gain
     left = [r.y.mean(axis=0) - gain @ r.u.mean(axis=0) for r in records]
     return replace(system, offset=np.mean(left, axis=0))
 
 
 def _steady_states(system: LinearSystem, record: SteadyRecord) -> Array:
-    """(N, n) over the mean period."""
+    """States (N, n) over the mean period."""
     period = len(record.u)
     spectrum = np.fft.rfft(record.u, axis=0)
     z = np.exp(2j * np.pi * np.arange(len(spectrum)) / period)
@@ -124,7 +127,7 @@ def _steady_states(system: LinearSystem, record: SteadyRecord) -> Array:
 def _encoder(
     records: ScaledData, steady: Sequence[SteadyRecord], states: Sequence[Array], context: Context
 ) -> Encoder:
-    """Past window -> steady state, from windows spread over the records."""
+    """Map from a past window to the steady state, from windows spread over the records."""
     past = past_length(context)
     width = max(1, context.n_past_u * context.nu + context.n_past_y * context.ny)
     most = min(_MOST_WINDOWS, _WINDOW_NUMBERS // width) // len(records) + 1

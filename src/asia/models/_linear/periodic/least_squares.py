@@ -1,4 +1,4 @@
-"""Least squares on the output error at lines, which by Parseval is that of the steady state."""
+"""Least squares on the output error at lines, which by Parseval equals that of the steady state."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from asia.models._linear.periodic.lines import ExcitedLines, Spectrum
 from asia.models._linear.periodic.modes import block_entries, readout, resolvent
 from asia.models._linear.system import LinearSystem
 
-# Complex numbers of a piece of the Jacobian.
-_PIECE = 4_000_000
+# Complex numbers in one segment of the Jacobian.
+_SEGMENT = 4_000_000
 _TINY = 1e-12
 
 
 def with_inputs(lines: ExcitedLines, a: Array, c: Array) -> LinearSystem:
-    """B and D by linear least squares, A in blocks and C given; the offset is zero."""
+    """Solve B and D by linear least squares, A in blocks and C given; the offset is zero."""
     n, ny, nu = len(a), len(c), lines.u.shape[1]
     eye = np.broadcast_to(np.eye(ny), (len(lines.z), ny, ny))
     left = np.concatenate([readout(a, lines.z, c), eye], axis=2)
@@ -43,12 +43,9 @@ def with_inputs(lines: ExcitedLines, a: Array, c: Array) -> LinearSystem:
 
 def error(lines: ExcitedLines, system: LinearSystem) -> float:
     """Sum of squared output errors of the columns."""
-    left = _left(lines, system)
+    s = system
+    left = lines.y - (s.c @ resolvent(s.a, lines.z, s.b) + s.d) @ lines.u
     return float((abs(left) ** 2).sum())
-
-
-def _left(lines: ExcitedLines, s: LinearSystem) -> Spectrum:
-    return lines.y - (s.c @ resolvent(s.a, lines.z, s.b) + s.d) @ lines.u
 
 
 def refined(
@@ -57,9 +54,17 @@ def refined(
     method: LevenbergMarquardt,
     log: Progress | None = None,
 ) -> LinearSystem:
-    """Levenberg-Marquardt on B, C, D and the blocks of A. A step to an unstable system is refused;
-    log(iteration, root of the share left). The sizes of the states do not matter: the damping is
-    relative to each column of the Jacobian."""
+    """Refine B, C, D and the blocks of A by Levenberg-Marquardt.
+
+    A step to an unstable system is refused. The sizes of the states do not matter: the damping is
+    relative to each column of the Jacobian.
+
+    Args:
+        lines: excited lines.
+        start: system at the start.
+        method: settings.
+        log: receives iteration and the root of the share left.
+    """
     total, steps = max(float((abs(lines.y) ** 2).sum()), 1e-300), count()
     blocks = block_entries(start.order)
     theta0 = np.concatenate(
@@ -96,10 +101,10 @@ def _normal(lines: ExcitedLines, s: LinearSystem) -> tuple[float, Array, Array]:
     square, normal, gradient = 0.0, np.zeros((size, size)), np.zeros(size)
     each = lines.u.shape[2] * ny * size
     eye = np.eye(ny)
-    for piece in np.array_split(np.arange(len(lines.z)), 1 + len(lines.z) * each // _PIECE):
-        z, u = lines.z[piece], lines.u[piece]
+    for segment in np.array_split(np.arange(len(lines.z)), 1 + len(lines.z) * each // _SEGMENT):
+        z, u = lines.z[segment], lines.u[segment]
         x, w = resolvent(s.a, z, s.b) @ u, readout(s.a, z, s.c)
-        residual = lines.y[piece] - s.c @ x - s.d @ u
+        residual = lines.y[segment] - s.c @ x - s.d @ u
         parts = [
             np.einsum("foi,fim->fomi", w[:, :, rows], x[:, columns]),
             np.einsum("foi,fjm->fomij", w, u),

@@ -1,4 +1,4 @@
-"""Excited lines of periodic records, of all realisations in as few columns as say the same."""
+"""Excited lines of periodic records, with all realisations compressed to few columns."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ from asia.data.frequency.periods import common_period
 from asia.models._data.records import ScaledData
 
 Spectrum = NDArray[np.complex128]
-# Of the largest amplitude: an input line below it is not excited.
+# Least amplitude of an excited input line, relative to the largest one.
 _EXCITED = 1e-3
-# Of the variance of an output: what the periods may differ by in steady state.
+# Greatest difference of the periods in steady state, relative to the variance of an output.
 _UNSTEADY = 0.1
-# Fewer lines say too little of what lies between them.
+# Least number of lines: fewer leave the response between them undetermined.
 FEWEST_LINES = 30
 
 
 @dataclass(frozen=True)
 class ExcitedLines:
-    """Least squares over all realisations has the same solution on these columns: of the outputs
-    nothing is left out but what no linear system explains."""
+    """Excited lines, compressed so that least squares has the same solution as over all
+    realisations.
+
+    Only the part of the outputs that no linear system explains is left out.
+    """
 
     z: Spectrum
     """exp(j omega) of each line (F,)."""
@@ -35,7 +38,7 @@ class ExcitedLines:
     """Outputs (F, ny, m)."""
 
     def part(self, which: NDArray[np.bool_]) -> ExcitedLines:
-        """Some of the lines."""
+        """Select some of the lines."""
         return ExcitedLines(self.z[which], self.u[which], self.y[which])
 
 
@@ -52,8 +55,12 @@ class SteadyRecord:
 
 
 def steady_records(records: ScaledData) -> list[SteadyRecord] | None:
-    """The mean period of each record; None where there is no period that all have at least twice,
-    or where an output differs from period to period: no steady state, or too much noise."""
+    """Mean period of each record.
+
+    Returns:
+        None where no period occurs at least twice in all records, or where an output differs from
+            period to period: no steady state, or too much noise.
+    """
     period = common_period([r.u for r in records])
     if period is None or any((r.weight != 1).any() for r in records):
         return None
@@ -70,7 +77,7 @@ def steady_records(records: ScaledData) -> list[SteadyRecord] | None:
 
 
 def lines_of(records: Sequence[SteadyRecord]) -> ExcitedLines:
-    """Of all records, without the constant."""
+    """Excited lines of all records, without the constant."""
     period = len(records[0].u)
     scale, rows = np.sqrt(2.0) / period, slice(1, (period + 1) // 2)
     u, y = (

@@ -1,4 +1,4 @@
-"""Systems whose A is made of blocks of two states, and their response at lines."""
+"""Systems with an A of blocks of two states, and their response at lines."""
 
 from __future__ import annotations
 
@@ -14,8 +14,14 @@ _LARGEST_RADIUS = 0.9999
 
 
 def in_blocks(a: Array, c: Array) -> tuple[Array, Array] | None:
-    """(A, C) in coordinates in which A is block diagonal, with poles inside the unit circle;
-    outer ones are mirrored. None where the modes are too alike to be told apart."""
+    """Transform (A, C) to coordinates in which A is block diagonal, with poles inside the unit
+    circle.
+
+    Outer poles are mirrored.
+
+    Returns:
+        None where the modes are too alike to be separated.
+    """
     decomposed: Any = np.linalg.eig(a)
     poles: Spectrum = decomposed[0].astype(complex)
     vectors: Spectrum = decomposed[1].astype(complex)
@@ -45,7 +51,7 @@ def block_entries(order: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def resolvent(a: Array, z: Spectrum, b: Array) -> Spectrum:
-    """(zI - A)^-1 B (F, n, nu) of an A in blocks."""
+    """Compute (zI - A)^-1 B (F, n, nu) of an A in blocks."""
     n = len(a)
     whole = n - n % 2
     i, j = np.arange(0, whole, 2), np.arange(1, whole, 2)
@@ -61,5 +67,5 @@ def resolvent(a: Array, z: Spectrum, b: Array) -> Spectrum:
 
 
 def readout(a: Array, z: Spectrum, c: Array) -> Spectrum:
-    """C (zI - A)^-1 (F, ny, n)."""
+    """Compute C (zI - A)^-1 (F, ny, n)."""
     return resolvent(a.T, z, c.T).swapaxes(1, 2)

@@ -1,4 +1,4 @@
-"""(A, C) from lines: the frequency-domain subspace method for lines at any frequencies."""
+"""Frequency-domain subspace method: (A, C) from lines at any frequencies."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ from asia.data import Array
 from asia.models._linear.periodic.lines import ExcitedLines
 from asia.models._linear.subspace import Observability
 
-# Lines that are looked at, spread over all; columns are these times the realisations.
+# Greatest number of columns, which are lines times realisations; the lines are spread over all.
 _MOST_COLUMNS = 30_000
 
 
 def observability(lines: ExcitedLines, max_order: int) -> Observability | None:
-    """Y_k z_k^i = C A^i X_k + (Markov parameters) U_k z_k^j: what the inputs explain is projected
-    away. None where there are too few lines for any order."""
+    """Observability matrix from Y_k z_k^i = C A^i X_k + (Markov parameters) U_k z_k^j.
+
+    The part that the inputs explain is projected away.
+
+    Returns:
+        None where there are too few lines for any order.
+    """
     columns = lines.u.shape[2]
     step = max(1, -(-len(lines.z) * columns // _MOST_COLUMNS))
     lines = lines.part(np.arange(len(lines.z)) % step == 0)

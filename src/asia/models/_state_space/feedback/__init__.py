@@ -1,1 +1,1 @@
-"""Linear systems with static functions in feedback: what the functions read, starts, fits."""
+"""Linear systems with static functions in feedback: regressors of the functions, starts, fits."""

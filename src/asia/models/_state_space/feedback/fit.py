@@ -22,50 +22,50 @@ from asia.models._state_space.pieces import fit_pieces
 from asia.models._state_space.structure import StateSpaceStructure
 
 _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
-# Share of the iterations that every start gets, and how many starts go on.
+# Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
 
 
 class LinearCore(NamedTuple):
-    """A linear model that fits begin with."""
+    """Linear model that fits begin with."""
 
     found: LinearFit
-    """The model."""
+    """Fitted model."""
     delay: int
-    """Of its inputs, in samples."""
+    """Delay of its inputs, in samples."""
     records: ScaledData
-    """What it was fitted to, inputs delayed."""
+    """Records of its fit, inputs delayed."""
 
 
 @dataclass(frozen=True)
 class FeedbackOptions:
-    """What is asked for beside the method."""
+    """Options of the fits, apart from the method."""
 
     channels: int
-    """Signals that the functions read, and give."""
+    """Number of signals that the functions read, and of those that they give."""
     hidden: int
-    """Units of tanh."""
+    """Number of tanh units."""
     ridge: float
-    """Of the functions."""
+    """Ridge of the functions."""
     linear_ridge: float
-    """Of the linear system."""
+    """Ridge of the linear system."""
     encoder: int
-    """Units of the map from past windows to states."""
+    """Number of tanh units of the map from past windows to states."""
     integrators: int
-    """States whose pole is held at 1."""
+    """Number of states whose pole is held at 1."""
     pieces: bool
-    """Whether fits begin with pieces of the records."""
+    """Begin the fits with short segments of the records."""
 
 
 class _Fit(NamedTuple):
-    """A fit on its way."""
+    """Unfinished fit."""
 
     core: LinearCore
     structure: StateSpaceStructure
     start: dict[str, object]
     now: StateFit
-    judged: float
-    """What it promises on new records."""
+    expected_error: float
+    """Final prediction error: estimate of the error on new records."""
 
 
 def fit_feedback(
@@ -75,10 +75,12 @@ def fit_feedback(
     context: Context,
     method: LevenbergMarquardt,
 ) -> FittedStateSpace:
-    """The best of the fits from `method.starts` starts for each linear model."""
+    """Best of the fits from `method.starts` starts for each linear model."""
     fits = _Fits(options, context, method)
-    tried = sorted((one for core in cores for one in fits.begun(core)), key=lambda t: t.judged)
-    best = min((fits.ended(one) for one in tried[:_GO_ON]), key=lambda t: t.judged)
+    tried = sorted(
+        (one for core in cores for one in fits.begun(core)), key=lambda t: t.expected_error
+    )
+    best = min((fits.ended(one) for one in tried[:_GO_ON]), key=lambda t: t.expected_error)
     each = best.structure, best.now, best.core.records, context, options.encoder
     if window_samples(context):
         encoder, how = past_fit(*each)
@@ -90,7 +92,7 @@ def fit_feedback(
 
 
 class _Fits:
-    """What the fits have in common."""
+    """Fits of one model, with their common settings."""
 
     def __init__(
         self, options: FeedbackOptions, context: Context, method: LevenbergMarquardt
@@ -101,7 +103,7 @@ class _Fits:
         self.rest = replace(method, iterations=max(0, method.iterations - first))
 
     def begun(self, core: LinearCore) -> list[_Fit]:
-        """After the first iterations, from each start."""
+        """Run the first iterations from each start."""
         structure = self._structure(core)
         rng = np.random.default_rng(self.context.seed)
         starts = feedback_starts(structure, core.found, core.records, self.method.starts, rng)
@@ -115,7 +117,7 @@ class _Fits:
         return [self._fitted(core, structure, s, b, self.first) for s, b in both]
 
     def ended(self, one: _Fit) -> _Fit:
-        """After all iterations."""
+        """Run the remaining iterations."""
         return self._fitted(one.core, one.structure, one.start, one.now, self.rest)
 
     def _structure(self, core: LinearCore) -> StateSpaceStructure:
@@ -138,13 +140,13 @@ class _Fits:
         now: StateFit,
         method: LevenbergMarquardt,
     ) -> _Fit:
-        """From where a fit is; the ridge holds it to its start."""
+        """Continue a fit; the ridge holds it to its start."""
         samples = of_records(core.records, core.found.x0)
         one = fit_states(
             structure, [start], samples, self._ridges(core), method, self.context.log,
             self.context.sampling_time, [now.params], [now.x0],
         )[0]  # fmt: skip
         count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
-        # Akaike's final prediction error: more states have to earn their place.
+        # Akaike's final prediction error penalises further states.
         p = min(float(tree_size(one.params)), 0.9 * count)
         return _Fit(core, structure, start, one, one.cost * (count + p) / (count - p))

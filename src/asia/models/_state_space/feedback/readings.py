@@ -1,9 +1,9 @@
-"""Which signals static functions in feedback read, judged by what the linear model leaves over.
+"""Search for the regressors of static functions in feedback, by the residual of the linear model.
 
 They are searched among inputs, outputs, combinations of them and of the states. The states are
 those of the linear model, and those of an observer that corrects them by the measured output, so
-that a function in a loop is read where the system really was. For given signals the functions and
-where they act follow by least squares, so that many readings can be judged.
+that a function in a loop is read at the true state of the system. For given signals the functions
+and the places where they act follow by least squares, so that many regressors can be evaluated.
 """
 
 from __future__ import annotations
@@ -20,47 +20,48 @@ from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._state_space.structure import StateSpaceStructure
 
-# Samples that judge a reading, random signals that are tried, how many of the best are varied, and
-# by how much in each round.
-_JUDGED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
-# Readings that are judged at once, and the numbers that these may take.
+# Samples for the evaluation of regressors, random signals tried, best ones varied, and the size of
+# the variation in each round.
+_EVALUATED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
+# Sets of regressors evaluated together, and the greatest size of their arrays.
 _BATCH, _NUMBERS = 16, 3e7
-# Ridge of the functions' weights, relative to the size of what they multiply.
+# Ridge of the functions' weights, relative to the size of their factors.
 _RIDGE = 1e-4
-# Of the output's variance: sensor noise that the observer believes in beside the model's error.
+# Assumed sensor noise of the observer, as a share of the output's variance, in addition to the
+# model's error.
 _SENSOR = 0.01
-# Signals this much alike count as one.
+# Least correlation of signals that count as equal.
 _ALIKE = 0.97
-# Relative size below which a direction of the linear terms is none.
+# Relative size below which a direction of the linear terms is rounding.
 RANK = 1e-7
 
 
 class Reading(NamedTuple):
-    """Signals that the functions read, and what they explain."""
+    """Regressors of the functions, with the error that they leave."""
 
     directions: Array
     """(n + nu, m)."""
     observed: bool
-    """Whether the states are the observer's."""
+    """The states are the observer's."""
     error: float
-    """Mean squared error that is left."""
+    """Mean squared error that remains."""
 
 
 class JudgedRecord(NamedTuple):
-    """One record, as it judges starts."""
+    """Record prepared for the evaluation of regressors."""
 
     x0: Array
-    """(n,), of the linear model."""
+    """Initial state (n,) of the linear model."""
     u: Array
     """(T, nu)."""
     states: tuple[Array, Array]
     """(T, n), by the linear model and by the observer."""
     residual: Array
-    """(T, ny), what the linear model leaves."""
+    """Residual (T, ny) of the linear model."""
     terms: Array
-    """(T ny, p), what B, D, the offset and the initial state change; see `_linear_terms`."""
+    """Effects (T ny, p) of B, D, the offset and the initial state; see `_linear_terms`."""
     basis: Array
-    """(T ny, q), the same, orthonormal."""
+    """Orthonormal basis (T ny, q) of `terms`."""
     weight: Array
     """(T,)."""
 
@@ -71,12 +72,12 @@ class JudgedRecord(NamedTuple):
 
 
 def judged_records(records: ScaledData, found: LinearFit) -> list[JudgedRecord]:
-    """The first samples of each record."""
-    each = max(_JUDGED // len(records), 200)
+    """Prepare the first samples of each record."""
+    each = max(_EVALUATED // len(records), 200)
     return [
         _record(found.system, x0, r.part(0, min(each, len(r))))
         for r, x0 in zip(records, found.x0, strict=True)
-    ][: max(_JUDGED // 200, 1)]
+    ][: max(_EVALUATED // 200, 1)]
 
 
 def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> JudgedRecord:
@@ -89,7 +90,7 @@ def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> Judged
 
 
 def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: float) -> Array:
-    """States (T, n) of a Kalman filter that takes most of the error for a disturbance at the
+    """States (T, n) of a Kalman filter that attributes most of the error to a disturbance of the
     states."""
     n, ny = system.order, len(system.c)
     wander = max(error, 1e-9) * (system.b @ system.b.T + 1e-3 * np.eye(n))
@@ -109,8 +110,7 @@ def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: 
 
 
 def responses(system: LinearSystem, signals: Array) -> Array:
-    """signals (T, s) -> (T, ny, s, n + ny): outputs where each signal acts on each state and on
-    each output."""
+    """Outputs (T, ny, s, n + ny) to signals (T, s) that act on each state and on each output."""
     length, s = signals.shape
     n, ny = system.order, len(system.c)
     found = np.zeros((length, ny, s, n + ny))
@@ -125,7 +125,7 @@ def responses(system: LinearSystem, signals: Array) -> Array:
 
 
 def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
-    """(T ny, n nu + ny nu + ny + n) by which B, D, the offset and the initial state change the
+    """Effects (T ny, n nu + ny nu + ny + n) of B, D, the offset and the initial state on the
     outputs."""
     length, n, ny = len(record), system.order, len(system.c)
     forced = responses(system, record.u).reshape(length * ny, -1)
@@ -141,7 +141,7 @@ def orthonormal(columns: Array) -> Array:
 
 
 class ReadingSearch:
-    """Readings of one fit."""
+    """Search for the regressors of one fit."""
 
     def __init__(
         self,
@@ -152,26 +152,26 @@ class ReadingSearch:
     ) -> None:
         self.structure, self.system, self.records, self.rng = structure, system, records, rng
         self.m = structure.channels or 1
-        # States that may be read: what drifts visits each level once.
+        # Number of states that may be read: a drifting state visits each level only once.
         self.free = structure.order - structure.integrators
-        # The same of every reading, so that these are compared by what they read.
+        # Common random units of all regressors, so that only the regressors differ.
         self.drawn = rng.standard_normal((self.m, structure.hidden)), rng.random(structure.hidden)
 
     def best(self, count: int, observed: bool) -> list[Reading]:
-        """Different ones, the least error first."""
-        pool = self.judged([(d, observed) for d in [*self._known(), *self._random()]])
+        """Best regressors that differ from each other, the least error first."""
+        pool = self.evaluated([(d, observed) for d in [*self._known(), *self._random()]])
         for size in _ROUNDS:
             pool.sort(key=lambda r: r.error)
             kept = self._different(pool, _KEPT)
             moved = [
                 (self._varied(r.directions, size), r.observed) for r in kept for _ in range(_VARIED)
             ]
-            pool = [*kept, *self.judged(moved)]
+            pool = [*kept, *self.evaluated(moved)]
         pool.sort(key=lambda r: r.error)
         return self._different(pool, count)
 
     def _known(self) -> list[Array]:
-        """Directions that systems often have: inputs, outputs, what changes an output."""
+        """Directions that systems often have: inputs, outputs, and those that change an output."""
         n, nu, s = self.structure.order, self.structure.nu, self.system
         change = np.hstack([s.c @ (s.a - np.eye(n)), s.c @ s.b])
         rows = np.vstack([np.eye(n + nu), np.hstack([s.c, s.d]), change])
@@ -201,25 +201,25 @@ class ReadingSearch:
 
     def _different(self, pool: Sequence[Reading], count: int) -> list[Reading]:
         chosen: list[tuple[Reading, Array]] = []
-        for reading in pool:
-            z = self._read(reading.directions, reading.observed)
+        for regressors in pool:
+            z = self._read(regressors.directions, regressors.observed)
             z = (z - z.mean(axis=0)) / z.std(axis=0)
             alike = (np.linalg.svd(z.T @ other / len(z))[1].min() > _ALIKE for _, other in chosen)
             if not any(alike):
-                chosen.append((reading, z))
+                chosen.append((regressors, z))
             if len(chosen) == count:
                 break
-        return [reading for reading, _ in chosen]
+        return [regressors for regressors, _ in chosen]
 
-    def judged(self, readings: Sequence[tuple[Array, bool]]) -> list[Reading]:
-        """With their errors; those that read nothing are left out."""
+    def evaluated(self, candidates: Sequence[tuple[Array, bool]]) -> list[Reading]:
+        """Evaluate regressors; those without any variation are left out."""
         found: list[Reading] = []
         s, longest = self.structure, max(len(r.u) for r in self.records)
         each = longest * s.ny * s.hidden * (s.order + s.ny)
         batch = int(np.clip(_NUMBERS / each, 1, _BATCH))
-        for first in range(0, len(readings), batch):
+        for first in range(0, len(candidates), batch):
             part: list[tuple[Array, bool, dict[str, Array]]] = []
-            for d, o in readings[first : first + batch]:
+            for d, o in candidates[first : first + batch]:
                 scaled = self._scaled(d, o)
                 if scaled is not None:
                     part.append((scaled, o, self.layer(scaled, o)))
@@ -234,13 +234,13 @@ class ReadingSearch:
         return np.concatenate([r.read(directions, observed) for r in self.records])
 
     def _scaled(self, directions: Array, observed: bool) -> Array | None:
-        """So that each signal has unit size."""
+        """Scale the directions so that each signal has unit size; None where that is impossible."""
         z = self._read(directions, observed)
         size = z.std(axis=0)
         return None if (size < 1e-9).any() or not np.isfinite(size).all() else directions / size
 
     def layer(self, directions: Array, observed: bool) -> dict[str, Array]:
-        """w1 (m, h) and b1 (h,) of units that cover what the signals do."""
+        """Weights w1 (m, h) and b1 (h,) of units that cover the range of the signals."""
         z = self._read(directions, observed)
         h, (normal, uniform) = self.structure.hidden, self.drawn
         if self.m == 1:
@@ -253,23 +253,29 @@ class ReadingSearch:
         return {"w1": w1, "b1": -(centres * w1.T).sum(axis=1)}
 
     def normal(
-        self, readings: Sequence[tuple[Array, bool, dict[str, Array]]]
+        self, candidates: Sequence[tuple[Array, bool, dict[str, Array]]]
     ) -> list[tuple[Array, Array, float]]:
-        """Of each reading: Gram matrix (h (n + ny), ...) with ridge, right-hand side and the mean
-        square of what they are to explain."""
+        """Normal equations of each set of regressors.
+
+        Returns:
+            Gram matrix (h (n + ny), ...) with ridge, right-hand side and the mean square of the
+            residual to explain.
+        """
         h, n_act = self.structure.hidden, self.structure.order + self.structure.ny
         size = h * n_act
-        grams = [np.zeros((size, size)) for _ in readings]
-        sides = [np.zeros(size) for _ in readings]
+        grams = [np.zeros((size, size)) for _ in candidates]
+        sides = [np.zeros(size) for _ in candidates]
         power, samples = 0.0, 0
         for r in self.records:
-            units = [np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in readings]
+            units = [
+                np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in candidates
+            ]
             every = responses(self.system, np.hstack(units))
             weight = np.repeat(r.weight, self.structure.ny)[:, None]
             rest = r.residual.ravel()
             rest = rest - r.basis @ (r.basis.T @ rest)
             power, samples = power + float(rest @ rest), samples + len(rest)
-            for i in range(len(readings)):
+            for i in range(len(candidates)):
                 columns = every[:, :, i * h : (i + 1) * h].reshape(len(rest), size) * weight
                 columns -= r.basis @ (r.basis.T @ columns)
                 grams[i] += columns.T @ columns

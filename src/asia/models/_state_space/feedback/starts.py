@@ -1,6 +1,6 @@
 """Starts of a linear system with static functions in feedback, inferred from the linear model.
 
-What the best linear model leaves over is explained by static functions of a few signals that act
+The residual of the best linear model is explained by static functions of a few signals that act
 on its states and outputs. Sources: Schoukens and Toth, On the initialization of nonlinear LFR model
 identification with the best linear approximation, IFAC 2020; Floren, Noel and Swevers, Inference
 and learning of nonlinear LFR state-space models, arXiv 2503.14409.
@@ -38,11 +38,11 @@ def feedback_starts(
     count: int,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
-    """At most `count` starting points whose functions read different signals, the best first."""
+    """Find up to `count` starting points whose functions read different signals, the best first."""
     search = ReadingSearch(structure, found.system, judged_records(records, found), rng)
     starts = _Starts(search)
-    # Signals read from the observer explain an output by itself: of both kinds of state some are
-    # simulated, and the simulation decides.
+    # Signals read from the observer explain an output by itself, so starts with both kinds of
+    # states are simulated and compared.
     each = [
         sorted((starts.start(r) for r in search.best(count, observed)), key=_by_error)
         for observed in (False, True)
@@ -62,32 +62,38 @@ class _Starts:
     def __init__(self, search: ReadingSearch) -> None:
         self.search, self.structure, self.system = search, search.structure, search.system
 
-    def start(self, reading: Reading) -> tuple[float, dict[str, Any]]:
-        """The error of a simulation by a starting point, and its parameters. As much of the
-        functions as simulates best, and the linear terms that go with them."""
-        layer = self.search.layer(reading.directions, reading.observed)
-        ((gram, rhs, _),) = self.search.normal([(reading.directions, reading.observed, layer)])
+    def start(self, regressors: Reading) -> tuple[float, dict[str, Any]]:
+        """Make a starting point: the share of the functions that simulates best, with its linear
+        terms.
+
+        Returns:
+            The error of its simulation, and its parameters.
+        """
+        layer = self.search.layer(regressors.directions, regressors.observed)
+        ((gram, rhs, _),) = self.search.normal(
+            [(regressors.directions, regressors.observed, layer)]
+        )
         w2, act = self._factors(gram, rhs)
         found: list[tuple[float, dict[str, Any]]] = []
         for scale in _SCALES:
-            moved = self._moved(reading, layer, scale * w2 @ act)
+            moved = self._moved(regressors, layer, scale * w2 @ act)
             params = self.structure.start(moved, self.search.rng)
-            params |= {"read": reading.directions, "act": act, "f": {**layer, "w2": scale * w2}}
+            params |= {"read": regressors.directions, "act": act, "f": {**layer, "w2": scale * w2}}
             found.append((self._error(params), params))
         return min(found, key=lambda one: one[0])
 
-    def _moved(self, reading: Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
-        """The linear system beside functions with weights theta (h, n + ny)."""
+    def _moved(self, regressors: Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
+        """Linear system that goes with functions of weights theta (h, n + ny)."""
         s, nu = self.system, self.structure.nu
         n, ny = s.order, len(s.c)
         some = (n + ny) * nu + ny
         gram, side = np.zeros((some, some)), np.zeros(some)
         for r in self.search.records:
             units = np.tanh(
-                r.read(reading.directions, reading.observed) @ layer["w1"] + layer["b1"]
+                r.read(regressors.directions, regressors.observed) @ layer["w1"] + layer["b1"]
             )
             both = responses(s, units @ theta)
-            # Signal i acts on state or output i alone.
+            # Signal i acts only on state or output i.
             explained = np.einsum("tyii->ty", both) * r.weight[:, None]
             rest, terms, start = (
                 (r.residual - explained).ravel(),
@@ -118,7 +124,7 @@ class _Starts:
         return total if np.isfinite(total) else np.inf
 
     def _factors(self, gram: Array, rhs: Array) -> tuple[Array, Array]:
-        """Last layer (h, m) and where the functions act (m, n + ny), by alternating least
+        """Last layer (h, m) and effects of the functions (m, n + ny), by alternating least
         squares."""
         h, n_act, m = self.structure.hidden, self.structure.order + self.structure.ny, self.search.m
         theta = np.linalg.solve(gram, rhs).reshape(h, n_act)
