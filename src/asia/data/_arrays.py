@@ -56,11 +56,17 @@ def read_arrays(
     use: Use = "train",
     least: int = 1,
 ) -> Intake:
-    """Read one record a pair of `u` and `y`, called `kind` and its number, by the rules for files.
+    """Read one record from each pair of `u` and `y` by the rules for files.
 
     The columns of the signals are taken out of data frames. Their index gives the time stamps:
-    dates, or numbers in seconds. sampling_time: s; None for that of the stamps. Raises
-    UserError for what does not fit.
+    dates, or numbers in seconds.
+
+    Args:
+        kind: prefix of the record names, followed by a number
+        sampling_time: s; None for that of the time stamps
+
+    Raises:
+        UserError: for arrays that do not fit the signals or each other
     """
     if len(u) != len(y):
         raise UserError(

@@ -48,11 +48,12 @@ def find_delay(records: Sequence[Trajectory], channel: int, output: int) -> Foun
 
 
 def find_feedback(records: Sequence[Trajectory], channel: int, output: int) -> bool | None:
-    """Whether what is new in the input correlates with earlier outputs beyond the 99 % band.
+    """Return whether the innovation of the input correlates with earlier outputs beyond the 99 %
+    band.
 
-    Without feedback the innovation of the input does not know past outputs (Ljung, System
-    Identification, 2nd ed., section 13.4). None where the filter leaves an innovation that is not
-    white, as of a few sines: the band does not hold for it.
+    Without feedback the innovation is independent of past outputs (Ljung, System Identification,
+    2nd ed., section 13.4). None where the filter leaves an innovation that is not white, as for a
+    few sines: the band does not hold for it.
     """
     longest = min(_BACK, min(len(r) for r in records) // 4)
     weights = _whitening([r.u[:, channel] for r in records])

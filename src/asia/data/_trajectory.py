@@ -1,4 +1,4 @@
-"""Signals and records: what was measured."""
+"""Signals and measured records."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Signal:
 
 
 def _is_frozen(values: object) -> TypeGuard[Array]:
-    """Whether nobody can write to the array any more, so that records share it."""
+    """Return whether the array is read-only, so that records can share it."""
     if not isinstance(values, np.ndarray) or values.dtype != np.float64:
         return False
     base: object = values

@@ -53,7 +53,11 @@ class SlurmExecutor(DaskExecutor):
 
 
 def slurm_executor(setting: str) -> SlurmExecutor:
-    """setting: what stands behind `dask-slurm:`, the path of a file or nothing."""
+    """Make the executor for a Slurm cluster.
+
+    Args:
+        setting: text after `dask-slurm:`, the path of a file or nothing
+    """
     return SlurmExecutor(Path(setting) if setting else None)
 
 

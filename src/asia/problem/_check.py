@@ -1,4 +1,4 @@
-"""What ASIA understood of a problem, and what looks doubtful in its data."""
+"""Summary of a problem and warnings about its data."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _TOGETHER = 0.999
 class SignalCheck:
     """One channel over all training samples, in its unit.
 
-    at_minimum, at_maximum: share of samples at the extreme values, 0 to 1. bandwidth: frequency
-    in Hz below which 99 % of the power lies, the mean apart; bandwidth_share: the same over the
-    Nyquist frequency. excitation_order: numerical rank (to 1e-9) of the covariance of 50
-    successive samples, the order of persistent excitation as far as noise lets it count.
+    at_minimum, at_maximum: share of samples at the extreme values, 0 to 1. bandwidth: frequency in
+    Hz below which 99 % of the power lies, the mean apart; bandwidth_share: the same over the
+    Nyquist frequency. excitation_order: numerical rank (to 1e-9) of the covariance of 50 successive
+    samples, the order of persistent excitation limited by noise.
     """
 
     signal: Signal
@@ -77,8 +77,13 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class FoldCheck:
-    """What one fold holds out; `training_samples` are left to train on. group: its name, None for
-    contiguous folds. windows: held-out windows, None where whole blocks are simulated."""
+    """Samples that one fold holds out.
+
+    Attributes:
+        training_samples: samples left to train on
+        group: name of the group, None for contiguous folds
+        windows: held-out windows, None where whole blocks are simulated
+    """
 
     number: int
     held_out: tuple[HeldOut, ...]
@@ -131,8 +136,11 @@ class CheckReport:
 
 
 def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -> CheckReport:
-    """Looks at the training records and at what the seal tells of the test, never at test data.
-    in_workspace: whether the problem is read from a workspace, which no test reaches."""
+    """Check the training records and the public header of the seal, never the test data.
+
+    Args:
+        in_workspace: whether the problem is read from a workspace, which holds no test
+    """
     inputs = (_signal_check(problem, "input", i) for i in range(len(problem.inputs)))
     outputs = (_signal_check(problem, "output", i) for i in range(len(problem.outputs)))
     signals = (*inputs, *outputs)

@@ -1,4 +1,4 @@
-"""What the parts of a protocol must have to do with each other, and the protocol as tables."""
+"""Consistency checks of a protocol, and its conversion to and from tables."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _check_tail(table: ProtocolTable) -> None:
 
 
 def check_feedback(rule: ProtocolRule) -> None:
-    """Raises UserError when a fit could learn what the agent must not know."""
+    """Raise UserError when a fit could learn held-out data through the agent's feedback."""
     if rule.ladder is not None and rule.early_stopping == "validation":
         raise UserError(
             'protocol.feedback = "ladder" hides V from the agent, but early_stopping = '

@@ -28,9 +28,14 @@ def check_symmetry(
     outputs: Sequence[str],
     physics: Physics | None,
 ) -> None:
-    """Raises UserError, naming the entry, for an unknown signal, for what is no permutation, and
-    for a group that is too large. Known are inputs, outputs, and with physics its states,
-    definitions and corrections."""
+    """Check a symmetry against the signals of a problem.
+
+    Valid names are inputs, outputs, and with physics its states, definitions and corrections.
+
+    Raises:
+        UserError: naming the entry, for an unknown signal, for a map that is no permutation,
+            and for a group that is too large
+    """
     known = [*inputs, *outputs]
     if physics is not None:
         known += [*physics.states, *physics.definitions, *physics.corrections]

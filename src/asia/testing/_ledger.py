@@ -1,4 +1,4 @@
-"""What every ledger must do, wherever it keeps its records."""
+"""Conformance suite for ledgers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every metric must do, whoever brings it."""
+"""Conformance suite for metrics."""
 
 from __future__ import annotations
 

@@ -22,9 +22,13 @@ _RESOLUTIONS = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)
 
 @dataclass(frozen=True)
 class Clock:
-    """What the stamps of a record tell. step: sampling time, s; jitter: distance from the grid that
-    99 % of the stamps keep, as a share of it; coarse: whether the stamps are rounded and lie where
-    they would on the grid."""
+    """Time grid of a record.
+
+    Attributes:
+        step: sampling time, s
+        jitter: distance from the grid that 99 % of the time stamps keep, as a share of it
+        coarse: whether the time stamps are rounded to a resolution that explains the jitter
+    """
 
     step: float
     jitter: float
@@ -52,7 +56,7 @@ def runs(stamps: Array, where: str, first_line: int, ignore: str) -> list[slice]
 
 
 def clock(stamps: Array) -> Clock | None:
-    """Of stamps that increase, gaps among them; None for fewer than three."""
+    """Estimate the clock of increasing time stamps, gaps among them; None for fewer than three."""
     if len(stamps) < 3:
         return None
     typical = float(np.median(np.diff(stamps)))

@@ -31,7 +31,7 @@ class SheetPart:
 
 
 def expanded(sheet: Sheet, wanted: Wanted) -> Wanted:
-    """With the columns of a matrix in place of its name."""
+    """Replace the name of a matrix by its columns."""
 
     def columns(names: Sequence[str]) -> tuple[str, ...]:
         found = [(n, find_channels(sheet.columns, n)) for n in names]

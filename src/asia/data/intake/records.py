@@ -1,4 +1,4 @@
-"""Records from files of a laboratory, and what was done to make them."""
+"""Conversion of laboratory files to records, with notes on the changes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _COARSER = 1.5
 
 @dataclass(frozen=True)
 class Intake:
-    """Records, and what was done to make them."""
+    """Records, and notes on how they were made."""
 
     records: tuple[Trajectory, ...]
     units: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -146,7 +146,7 @@ def as_written(sheet: Sheet, wanted: Wanted, sampling_time: float) -> Trajectory
 
 
 def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
-    """As it is, or turned round where time goes back from row to row."""
+    """Return the part in increasing time; reverse it where time decreases from row to row."""
     if part.stamps is None or len(part.stamps) < 3 or not (np.diff(part.stamps) <= 0).all():
         return part
     notes.append(f"{part.where}: the newest row came first, the order was turned round")
@@ -311,8 +311,11 @@ def _without_missing(part: SheetPart, notes: list[str]) -> list[SheetPart]:
 
 
 def _measured_stretch(part: SheetPart, notes: list[str]) -> list[SheetPart]:
-    """From the first sample at which outputs were measured to the last, all of them where that
-    occurs at all; [] where an output never was."""
+    """Cut the part to the samples between the first and the last with measured outputs.
+
+    Samples with all outputs measured are the limits where there are any. Returns [] where an output
+    was never measured.
+    """
     known = ~np.isnan(part.y)
     if known.all():
         return [part]

@@ -42,7 +42,11 @@ _MATLAB = (700_000, 800_000)
 
 
 def time_column(sheet: Sheet, wanted: Wanted) -> str | None:
-    """Which column has the sample times; None without one. Raises UserError."""
+    """Return the name of the column with the sample times; None without one.
+
+    Raises:
+        UserError: when the named column is missing or ambiguous
+    """
     if wanted.time == "none":
         return None
     if wanted.time is not None:

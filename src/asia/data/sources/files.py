@@ -31,7 +31,7 @@ class RecordFiles(Source):
     test: tuple[Path, ...] = ()
     """Files of the test; () without a test, or where it is encrypted."""
     guard: tuple[Path, ...] = ()
-    """Files that stand guard."""
+    """Files with guard records."""
     reading: Wanted = field(default_factory=lambda: Wanted((), ()))
     """Options of reading: time stamps, columns and experiments."""
     test_experiments: tuple[str, ...] = ()
@@ -138,6 +138,6 @@ class RecordFiles(Source):
 
 
 def _names(paths: tuple[Path, ...]) -> tuple[str, ...]:
-    """What the records are called: the file, with its folder where two files have one name."""
+    """Name the records after their files, with the folder where two files have one name."""
     stems = Counter(path.stem for path in paths)
     return tuple(p.stem if stems[p.stem] == 1 else f"{p.parent.name}/{p.stem}" for p in paths)

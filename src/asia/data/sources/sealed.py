@@ -31,7 +31,7 @@ class SealedStore(Source):
     sha256: str | None = None
     """Digest of the records that were sealed."""
     keys: Path | None = field(default=None, compare=False)
-    """The folder of keys; None is the person's own."""
+    """Folder of keys; None for that of the user."""
 
     test_kept: ClassVar[str] = "encrypted; the search does not need its key"
 
@@ -42,7 +42,11 @@ class SealedStore(Source):
         return cls((root / table.sealed.file).resolve(), table.sealed.sha256)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """As `Source.read`. Raises UserError also without the key."""
+        """Implement `Source.read`.
+
+        Raises:
+            UserError: also without the key
+        """
         if subset != "test":
             return SourceData(())
         inputs, outputs = channels.names
@@ -61,7 +65,7 @@ class SealedStore(Source):
         return {"sealed": {"file": str(self.path), "sha256": self.sha256}}
 
     def outline(self, channels: Channels) -> Outline:
-        """As `Source.outline`, without the key."""
+        """Return the outline from the public header, without the key."""
         head = self._head()
         inputs, outputs = channels.names
         for what, there, now in (

@@ -26,7 +26,7 @@ _USUAL, _FAR = (0.025, 0.975), 3.0
 
 @dataclass(frozen=True)
 class InputDelay:
-    """After how long an output answers an input, by their names."""
+    """Delay from an input to an output, by their names."""
 
     given: str
     output: str
@@ -47,7 +47,8 @@ def input_delays(problem: Problem) -> tuple[InputDelay, ...]:
 
 
 def delay_lines(problem: Problem, found: Sequence[InputDelay]) -> tuple[str, ...]:
-    """After how many samples each output answers each input, and where feedback is not judged."""
+    """Describe the delay from each input to each output, and the pairs where feedback was not
+    tested."""
     lines: list[str] = []
     for output in problem.outputs:
         lags = [(a.given, a.delay.lag) for a in found if a.output == output.name]
@@ -79,7 +80,7 @@ def delay_lines(problem: Problem, found: Sequence[InputDelay]) -> tuple[str, ...
 
 
 def missing_lines(problem: Problem) -> list[str]:
-    """How many samples of each output are missing."""
+    """Count the missing samples of each output."""
     measured = np.concatenate([r.measured for r in problem.train])
     found = [
         f"{output.name} {int(lost)} of {len(measured)}"
@@ -141,7 +142,7 @@ def _feedback(problem: Problem) -> list[str]:
 def _drift(
     records: Sequence[Trajectory], parts: Sequence[Array], name: str, unit: str
 ) -> list[str]:
-    """Where a straight line over the longest record explains most of its variance."""
+    """Describe a linear drift that explains most of the variance of the longest record."""
     k = int(np.argmax([len(p) for p in parts]))
     y = parts[k] - parts[k].mean()
     time = np.arange(len(y)) - (len(y) - 1) / 2
@@ -159,7 +160,7 @@ def _drift(
 
 
 def _steps(values: Array, name: str, unit: str) -> list[str]:
-    """Where all values are multiples of one step that is large beside the signal."""
+    """Describe a quantization step that is large relative to the signal."""
     levels = np.unique(values)
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]

@@ -1,4 +1,4 @@
-"""What the seal tells of the test, which stays closed."""
+"""Advice from the public header of the sealed test."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ def sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[s
 
 
 def scored_samples(seal: Seal, rule: ProtocolRule) -> tuple[int, ...]:
-    """How many samples of each test record are scored."""
+    """Return the number of scored samples of each test record."""
     return tuple(max(length - rule.past - rule.test.skip, 0) for length in seal.lengths)

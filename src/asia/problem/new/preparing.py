@@ -1,4 +1,4 @@
-"""What is to be done to every record of a new problem, worked out from its training records."""
+"""Preprocessing of a new problem, derived from its training records."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from asia.problem._toml import toml_value
 
 @dataclass(frozen=True)
 class Preparation:
-    """What is wished."""
+    """Requested preprocessing."""
 
     delay: str | None = None
     """`auto`, or the samples by which all inputs are delayed."""

@@ -32,7 +32,7 @@ STORE = f"test{SUFFIX}"
 
 @dataclass(frozen=True)
 class Columns:
-    """How records are read: names of columns, sampling time in seconds."""
+    """Columns of a record: names, and sampling time in seconds."""
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -45,8 +45,12 @@ class Columns:
 
 @dataclass(frozen=True)
 class Sealing:
-    """What is to be sealed. originals: plain files to remove once it is, in the order of
-    `contents`; none where the rows came out of files that stay."""
+    """Records to seal.
+
+    Attributes:
+        originals: plain files to remove after sealing, in the order of `contents`; none where
+            the rows came out of files that stay
+    """
 
     columns: Columns
     contents: tuple[PlainFile, ...]
@@ -54,7 +58,11 @@ class Sealing:
 
     @property
     def records(self) -> tuple[Trajectory, ...]:
-        """What the files hold. Raises UserError."""
+        """Records in the files.
+
+        Raises:
+            UserError: when they cannot be read
+        """
         return tuple(self.columns.read(content) for content in self.contents)
 
     def toml(self) -> str:
@@ -96,15 +104,18 @@ class Sealing:
 
 @dataclass(frozen=True)
 class Removal:
-    """Plain files that are gone, and what is to be said of those and of others, in words."""
+    """Removed plain files, and messages about those and about others."""
 
     removed: tuple[Path, ...]
     notes: tuple[str, ...]
 
 
 def seal_files(paths: Sequence[Path], columns: Columns) -> Sealing:
-    """The files as what is to be sealed. Raises UserError for one that cannot be moved or does not
-    read."""
+    """Return the files as content to seal.
+
+    Raises:
+        UserError: for a file that cannot be moved or read
+    """
     for path in paths:
         if path.is_symlink():
             raise UserError(
@@ -123,7 +134,7 @@ def seal_files(paths: Sequence[Path], columns: Columns) -> Sealing:
 
 
 def check_key_folder(keys: Path, directory: Path) -> None:
-    """Raises UserError when the key would lie beside what it opens."""
+    """Raise UserError when the key would lie in the directory of its store."""
     real = keys.resolve()
     if real == directory or directory in real.parents:
         raise UserError(
@@ -168,7 +179,7 @@ def _why_kept(path: Path, content: PlainFile) -> str | None:
 
 
 def _left_behind(path: Path) -> list[str]:
-    """Where else the rows of a file that goes may still be."""
+    """List other places where the rows of a removed file may still exist."""
     notes: list[str] = []
     if path.stat().st_nlink > 1:
         notes.append(f"{path} has other names on this disk (hard links), which still hold it")

@@ -32,11 +32,11 @@ class Taken:
     plain: bool
     """Whether the files can stay where they are, because they need no change."""
     units: Mapping[str, str]
-    """By channel, where the files give them."""
+    """Units by channel, where the files give them."""
     notes: tuple[str, ...]
     """Findings and changes."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
-    """Told how far a long writing is."""
+    """Callback for the progress of a long write."""
 
 
 def take(
@@ -98,7 +98,7 @@ def take(
 
 
 def origins(paths: Sequence[Path]) -> list[str]:
-    """Where clean copies come from, a line a file."""
+    """Describe the origin of clean copies, one line a file."""
     return [f"{path}{_hash(path)}" for path in paths]
 
 
@@ -109,7 +109,7 @@ def _hash(path: Path) -> str:
 
 
 def _renamed(records: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
-    """With names that are file names, all different."""
+    """Rename records so that their names are distinct file names."""
     bare = [re.sub(r"[^\w.+-]+", "_", t.name).strip("._") or "record" for t in records]
     names = unique_names(bare)
     return tuple(replace(t, name=n) for t, n in zip(records, names, strict=True))

@@ -32,8 +32,13 @@ _STAMP = re.compile(r"^[\dT:.,+\-/ Zampm]*\d[:/\-.]\d[\dT:.,+\-/ Zampm]*$", re.I
 
 @dataclass(frozen=True)
 class _Layout:
-    """How the rows of a text are cut. heads: rows of names and units; above: cells of the line over
-    the data, where it is no such row; units: whether values may have their unit behind them."""
+    """Layout of the rows of a text file.
+
+    Attributes:
+        heads: rows of names and units
+        above: cells of the line over the data, where it is no such row
+        units: whether values may carry their unit
+    """
 
     delimiter: str | None
     cells: int
@@ -104,7 +109,7 @@ def _blocks(body: str) -> Iterator[str]:
 
 
 def _column(cells: Sequence[str], unit: str) -> Column:
-    """Without the unit, where the same one stands behind all values."""
+    """Parse a column, without the unit where all values carry the same one."""
     filled = [c for c in cells if c and not isnan(number(c) or 0.0)]
     with_unit = None if not filled or _STAMP.match(filled[0]) else _WITH_UNIT.match(filled[0])
     behind = "" if with_unit is None else with_unit["unit"]

@@ -22,7 +22,8 @@ class SimulatedSystem:
     sampling_time: float
     """s."""
     records: Callable[[int, Subset, int], Mapping[str, Simulation]]
-    """Of a seed, a subset and the number of guard records: the records of that subset by name."""
+    """Function of a seed, a subset and the number of guard records that returns the records of that
+    subset by name."""
 
 
 SYSTEMS: Mapping[str, SimulatedSystem] = {
@@ -39,7 +40,7 @@ class Simulated(Source):
     seed: int = 0
     """The seed of inputs, initial states and noise."""
     guard: int = 0
-    """How many records stand guard."""
+    """Number of guard records."""
     system: str = "two_tanks"
     """The name in `SYSTEMS`."""
 
@@ -73,7 +74,7 @@ class Simulated(Source):
         )
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """As `Source.places`: nothing is stored."""
+        """Return no places: nothing is stored."""
         del subset
         return ()
 
