@@ -30,7 +30,7 @@ class CaseBatch:
     y_hat: Array
     """Simulated outputs, (B, H, ny)."""
     count: int
-    """How many rows are cases; those after them repeat the first."""
+    """Number of rows that are cases; further rows repeat the first."""
     followed: bool = False
     """Whether data that come right after the block train."""
 

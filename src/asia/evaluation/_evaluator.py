@@ -74,10 +74,10 @@ class Evaluator(WorkerRunner):
         gpu: bool = False,
     ) -> None:
         """salt: a text that no candidate or agent knows, so that none can predict which cases are
-        checked; without: relations that are not checked, to show what each of them finds; problem:
-        sha256 of the run's lock file; gpu: whether workers that train networks compute on the GPU.
-        Raises UserError where folds would be fitted on other machines and candidates may ask for
-        scores, which takes the held-out outputs there."""
+        checked; without: relations that are not checked, to show the effect of each; problem:
+        sha256 of the run's lock file; gpu: whether workers that train networks compute on the
+        GPU. Raises UserError where folds would be fitted on other machines and candidates may
+        ask for scores, which takes the held-out outputs there."""
         limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
         super().__init__(isolation, limits, executor, len(folds), gpu=gpu)
         self._without = frozenset(without)
@@ -110,9 +110,13 @@ class Evaluator(WorkerRunner):
         return self._evaluate(source, start, None)
 
     def evaluate_first(self, source: str, over: float | None) -> Evaluation:
-        """As `evaluate`, for a first fit. over: no fold is begun once V must be above it, those
-        under way are ended, and the outcome is a Failure with reason BEHIND; None where every
-        fold counts."""
+        """Evaluate the first fit of a candidate, as `evaluate`, with early pruning.
+
+        Args:
+            over: threshold of V; once V must exceed it, no fold is begun, running ones are
+                ended, and the outcome is a Failure with reason BEHIND. None evaluates every
+                fold.
+        """
         if over is None:
             return self.evaluate(source)
         return self._evaluate(source, 0, FoldPruner(len(self.folds), over))
@@ -203,8 +207,12 @@ class Evaluator(WorkerRunner):
         y_hat: Sequence[Array],
         ask: Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]],
     ) -> Sequence[Suspicion]:
-        """What `ask` finds in a worker that has seen no case. Raises CandidateError, with reason
-        NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
+        """Call `ask` with a worker that has seen no case.
+
+        Raises:
+            CandidateError: with reason NOT_REPRODUCIBLE when even the scored order does not
+                give the scored outputs
+        """
         with self._worker_for(source, fitting=False) as worker:
             try:
                 worker.load(executed_source(source), model, self._fold_context("load"))
@@ -224,8 +232,8 @@ class Evaluator(WorkerRunner):
         return [one for one in found if one.kind is not kind or one.figure > ROUNDING]
 
     def _check_seed(self, source: str, *parts: object) -> int:
-        """Other requests for each source: whoever sees what is found learns nothing about the
-        next one."""
+        """Return a seed for the check requests of one source, so that findings reveal nothing about
+        the requests of the next one."""
         return derive_seed(self._context.seed, self._salt, source, *parts)
 
     def refit(self, source: str) -> Refit:
@@ -247,7 +255,8 @@ class Evaluator(WorkerRunner):
         return self._run([partial(self._fit_all, executed_source(source), start)])[0]
 
     def _fit_all(self, source: str, start: int) -> RefitModel | CandidateError:
-        """Nothing is held out, so the candidate has no validation score to ask for."""
+        """Fit on all records; nothing is held out, so the candidate has no validation score to ask
+        for."""
         model: bytes | None = None
         try:
             with self._worker_for(source, fitting=True) as worker:
@@ -261,13 +270,19 @@ class Evaluator(WorkerRunner):
     def simulate_training(
         self, source: str, models: Sequence[bytes]
     ) -> list[tuple[Array, ...] | CandidateError]:
-        """What stored models answer to `training_blocks`, or why one does not."""
+        """Simulate `training_blocks` with stored models; return the outputs or the error of
+        each."""
         blocks = self.training_blocks
         return self._run([partial(self._answers, source, model, blocks) for model in models])
 
     def refit_objection(self, source: str, model: bytes, y_hat: Sequence[Array]) -> Failure | None:
-        """As `objection`, for a model fitted on all records and its answers to `training_blocks`:
-        without what asks how it does outside the records that it was fitted on."""
+        """Return an objection to a model fitted on all records, as `objection`.
+
+        Relations about samples outside the training records are left out.
+
+        Args:
+            y_hat: its simulations of `training_blocks`
+        """
         ask = partial(
             suspicions, scale=self.scale, horizon=self.horizon, rounding=0.0,
             seed=self._check_seed(source, "refit"),
@@ -291,9 +306,13 @@ class Evaluator(WorkerRunner):
     def simulate_scored(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...] | CandidateError]:
-        """As `simulate`, for answers that will be scored: a second worker is asked as `dependences`
-        does. For each model its simulations, or what it did: reason SUSPECT where an answer depends
-        on what it must not."""
+        """Simulate blocks whose outputs will be scored, as `simulate`, and check causality in a
+        second worker as `dependences` does.
+
+        Returns:
+            for each model its simulations or its error: reason SUSPECT where an output depends
+                on data that it must not use
+        """
         jobs = [partial(self._simulate_checked, source, model, blocks) for model in models]
         return self._run(jobs)
 
@@ -341,13 +360,17 @@ class Evaluator(WorkerRunner):
         return FoldEnd(result, found.printed, oracle.calls)
 
     def _analysis_lock(self, fold: Fold) -> AbstractContextManager[object]:
-        """Of long records one fold is analysed at a time, for the sake of memory."""
+        """Return a lock that lets one fold of long records be analysed at a time, to limit
+        memory."""
         long = sum(len(record) for record in fold.train) > _LONG
         return self._analysing if long else nullcontext()
 
     def _ask_strangers(self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]) -> None:
-        """Where several requests go to one worker, a few of their cases in a fresh one. Raises
-        CandidateError."""
+        """Simulate a few cases in a fresh worker, where several requests go to one worker.
+
+        Raises:
+            CandidateError: when the outputs differ
+        """
         if self.horizon is None or SuspicionKind.STRANGERS in self._without:
             return
 

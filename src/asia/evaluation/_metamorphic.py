@@ -58,25 +58,34 @@ def suspicions(
     without: Collection[SuspicionKind] = (),
     rounding: float = ROUNDING,
 ) -> tuple[Suspicion, ...]:
-    """The relations that a model breaks on held-out blocks; () for an honest one.
+    """Return the relations that a model breaks on held-out blocks; () for an honest one.
 
-    simulator: the model, best in a fresh worker, which has answered nothing; y_hat: the scored
-    answers (H, ny) to `blocks`; scale (ny,): standard deviations of the outputs; horizon: that of
-    the protocol; seed: for the choice of requests, of prefixes and of the signs of perturbations,
-    unknown to whoever wrote the model; followed: the blocks right after which data train; without:
-    relations that are left out; rounding: by how many standard deviations other cases may move an
-    answer.
+    First, on whole blocks that data follow, the simulation is continued from its own outputs to the
+    block's end (`block end`: another end, though it began alike). Then the relations of
+    `dependences` are tested.
 
-    First, on whole blocks that data follow, it goes on from its own outputs to the block's end
-    (`block end`: another end, though it began alike). Then what `dependences` asks. Then, on at
-    most six requests, inputs and past moved by 1e-6 of their standard deviations, there and back
-    (`perturbation`: an isolated answer, or a jump at once), and by 1e-2 (`table`: no change at
-    all); the scored requests again (`replay`); and, last, as their past windows are held-out
-    outputs, four later starts on the same record, where the output moves about as fast (`restart`:
-    all much worse over the rest of it, or failing).
-    Raises CandidateError where an answer does not come, but for `restart` only where time or memory
-    ran out; one that is not finite breaks `perturbation`, `restart`, `replay`, `strangers` and
-    `causality`, and says nothing about the others.
+    Then, on at most six requests, inputs and past are moved by 1e-6 of their standard deviations,
+    there and back (`perturbation`: an isolated response, or an immediate jump), and by 1e-2
+    (`table`: no change at all). The scored requests are repeated (`replay`). Last, because their
+    past windows are held-out outputs, four later starts on the same record are simulated where the
+    output moves about as fast (`restart`: all much worse over the rest of it, or failing).
+
+    Args:
+        simulator: the model, best in a fresh worker, which has simulated nothing
+        blocks: held-out blocks
+        y_hat: the scored outputs (H, ny) of `blocks`
+        scale: (ny,) standard deviations of the outputs
+        horizon: that of the protocol
+        seed: for the choice of requests, of prefixes and of the signs of perturbations, unknown
+            to the author of the model
+        followed: the blocks right after which data train
+        without: relations that are left out
+        rounding: standard deviations by which other cases in a request may change an output
+
+    Raises:
+        CandidateError: where a simulation fails; for `restart` only where time or memory ran
+            out. An output that is not finite breaks `perturbation`, `restart`, `replay`,
+            `strangers` and `causality`, and is ignored by the others.
     """
     inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed, without)
     continued = inquiry.continuations() if SuspicionKind.BLOCK_END not in without else []
@@ -102,13 +111,13 @@ def dependences(
     without: Collection[SuspicionKind] = (),
     rounding: float = ROUNDING,
 ) -> tuple[Suspicion, ...]:
-    """The relations that need no measured output; arguments as for `suspicions`.
+    """Return the broken relations that need no measured output; arguments as for `suspicions`.
 
-    The simulator is asked for the first inputs of at most six requests alone, at three random
-    lengths, and at more where that is quick (`causality`: the answer is not the start of the scored
-    one), then for a few cases without any other, and for all of them in another order and among
-    other cases (`strangers`: an answer changes by more than rounding). So it cannot know what came
-    before a case in the scored order, after it, or beside it.
+    The first inputs of at most six requests are simulated alone, at three random lengths, and at
+    more where that is quick (`causality`: the output is not the start of the scored one). Then a
+    few cases are simulated without any other, and all of them in another order and among other
+    cases (`strangers`: an output changes by more than rounding). So a simulation cannot depend on
+    the cases before it in the scored order, after it, or in the same request.
     """
     inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, without=without)
     return _worst(inquiry.dependences(), without)
@@ -171,7 +180,8 @@ def _worst(
 
 
 class _Inquiry:
-    """What one call asks, in an order in which no answer can be taken from an earlier request."""
+    """Requests of one check, in an order in which no output can be copied from an earlier
+    request."""
 
     def __init__(
         self,
@@ -232,7 +242,8 @@ class _Inquiry:
         return answer
 
     def continuations(self) -> list[tuple[RequestCheck, Continuation]]:
-        """Asked before all else: a longer request would tell where they start."""
+        """Simulate continuations before all other requests: a longer request would reveal where
+        they start."""
         return [
             (check, check.ask_continuation(lengths[1:]))
             for check in self.checks

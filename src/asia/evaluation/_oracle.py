@@ -35,11 +35,11 @@ class Oracle:
     fold: Fold
     """The fold on whose held-out part models are scored."""
     rule: ProtocolRule
-    """How they are scored."""
+    """Protocol of the score."""
     most: int = VALIDATION_SCORES
-    """How many scores a fit may ask for."""
+    """Number of scores that a fit may request."""
     calls: int = 0
-    """How many it has asked for."""
+    """Number of scores requested so far."""
     _worker: Worker | None = None
     _stack: ExitStack = field(default_factory=ExitStack)
 

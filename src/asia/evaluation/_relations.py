@@ -31,7 +31,7 @@ _RECENT = 10
 
 
 class SuspicionKind(StrEnum):
-    """Which relation a model breaks."""
+    """Relation that a model breaks."""
 
     REPLAY = "replay"
     STRANGERS = "strangers"
@@ -50,11 +50,11 @@ class Suspicion:
     kind: SuspicionKind
     """The relation."""
     words: str
-    """How it is broken, without a number. Agents receive the words alone: a figure would carry
-    held-out data out."""
+    """Description of the violation without a number. Agents receive this text alone: a figure would
+    leak held-out data."""
     figure: float
-    """By how much, in standard deviations of the outputs; for `restart` the error from later starts
-    over the error from the scored one."""
+    """Size of the violation in standard deviations of the outputs; for `restart` the error from
+    later starts over the error from the scored one."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,11 @@ class Continuation:
     finite."""
 
     beginning: Array | None
-    """To the first inputs of the longer one."""
+    """Outputs for the first inputs of the longer request."""
     short: Array | None
-    """To the shorter one."""
+    """Outputs of the shorter request."""
     long: Array | None
-    """To the longer one."""
+    """Outputs of the longer request."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class RequestCheck:
     """The relations on one request."""
 
     simulator: CaseSimulator
-    """What answers."""
+    """Simulator under test."""
     batch: CaseBatch
     """The request and its scored answer."""
     scale: Array
@@ -140,16 +140,20 @@ class RequestCheck:
         return Suspicion(SuspicionKind.CAUSALITY, words, change)
 
     def ask_continuation(self, lengths: tuple[int, int]) -> Continuation:
-        """The last samples of the block, started from what the model simulated before them."""
+        """Simulate the last samples of the block, started from the simulated outputs before
+        them."""
         short, long = lengths
         later = self.batch.ending(long)
         beginning, last = self.ask(later.prefix(short)), self.ask(self.batch.ending(short))
         return Continuation(beginning, last, self.ask(later))
 
     def block_end(self, found: Continuation) -> tuple[Suspicion | None, ...]:
-        """A model that goes on from its own outputs comes back to its own simulation. What differs
-        at first, for the past window shows the state in part, grows no more than a difference of
-        1e-6 does; a simulation that is drawn to what follows the block parts from it."""
+        """Test whether a model that continues from its own outputs returns to its own simulation.
+
+        An initial difference, because the past window shows only part of the state, must grow no
+        more than a difference of 1e-6 does; a simulation that is drawn to the data after the block
+        deviates from it.
+        """
         whole, overall = self.batch.y_hat, self.batch.y_hat - self.batch.y
         if _rms(overall[: self.batch.count] / self.scale) >= 1.0:
             return ()
@@ -180,8 +184,8 @@ class RequestCheck:
         return last if last > _PARTED and growth > _GROWS * max(usual, 1.0) else 0.0
 
     def _beyond_rounding(self, one: Array, other: Array) -> float:
-        """Largest difference, but for what chaos makes of rounding: less than of 1e-6, at that
-        sample or the few before it."""
+        """Return the largest difference beyond the growth of rounding errors: less than that of
+        1e-6, at that sample or the few before it."""
         apart = self._apart(one, other)
         near = [a for a in self.nearby if a is not None]
         if len(near) == 2:
@@ -252,7 +256,7 @@ class RequestCheck:
 
 
 def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:
-    """Over all requests: the best of the later starts against the scored one."""
+    """Compare the best of the later starts with the scored one, over all requests."""
     try:
         known = [error for check in checks if (error := check.restart()) is not None]
     except CandidateError as error:

@@ -43,9 +43,9 @@ class Rung:
     """A simple reference, scored."""
 
     name: str
-    """What it is called."""
+    """Name of the reference model."""
     outcome: Outcome
-    """Its score, or why it failed."""
+    """Score or failure."""
 
 
 def score_rungs(

@@ -1,4 +1,4 @@
-"""Which level works here, and a worker at a given one."""
+"""Choice of the isolation level, and workers at a given one."""
 
 from __future__ import annotations
 
@@ -64,11 +64,15 @@ def open_worker(
     libraries: Collection[str] = (),
     without: Collection[Layer] = frozenset(),
 ) -> Worker:
-    """Start one fresh worker at `level`. Raises SandboxError if it cannot be started. libraries:
-    modules that it loads, behind its walls, before it is asked anything.
+    """Start one fresh worker at `level`.
 
-    `without` leaves out layers, to show in an outer sandbox what each of them stops. No search
-    uses it.
+    Args:
+        libraries: modules that it loads, inside the sandbox, before its first request
+        without: layers to leave out, to show in an outer sandbox what each of them stops; no
+            search uses it
+
+    Raises:
+        SandboxError: if the worker cannot be started
     """
     process = LEVELS[level].open(limits, layers_in_force(level, without), libraries)
     return Worker(process, limits)

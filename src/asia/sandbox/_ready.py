@@ -24,7 +24,7 @@ class _Waiting:
     """A worker that has been asked nothing."""
 
     libraries: frozenset[str]
-    """What it loads."""
+    """Libraries that it loads."""
     worker: Future[Worker]
     """The worker, once it has been started."""
 
@@ -104,6 +104,6 @@ class ReadyWorkers:
 
 
 def _end(worker: Future[Worker]) -> None:
-    """End a worker that nobody will ask anything."""
+    """End a worker that will receive no request."""
     if not worker.cancelled() and worker.exception() is None:
         worker.result().close()

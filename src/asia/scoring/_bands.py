@@ -23,7 +23,7 @@ _NEIGHBOURS = 0.02
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """What the model of one fold missed on the blocks that the fold holds out."""
+    """Errors of the model of one fold on the blocks that the fold holds out."""
 
     blocks: tuple[Array, ...]
     """Measured less simulated (H, ny), one a block; NaN where an output was not measured."""
@@ -31,7 +31,7 @@ class HeldOutErrors:
 
 @dataclass(frozen=True)
 class Bands:
-    """Where the measured outputs are expected, around one simulation."""
+    """Bands around one simulation that contain the measured outputs with a given probability."""
 
     lower: Array
     """(H, ny), in the units of the outputs."""
@@ -41,13 +41,13 @@ class Bands:
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """Sizes of held-out errors, in order: what bands of every level are made of."""
+    """Sorted sizes of held-out errors, from which bands of every level are made."""
 
     parts: tuple[tuple[tuple[Array, ...], ...], ...]
-    """For each output and each step of a window, one where errors do not depend on the step: the
+    """For each output and each step of a window (one where errors do not depend on the step): the
     sizes of each fold's errors, the smallest first."""
     independent: tuple[float, ...]
-    """For each output, how many independent errors they are worth."""
+    """Equivalent number of independent errors of each output."""
 
 
 def error_sizes(folds: Sequence[HeldOutErrors], *, by_step: bool = False) -> ErrorSizes:
@@ -96,8 +96,14 @@ def output_bands(
 
 
 def independent_errors(folds: Sequence[Sequence[Array]]) -> float:
-    """How many independent errors the held-out errors are worth: their number over the sum of
-    their autocorrelation up to its first zero crossing, both sides. folds: blocks (H,) of each."""
+    """Return the equivalent number of independent held-out errors.
+
+    It is their number over the sum of their autocorrelation up to its first zero crossing, on both
+    sides.
+
+    Args:
+        folds: blocks (H,) of each fold
+    """
     worth = 0.0
     for blocks in folds:
         centre = np.concatenate(list(blocks)).mean()
@@ -125,7 +131,7 @@ def raised_level(level: float, errors: float) -> float:
 
 
 def _parts(errors: Sequence[Sequence[Array]], *, by_step: bool) -> tuple[tuple[Array, ...], ...]:
-    """For each step that has its own errors, the sorted sizes of each fold's."""
+    """Return each fold's sorted error sizes for each step that has its own errors."""
     if not by_step:
         return (tuple(_sizes(np.concatenate(list(b)), np.zeros(1)) for b in errors),)
     length = min(len(block) for blocks in errors for block in blocks)

@@ -30,7 +30,7 @@ class GroupError:
             raise InternalError("a distance that is not finite was about to be recorded")
 
     def at(self, step: int) -> float:
-        """At step 1..H."""
+        """Return the error at step 1..H."""
         return self.steps[step - 1]
 
     @property

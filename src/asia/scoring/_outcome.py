@@ -1,4 +1,4 @@
-"""What an experiment comes to: a Score, finite by construction, or a Failure with a reason."""
+"""Outcome of an experiment: a Score, finite by construction, or a Failure with a reason."""
 
 from __future__ import annotations
 
@@ -69,18 +69,18 @@ class Score:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why there is no score."""
+    """Reason for a missing score."""
 
     reason: Reason
     """The kind of failure."""
     detail: str = ""
-    """What was raised or measured, of any length."""
+    """Exception text or measurement, of any length."""
     fold: int | None = None
     """The fold that failed, 1-based; None when no fold was reached."""
 
     @property
     def advice(self) -> str:
-        """What happened and what to do."""
+        """Description of the failure and its remedy."""
         return self.reason.advice
 
 
@@ -96,9 +96,9 @@ class TestScore:
     value: float
     """Mean of `per_channel`."""
     per_channel: tuple[float, ...]
-    """Of each output, over the samples of all trajectories."""
+    """Score of each output, over the samples of all trajectories."""
     per_trajectory: tuple[float, ...]
-    """Of each trajectory, the mean over the outputs."""
+    """Score of each trajectory, the mean over the outputs."""
 
 
 def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:

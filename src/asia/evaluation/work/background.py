@@ -50,7 +50,7 @@ class CancelFlag:
 
 @dataclass(frozen=True)
 class JobSettings:
-    """How a thread of the search wants its jobs run."""
+    """Settings for the jobs of one thread of the search."""
 
     cancel: CancelFlag = field(default_factory=CancelFlag)
     """Ends them."""
@@ -73,12 +73,12 @@ class BackgroundJob(Generic[T]):
             return job(), lane
 
     def result(self) -> T:
-        """Wait for the result of the job, and return it; raises what the job raised."""
+        """Wait for the result of the job, and return it; raise the exception of the job."""
         begin = time.monotonic()
         found, lane = self._future.result()
         self._watch.waited(lane, time.monotonic() - begin)
         return found
 
     def cancel(self) -> None:
-        """End what is still running: its result is not needed."""
+        """End the running work; its result is not needed."""
         self._cancel.cancel()

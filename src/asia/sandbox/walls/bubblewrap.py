@@ -1,4 +1,4 @@
-"""Command line of bubblewrap: what a program in namespaces of its own sees."""
+"""Command line of bubblewrap: the view of a program in its own namespaces."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def worker_walls(
 
 
 def _gpu_options() -> list[str]:
-    """What lies in /proc is there already."""
+    """Return the bubblewrap options for a GPU; files in /proc are there already."""
     options = [word for node in gpu_nodes() for word in ("--dev-bind-try", node, node)]
     for place in GPU_FACTS:
         if not place.startswith("/proc/"):

@@ -1,5 +1,7 @@
-"""What a worker is given beside its walls to compute on an NVIDIA GPU: the device nodes, what the
-driver reads, the environment. Written to documentation, and not run on a GPU."""
+"""Access to an NVIDIA GPU for a worker: device nodes, files that the driver reads, environment.
+
+Written from documentation, and not run on a GPU.
+"""
 
 from __future__ import annotations
 

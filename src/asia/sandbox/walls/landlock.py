@@ -1,7 +1,7 @@
-"""Landlock: this process, from here on, opens nothing but what is listed. Linux 5.13 and later.
+"""Landlock: restrict this process to the listed files. Linux 5.13 and later.
 
-All rights that the running kernel knows are taken away; back come reading below some folders and
-writing to a few devices. Besides files: TCP (ABI 4), abstract sockets and signals to processes
+All rights that the running kernel knows are taken away; reading below some folders and writing to a
+few devices is allowed again. Besides files: TCP (ABI 4), abstract sockets and signals to processes
 outside (ABI 6), and the memory and environment of other processes. Not covered: whether a file
 exists and how large it is, its attributes, UDP, new processes; the system call filter has the rest.
 Only the standard library is imported here.
@@ -50,8 +50,7 @@ def restrict(readable: Iterable[str], writable: Iterable[str], devices: Iterable
     """Bind the calling thread and all that it starts; threads that run already stay free.
 
     readable: files, and folders with all below them; writable: files to read and write; devices:
-    those that take commands too. What does not exist is left out. Raises OSError if the kernel
-    refuses.
+    those that take commands too. Missing paths are left out. Raises OSError if the kernel refuses.
     """
     version = abi()
     files = _ALL_OF_ABI_1

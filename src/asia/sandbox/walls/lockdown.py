@@ -1,8 +1,8 @@
-"""A process locks itself in: no capabilities, then Landlock, then the filter on system calls.
+"""Lockdown of a process: no capabilities, then Landlock, then the filter on system calls.
 
-Called by the worker before it imports what starts threads, because Landlock binds the calling
-thread only. Also a script that tries out whether all of it holds here.
-Arguments of the script: the layers, then a folder to read.
+Called by the worker before it imports modules that start threads, because Landlock binds the
+calling thread only. Also a script that tests whether all layers hold here. Arguments of the script:
+the layers, then a folder to read.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """A filter on system calls, for Linux on x86-64 and aarch64: one process, threads, nothing else.
 
-It denies what neither a fit nor a simulation needs and what Landlock leaves open: new processes and
-programs, sockets, signals to others, other processes' memory and limits, the attributes of files,
-locks and other marks on a file that another worker has open too, kernel objects that outlive a
-process, namespaces and mounts. Loaded by the worker before candidate code runs; a filter cannot be
-taken off again. Only the standard library is imported here.
+It denies everything that neither a fit nor a simulation needs and that Landlock leaves open: new
+processes and programs, sockets, signals to others, other processes' memory and limits, the
+attributes of files, locks and other marks on a file that another worker has open too, kernel
+objects that outlive a process, namespaces and mounts. Loaded by the worker before candidate code
+runs; a filter cannot be taken off again. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def numbers(machine: str) -> dict[str, int]:
 
 
 def build(machine: str, pid: int, *, devices: bool = False) -> bytes:
-    """The filter as BPF instructions of 8 bytes, for the process `pid`; devices: as of `install`,
-    what the driver of a GPU calls passes."""
+    """The filter as BPF instructions of 8 bytes, for the process `pid`; devices: allow the calls of
+    a GPU driver, as in `install`."""
     known = numbers(machine)
     checked = [row[0] for row in _rows(_CHECKED)]
     passing = _FOR_DEVICES if devices else ()
@@ -175,7 +175,7 @@ def _step(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
 
 
 def _low(argument: int) -> int:
-    """Where the lower half of an argument lies; both architectures are little-endian."""
+    """Return the offset of the lower half of an argument; both architectures are little-endian."""
     return 16 + 8 * argument
 
 

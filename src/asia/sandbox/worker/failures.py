@@ -1,5 +1,8 @@
-"""What the parent says of a worker that failed. Once a worker knows cases, its own words could hold
-what it was given: only what stands here is passed on."""
+"""Messages of the parent about a failed worker.
+
+Once a worker knows cases, its own words could contain them: only the messages in this module are
+passed on.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ REASONS = {
     ReplyKind.MEMORY: Reason.MEMORY,
     ReplyKind.SHAPE: Reason.WRONG_LENGTH,
 }
-"""Of each reply that reports a failure."""
+"""Reason of each reply that reports a failure."""
 KNOWN_ERRORS = frozenset(
     name
     for name, value in vars(builtins).items()

@@ -41,7 +41,7 @@ def check_ahead(model: Array, hold: Array | None, deviation: Array) -> Check:
 
 
 def no_steps_ahead(why: str) -> Check:
-    """In place of the check where nothing begins anew."""
+    """Return a check that does not apply, where no window starts anew."""
     return Check(_NAME, Verdict.ABSENT, f"does not apply: {why}")
 
 

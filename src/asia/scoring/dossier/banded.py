@@ -1,4 +1,4 @@
-"""Whether the output bands hold as much of a record as they are meant to."""
+"""Check of the coverage of the output bands."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def check_bands(held: Array, outputs: Sequence[str], level: float) -> Check:
 
 
 def no_bands(reason: str) -> Check:
-    """Where a fold model does not simulate the record."""
+    """Return a check that does not apply, where a fold model does not simulate the record."""
     return Check("output bands", Verdict.ABSENT, f"does not apply: {reason}")

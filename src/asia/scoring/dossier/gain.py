@@ -1,4 +1,4 @@
-"""Whether the model answers to each input in the direction of the data."""
+"""Check of the sign of the gain from each input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the model stays bounded far beyond the length of its records."""
+"""Check that the model stays bounded far beyond the length of its records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the model does as well where it was not fitted, and why not."""
+"""Check of the error on held-out against training records, and its likely cause."""
 
 from __future__ import annotations
 
@@ -26,9 +26,15 @@ def check_overfit(
     simulations: SimulatedBlocks | None = None,
     apart: Sequence[str] = (),
 ) -> Check:
-    """train, held_out: the normalised error of each fold's model on the records that it was fitted
-    to, and on what was held out. simulations: of what was held out. apart: names of the parameters
-    that differ between the fold models by more than noise explains."""
+    """Compare the error on held-out records with that on training records.
+
+    Args:
+        train, held_out: normalised error of each fold's model on its training records, and on
+            its held-out ones
+        simulations: simulations of the held-out records
+        apart: names of the parameters that differ between the fold models by more than noise
+            explains
+    """
     a, b = np.array(train), np.array(held_out)
     ratio = float(b.mean() / max(float(a.mean()), 1e-300))
     least = float(np.min(b / np.maximum(a, 1e-300)))
@@ -71,9 +77,12 @@ def _cause(found: SimulatedBlocks | None, apart: Sequence[str]) -> tuple[Cause |
 
 
 def _corrected(found: SimulatedBlocks) -> float | None:
-    """The share of the held-out residual that few regressors explain in the other half of the same
-    block: the simulated outputs, and what first-order lags make of them. Noise that a model was
-    fitted to is spread over more directions. None where the blocks are too short."""
+    """Return the share of the held-out residual that few regressors explain in the other half of
+    the same block.
+
+    The regressors are the simulated outputs and their first-order lags. Fitted noise is spread over
+    more directions. None where the blocks are too short.
+    """
     before = after = 0.0
     for block in found.blocks:
         columns = _correction(block)

@@ -1,4 +1,4 @@
-"""What a residual is regressed on: what a model of some kind would leave behind.
+"""Regressors of residuals, one group for each kind of missing dynamics.
 
 Each group of columns is for one block. All columns of a block have the same rows: the samples from
 `reach` on, so that each has its past.
@@ -81,8 +81,8 @@ def _pasts(
 
 
 def _past(x: Array, lags: Sequence[tuple[int, int]]) -> Array:
-    """Means of each column of (n, c) over the lags, (n, c * lags); the first value stands for what
-    is before it."""
+    """Average each column of (n, c) over the lags, (n, c * lags); the first value fills the time
+    before it."""
     far = lags[-1][1]
     whole = np.concatenate([np.repeat(x[:1], far, axis=0), x])
     total = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(whole, axis=0)])
@@ -92,7 +92,7 @@ def _past(x: Array, lags: Sequence[tuple[int, int]]) -> Array:
 
 
 def _bends(signal: Sequence[Array]) -> list[Array]:
-    """How far one signal, (n, 1) a block, is beyond its quantiles."""
+    """Return the excess of one signal, (n, 1) a block, over its quantiles."""
     edges = np.quantile(np.concatenate(list(signal)), _BENDS)
     low, high = edges[: len(edges) // 2], edges[len(edges) // 2 :]
     return [np.concatenate([np.minimum(v - low, 0), np.maximum(v - high, 0)], 1) for v in signal]

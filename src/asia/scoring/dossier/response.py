@@ -28,7 +28,7 @@ class LinearResponse:
     """The answer of one model to a small impulse of one input around an operating point."""
 
     point: str
-    """Which operating point."""
+    """Operating point."""
     input: str
     """The input that moves."""
     impulse: Array
@@ -49,8 +49,12 @@ class LinearResponse:
 
 
 def impulse_response(up: Array, down: Array, size: float) -> Array:
-    """From two simulations (n, ny) whose input is `size` above and below the operating point from
-    the first sample on."""
+    """Estimate the impulse response.
+
+    Args:
+        up, down: simulations (n, ny) whose input is `size` above and below the operating point
+            from the first sample on
+    """
     step = (up - down) / (2.0 * size)
     return np.diff(step, axis=0, prepend=np.zeros((1, step.shape[1])))
 

@@ -41,9 +41,9 @@ class Spectra:
     residual: Array
     """(F,)."""
     output_cross: NDArray[np.complex128]
-    """Of output and input (F,)."""
+    """Cross-spectrum of output and input (F,)."""
     residual_cross: NDArray[np.complex128]
-    """Of residual and input (F,)."""
+    """Cross-spectrum of residual and input (F,)."""
     segments: int
     """Independent segments."""
 
@@ -74,8 +74,11 @@ def spectra(
 
 
 def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Check:
-    """Where the residual has its power, against the output and the noise floor: shown. noise: of
-    each output over its deviation, None where it is not known."""
+    """Show the spectrum of the residual against the output and the noise; it is not judged.
+
+    Args:
+        noise: noise of each output over its standard deviation, None where it is not known
+    """
     curves: list[CheckCurve] = []
     words: list[str] = []
     for k, name in enumerate(found.outputs):
