@@ -17,12 +17,12 @@ _PART = re.compile(r"(?P<name>.+?)(?:\*(?P<count>.*))?")
 
 @dataclass(frozen=True)
 class LegPlan:
-    """A leg as a person asks for it."""
+    """Leg of a relay as the user requests it."""
 
     agent: str
     """The agent by name."""
     experiments: int | None
-    """How many experiments it has; None for all that are left."""
+    """Number of experiments; None for all remaining ones."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Runner:
     """The agent of a leg."""
 
     agent: Agent
-    """Who proposes."""
+    """Agent of the leg."""
     leg: Leg
-    """What the ledger holds of the leg."""
+    """Leg as recorded in the ledger."""
 
 
 class RelayAgent:
@@ -45,12 +45,12 @@ class RelayAgent:
 
     @property
     def name(self) -> str:
-        """As `relay_name` has it."""
+        """Name of the relay, as `relay_name`."""
         return relay_name(self.legs)
 
     @property
     def legs(self) -> tuple[Leg, ...]:
-        """For the ledger."""
+        """Legs for the ledger."""
         return tuple(runner.leg for runner in self.runners)
 
     @property
@@ -59,7 +59,7 @@ class RelayAgent:
         return all(proposes_ahead(runner.agent) for runner in self.runners)
 
     def propose(self, view: AgentView) -> Proposal | None:
-        """What the agent of the view's leg proposes."""
+        """Propose a candidate with the agent of the view's leg."""
         return self.runners[view.leg - 1].agent.propose(view)
 
 
@@ -75,7 +75,7 @@ def legs_of(agent: object) -> tuple[Leg, ...]:
 
 
 def agent_of_leg(agent: Agent, leg: int) -> Agent:
-    """Who proposes in a leg; the agent itself where it is no relay."""
+    """Return the agent of a leg; the agent itself where it is no relay."""
     return agent.runners[leg - 1].agent if isinstance(agent, RelayAgent) else agent
 
 
@@ -90,7 +90,11 @@ def is_relay(text: str) -> bool:
 
 
 def read_relay(text: str) -> tuple[LegPlan, ...]:
-    """`expert*8,bayes` or `expert*8+bayes` as legs. Raises UserError for what is none."""
+    """Parse `expert*8,bayes` or `expert*8+bayes` into legs.
+
+    Raises:
+        UserError: for an invalid relay
+    """
     plans: list[LegPlan] = []
     for part in re.split(r"[,+]", text):
         found = _PART.fullmatch(part.strip())
@@ -113,7 +117,7 @@ def read_relay(text: str) -> tuple[LegPlan, ...]:
 
 
 def relay_budget(legs: Sequence[LegPlan | Leg]) -> int | None:
-    """The experiments of all legs; None where the last takes what is left."""
+    """Return the experiments of all legs; None where the last takes all remaining ones."""
     counts = [leg.experiments for leg in legs]
     return None if None in counts else sum(count for count in counts if count is not None)
 

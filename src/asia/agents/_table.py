@@ -29,12 +29,12 @@ _CLASS = "class"
 
 @dataclass(frozen=True)
 class AgentRow:
-    """What is known of an agent by its name alone."""
+    """Facts about an agent, known by its name alone."""
 
     name: str
-    """What it is called on the command line and in the ledger."""
+    """Name on the command line and in the ledger."""
     help: str
-    """What it does, in one line."""
+    """Description in one line."""
     make: Callable[[], Agent] | None = None
     """Makes it; None where it needs more than its name: a server, or somebody who proposes."""
     packages: tuple[str, ...] = ()
@@ -45,7 +45,7 @@ class AgentRow:
 
     @property
     def free(self) -> bool:
-        """Whether it needs nothing and nobody."""
+        """Whether it needs no key, no language model and no submitter."""
         return self.make is not None
 
 
@@ -75,22 +75,27 @@ RESERVED = frozenset(row.name for row in AGENT_ROWS)
 
 @dataclass(frozen=True)
 class NamedAgent:
-    """An agent and what the ledger holds of it beside its name."""
+    """Agent with its record for the ledger besides its name."""
 
     agent: Agent
     """The agent."""
     settings: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Its settings, and the class of one that is not built in."""
+    """Settings, and the class of an agent that is not built in."""
 
 
 def choose_agent(name: str, space: str | None = None) -> NamedAgent:
-    """An agent by the name of a built-in one, the name that a package gives it, or `module:Class`,
-    where the current folder is searched first. A class is called without arguments. Several of
-    them, as in `expert*5+bayes`, are a relay.
+    """Make an agent by name.
 
-    space: what `random` draws from, one of `SPACES`. Raises UserError for an unknown name or space,
-    a space given to an agent that does not draw, and a class that cannot be imported or is none of
-    an agent.
+    A name is that of a built-in agent, one that a package registers, or `module:Class`, where the
+    current folder is searched first. A class is called without arguments. Several names, as in
+    `expert*5+bayes`, form a relay.
+
+    Args:
+        space: search space of `random`, one of `SPACES`
+
+    Raises:
+        UserError: for an unknown name or space, a space for an agent that does not use one, and
+            a class that cannot be imported or is no agent
     """
     if space is not None and name != "random":
         raise UserError(
@@ -146,7 +151,8 @@ def recorded_agent(name: str, settings: Mapping[str, str]) -> Agent | None:
 
 
 def recorded_agents(started: Started) -> tuple[Agent | None, ...]:
-    """As `recorded_agent`, for every leg of a relay; the one agent of any other search."""
+    """Return the recorded agents of every leg of a relay, as `recorded_agent`; the one agent of any
+    other search."""
     if not started.legs:
         return (recorded_agent(started.agent, started.agent_settings),)
     return tuple(recorded_agent(leg.agent, leg.settings) for leg in started.legs)

@@ -56,7 +56,7 @@ class SmallProblem:
     records: tuple[Trajectory, ...]
     """The training records."""
     rule: ProtocolRule
-    """How candidates are scored."""
+    """Protocol of the score."""
     crude: tuple[float, float]
     """Pole and gain of an honest model that leaves something to gain."""
 

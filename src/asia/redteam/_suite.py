@@ -43,7 +43,7 @@ OnResult = Callable[[Result], None]
 
 @dataclass(frozen=True)
 class RedTeamPlan:
-    """What to try."""
+    """Plan of a red-team run."""
 
     levels: tuple[Isolation, ...]
     """The levels of isolation, strongest first."""
@@ -54,19 +54,19 @@ class RedTeamPlan:
     honest: tuple[tuple[HonestProblem, Family], ...] = ()
     """The problems, each with a family whose candidate must not be flagged."""
     executor: Executor | None = None
-    """What has the attacks' folds fitted, on this machine; None for this process."""
+    """Executor of the attacks' folds, on this machine; None for this process."""
 
 
 @dataclass(frozen=True)
 class RedTeamReport:
-    """What came of a plan."""
+    """Report of a red-team run."""
 
     plan: RedTeamPlan
-    """What was tried."""
+    """Plan of the run."""
     findings: tuple[Finding, ...]
-    """What became of the attacks, by number and level."""
+    """Findings of the attacks, by number and level."""
     honest: tuple[HonestFinding, ...]
-    """What became of the honest candidates."""
+    """Findings of the honest candidates."""
 
     @property
     def stopped(self) -> int:
@@ -139,8 +139,13 @@ def without_layers(
     attacks: Sequence[Attack],
     on_result: OnResult = lambda result: None,
 ) -> tuple[Finding, ...]:
-    """What comes back without these layers, in an outer sandbox. Attacks that no layer of the
-    sandbox has a part in are left out. Raises SandboxError."""
+    """Run attacks without these layers, in an outer sandbox.
+
+    Attacks that no layer of the sandbox affects are left out.
+
+    Raises:
+        SandboxError: when the outer sandbox cannot be started
+    """
     walled = [attack for attack in attacks if attack.walled]
     jobs = [partial(_outside, level, layers, walled) for level, layers in settings]
     return tuple(one for one in _run(jobs, on_result, Interruption()) if isinstance(one, Finding))

@@ -33,7 +33,7 @@ class Allocation:
 
     @staticmethod
     def of(view: AgentView) -> Allocation:
-        """Count what was proposed so far."""
+        """Count the proposals so far."""
         tried, spent, best = Counter[str](), Counter[str](), dict[str, float]()
         for one in view.proposed:
             name = _family_of(one)

@@ -1,6 +1,5 @@
-"""What to do while nothing beats the mean of the output: why that may be, in a sentence with
-advice, and moves that look for another kind of model in place of variations of one.
-"""
+"""Strategy while no candidate beats the mean of the output: a likely cause with advice, and moves
+to other model classes."""
 
 from __future__ import annotations
 
@@ -36,7 +35,7 @@ def beats_nothing(view: AgentView) -> bool:
 
 
 def why_nothing_helps(view: AgentView) -> str:
-    """What the training records say of the cause, and what to do about it."""
+    """Describe the likely cause in the training records, and the remedy."""
     best = view.best
     lowest = "" if best is None else f" (best V {best.value:.3g} of #{best.number:02d})"
     cause = _cause(view.facts, relation(view.facts))

@@ -1,4 +1,4 @@
-"""When the search has found all that there is: the noise floor is reached."""
+"""Stop criterion: the noise floor is reached."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LEVEL = 0.01
 
 
 def reason_to_end(view: AgentView) -> str | None:
-    """Why the search should end now, in a sentence; None where it should go on."""
+    """Return the reason to end the search now, in a sentence; None to continue."""
     best = view.best
     if best is None or _tries_since_gain(view) < _TRIES:
         return None
@@ -61,7 +61,7 @@ def nothing_left(view: AgentView, trial: Trial) -> bool:
 
 
 def _band(samples: int, tests: int) -> float:
-    """What the largest of so many correlations of white noise exceeds in 1 % of cases."""
+    """Return the 99 % quantile of the largest of `tests` correlations of white noise."""
     return NormalDist().inv_cdf(1.0 - _LEVEL / (2 * tests)) / max(samples, 1) ** 0.5
 
 

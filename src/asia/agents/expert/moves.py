@@ -1,8 +1,8 @@
-"""The expert's moves: what to change, when, why, and what should come of it.
+"""Moves of the expert: change, condition, hypothesis and expected effect.
 
-One row a move, in a table for each kind of model. To teach the expert something, add a row: the
-condition reads training-side evidence, the change makes a new recipe, the words are recorded
-before the outcome is known.
+One row a move, in a table for each kind of model. To extend the expert, add a row: the condition
+reads training-side evidence, the change makes a new recipe, the texts are recorded before the
+outcome is known.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _full_weight(at: Situation) -> float:
 
 
 def _in_full(at: Situation) -> Recipe:
-    """What the row's long fit has beyond its trial, on the recipe as it is now."""
+    """Apply the additional settings of the family's long fit to the present recipe."""
     trial, full = at.row.trial(at.facts), at.row.full(at.facts)
     recipe = at.recipe
     for name, value in full.config:
@@ -45,7 +45,8 @@ def _in_full(at: Situation) -> Recipe:
 
 
 def _tuning_weight(at: Situation) -> float:
-    """Above what is left of small moves; once the budget runs out, above medium ones."""
+    """Return a weight above that of repeated small moves; near the end of the budget, above medium
+    ones."""
     if at.place > 0 or not may_tune(at):
         return 0.0
     return 0.5 if at.view.remaining <= _LATE * at.view.experiments else 0.3

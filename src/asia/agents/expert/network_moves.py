@@ -85,7 +85,7 @@ def _huber_weight(at: Situation) -> float:
 
 
 def _slow_noise() -> Move:
-    """On networks; cards of other families have the move themselves."""
+    """Make the move for slow noise on networks; cards of other families have their own."""
     move = slow_noise()
     return replace(move, weight=lambda c: move.weight(c) * (c.recipe.method in ("Adam", "LBFGS")))
 

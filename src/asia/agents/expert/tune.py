@@ -96,8 +96,8 @@ def _distributions(at: Situation, spans: tuple[Span, ...]) -> dict[str, BaseDist
 
 
 def _range(at: Situation, span: Span) -> tuple[float, float]:
-    """A factor of three to each side of the leading recipe's number, within what the library
-    allows or as far as the recipe already is."""
+    """Return a range of a factor of three to each side of the leading recipe's number, limited to
+    the library's range extended to that number."""
     centre = at.recipe.number(span.name, span.low)
     low, high = max(span.low, centre / _REACH), min(span.high, centre * _REACH)
     return min(low, centre), max(high, centre)

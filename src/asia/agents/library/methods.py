@@ -1,4 +1,4 @@
-"""Training methods: the settings of each that suit a problem, and what may be varied in them."""
+"""Training methods: suitable settings of each for a problem, and their search spaces."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def by_multiple_shooting(facts: Facts, recipe: Recipe) -> Recipe:
 
 
 def _symmetry(recipe: Recipe) -> Arguments:
-    """What another method keeps of it."""
+    """Return the symmetry settings that another method keeps."""
     symmetry = dict(recipe.options).get("symmetry")
     return (("symmetry", symmetry),) if symmetry else ()
 
@@ -132,7 +132,7 @@ def has_noise_model(recipe: Recipe) -> bool:
 
 
 def integrator_setting(facts: Facts) -> Arguments:
-    """As many free integrators as outputs that show one; no setting without them."""
+    """Return the setting for as many free integrators as outputs show; no setting without them."""
     found = len(integrating(facts)) if "integrating" in traits(facts) else 0
     return (("integrators", found),) if found else ()
 
@@ -161,7 +161,11 @@ def integrator_moves() -> tuple[Move, ...]:
 
 
 def from_pieces(weight: Callable[[Situation], float], **also: bool) -> Move:
-    """Fits of state-space models that begin with pieces of the records; also: what else is set."""
+    """Make the move to fit state-space models first to segments of the records.
+
+    Args:
+        also: further settings
+    """
     return Move(
         name="fit from pieces",
         weight=weight,

@@ -22,7 +22,7 @@ _SMALL_STEPS = ("steps", 5)
 
 @dataclass(frozen=True)
 class NetworkStart:
-    """Where the search of a kind of network starts."""
+    """Initial settings for a kind of network."""
 
     config: Arguments
     """Settings of the first configuration."""
@@ -31,9 +31,9 @@ class NetworkStart:
     cost: SampleCost
     """Cost of a sample."""
     vary: tuple[Parameter, ...]
-    """What may be varied beside the settings of Adam and the functions of the inputs."""
+    """Search space besides the settings of Adam and the functions of the inputs."""
     teacher: float | None = None
-    """How often it is fed measured outputs at first; None where it feeds on no output."""
+    """Initial rate of teacher forcing; None where the model feeds back no output."""
 
 
 def network_family(

@@ -17,7 +17,11 @@ def scaled_ridge(at: Situation, factor: float) -> Recipe:
 
 
 def more_ridge(what: str = "weights", scaled: Scaled = scaled_ridge) -> Move:
-    """Ten times the ridge. what: the part of the model that it holds."""
+    """Make the move that multiplies the ridge by ten.
+
+    Args:
+        what: the regularised part of the model
+    """
     return Move(
         name="more ridge",
         weight=lambda c: by_overfit(c.trial, 0.75, 0.45, 0.1),

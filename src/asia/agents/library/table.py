@@ -74,7 +74,7 @@ def card_moves() -> tuple[Move, ...]:
 
 
 def _card(part: object, source: Part) -> Card:
-    """A card from what a package brings: a card, a family, or several families."""
+    """Make a card from a part of a package: a card, a family, or several families."""
     if isinstance(part, Card):
         return part
     rows = part if isinstance(part, tuple) else (part,)

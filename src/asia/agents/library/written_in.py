@@ -1,4 +1,4 @@
-"""Moves on what is written into the equations of a grey-box, and on how its residual counts."""
+"""Moves that add terms to the equations of a grey-box, or change the weight of its residual."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NEAR = 0.15
 
 
 def names_of(at: Situation, setting: str) -> tuple[str, ...]:
-    """What a setting names."""
+    """Return the names in a setting."""
     value = at.recipe.get(setting)
     return tuple(str(name) for name in value) if isinstance(value, tuple) else ()
 
@@ -37,7 +37,8 @@ def output_offsets(facts: Facts) -> tuple[str, ...]:
 
 
 def _noise_weight(at: Situation) -> float:
-    """Where the equations explain nearly all: before that the residual is what they lack."""
+    """Return the weight where the equations explain nearly all: before that the residual contains
+    missing dynamics."""
     if at.recipe.get("noise_model") == "slow" or at.recipe.method != LM:
         return 0.0
     if at.facts.horizon is not None:
@@ -47,7 +48,7 @@ def _noise_weight(at: Situation) -> float:
 
 
 def _with_noise(at: Situation) -> Recipe:
-    """With the residual counted as what it is, priors need less help."""
+    """Apply the noise model of the residual; priors then need less weight."""
     recipe = at.recipe.without("robust").trained(noise_model="slow", huber=3.0)
     return recipe.times("ridge", 0.1, 1e-3)
 
@@ -65,7 +66,7 @@ def _free_sensor_weight(at: Situation) -> float:
 
 
 def _kept_offsets(at: Situation) -> dict[str, tuple[str, ...]]:
-    """Offsets but those of outputs, which a sensor's zero stands for."""
+    """Return the offsets except those of outputs, which represent a sensor's zero."""
     kept = tuple(name for name in names_of(at, "offset") if name not in output_offsets(at.facts))
     return {"offset": kept} if kept else {}
 
@@ -75,7 +76,7 @@ def _width(at: Situation) -> float:
 
 
 def _read_by_others(at: Situation) -> tuple[str, ...]:
-    """States that stand in the equation of another state."""
+    """Return the states that occur in the equation of another state."""
     physics = at.facts.physics
     if physics is None:
         return ()
@@ -108,7 +109,7 @@ def _lag_weight(at: Situation, names: tuple[str, ...], late: float, else_: float
 
 
 def _smooth_weight(at: Situation, names: tuple[str, ...], weight: float) -> float:
-    """Once what is known of the system is in."""
+    """Return the weight after all known terms of the system are included."""
     if at.facts.horizon is not None or not _next(at, "smooth", names):
         return 0.0
     return weight * (1.0 if coloured(at.trial) else 0.5) * (0.6 if names_of(at, "smooth") else 1.0)
@@ -154,7 +155,7 @@ def _finer_weight(at: Situation) -> float:
 
 
 def _terms_weight(at: Situation) -> float:
-    """After what the records name by itself."""
+    """Return the weight after the terms that the records show."""
     if at.recipe.get("discover") or at.recipe.get("residual") or at.recipe.method != LM:
         return 0.0
     return 0.74 if coloured(at.trial) else 0.15

@@ -1,4 +1,4 @@
-"""Which models a server has."""
+"""List of the models of a server."""
 
 from __future__ import annotations
 

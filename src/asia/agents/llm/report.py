@@ -1,4 +1,4 @@
-"""What a language model managed in a search: whether it keeps to the contract, and what it cost."""
+"""Report on a language model in a search: contract violations and cost."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _WRONG = 200
 
 @dataclass(frozen=True)
 class LlmReport:
-    """What the model of a search did, read from its ledger."""
+    """Statistics of the model of a search, read from its ledger."""
 
     model: str
-    """Its name, as its server calls it."""
+    """Name of the model at its server."""
     base_url: str
-    """Where its server is."""
+    """Address of the server."""
     steps: int
     """Candidates that were asked for."""
     answers: int
@@ -38,9 +38,9 @@ class LlmReport:
     scored: int
     """Candidates with a score."""
     wrong: tuple[str, ...]
-    """What was wrong with answers, the most frequent first."""
+    """Errors of answers, the most frequent first."""
     failures: tuple[str, ...]
-    """Why candidates had no score, the most frequent first."""
+    """Reasons of failed candidates, the most frequent first."""
     baseline: float | None
     """V of the baseline."""
     best: float | None
@@ -95,7 +95,7 @@ def llm_report(run: Run) -> LlmReport:
 
 
 def _objection(run: Run, exchange: Exchanged) -> str:
-    """What is wrong with an answer; "" for nothing."""
+    """Describe the error of an answer; "" for none."""
     answer = read_answer(run.store.get(exchange.response))
     try:
         reply = read_reply(answer.text, answer.cut)

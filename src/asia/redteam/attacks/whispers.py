@@ -1,5 +1,5 @@
-"""Candidates that pass the training outputs of one fold to the worker of another through what a
-machine counts or shares for all its processes."""
+"""Candidates that pass the training outputs of one fold to the worker of another through counters
+or resources shared by all processes of a machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an attack leaves: processes that outlive it, files, a neighbour that is not as it was."""
+"""Traces of an attack: surviving processes, files, and a changed neighbour."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _MARKED_BYTES = 4096
 
 @dataclass(frozen=True)
 class Traces:
-    """Finds what an attack leaves. Made before the attack."""
+    """Detector of traces, made before the attack."""
 
     mark: str
-    """What stands in the names of its processes and files."""
+    """Marker in the names of its processes and files."""
     key: int
     """The key of its shared memory."""
     playground: str
-    """A folder that nobody else writes to."""
+    """Folder that nothing else writes to."""
     pids: frozenset[int] = field(default_factory=lambda: frozenset(_pids()))
     """The processes that ran before it."""
     paths: frozenset[str] = field(init=False)
@@ -77,8 +77,8 @@ class Traces:
         return found
 
     def _found(self) -> Iterator[str]:
-        """All of the playground; elsewhere, where other programs write too, what is marked, and
-        traps."""
+        """Yield all files of the playground; in other folders, where other programs write too,
+        marked ones and traps."""
         for folder, folders, files in os.walk(self.playground):
             yield from (os.path.join(folder, name) for name in (*folders, *files))
         for place in {os.getcwd(), str(Path.home()), tempfile.gettempdir(), *_PLACES}:
@@ -104,11 +104,12 @@ class Neighbour:
     process: subprocess.Popen[bytes]
     """The process."""
     nice: int
-    """Its priority at the start."""
+    """Priority at the start."""
 
     @property
     def hurt(self) -> str:
-        """That it ended, stands still or has another priority, at two looks; "" for nothing."""
+        """Whether it ended, is stopped or has another priority, at two observations; "" for no
+        harm."""
         if not self._changed():
             return ""
         time.sleep(_AGAIN_SECONDS)
@@ -184,7 +185,7 @@ def _parent(pid: int) -> int:
 
 
 def _stat(pid: int) -> list[str]:
-    """From the state on, which is the third field."""
+    """Return the fields of the process status from the state on, which is the third field."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 

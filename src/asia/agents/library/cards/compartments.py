@@ -16,7 +16,7 @@ _STANDS_STILL, _MOST_STORAGES = 0.02, 4
 
 
 def _start(facts: Facts) -> Recipe:
-    """With limits where an output stands still at its highest."""
+    """Return the first recipe, with limits where an output saturates at its maximum."""
     config = (("count", 2), ("outflow", "power"))
     if plateau_share(facts) > _STANDS_STILL:
         config = (*config, ("full", True), ("spill", True))

@@ -1,4 +1,4 @@
-"""The person's equations, what may be lacking in them, and how it shows."""
+"""Grey-box model of the problem's equations, its possible missing terms and their symptoms."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def _offset_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
 
 
 def _greybox(facts: Facts) -> Recipe:
-    """Over windows of measured states the equations need no search for a start."""
+    """Return the first recipe; with measured states in windows the equations need no search for an
+    initial state."""
     config = (("ridge", 1e-3), ("residual_ridge", 1e-2))
     effort = (("iterations", 60), ("starts", 8))
     if facts.horizon is not None:

@@ -1,4 +1,4 @@
-"""The person's equations with a learned residual."""
+"""Hybrid model: the problem's equations with a learned residual."""
 
 from __future__ import annotations
 

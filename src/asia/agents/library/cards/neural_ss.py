@@ -111,7 +111,8 @@ def _as_polynomials(at: Situation) -> Recipe:
 
 
 def _pieces_weight(at: Situation) -> float:
-    """Before any ridge: in a local minimum V is far above the training error as well."""
+    """Return a weight above that of any ridge: in a local minimum V exceeds the training error as
+    well."""
     if at.facts.horizon is not None or at.recipe.get("pieces"):
         return 0.0
     return 0.88 if coloured(at.trial) else 0.4
@@ -123,7 +124,8 @@ def _has_lfr(at: Situation) -> bool:
 
 
 def _unless_at(at: Situation, place: str, weight: float) -> float:
-    """None around a free integrator: what drifts visits each level once."""
+    """Return the weight, or 0 around a free integrator: a drifting output visits each level
+    once."""
     if at.recipe.get("nonlinearity") == place:
         return 0.0
     weight *= _IN_LFR if _has_lfr(at) else 1.0
@@ -143,8 +145,8 @@ def _element_weight(at: Situation, element: str, *causes: Cause) -> float:
 
 
 def _trace_weight(at: Situation, weight: float) -> float:
-    """On a residual that stays coloured, where the records show but a trace of it, or where a
-    smooth model knows its own fold far better than the others."""
+    """Return the weight for a coloured residual, where the records show only a trace of the effect,
+    or where a smooth model overfits its own fold."""
     smooth = at.facts.horizon is None and not _has_element(at)
     if not smooth or not coloured(at.trial) or switching(at.facts).found:
         return 0.0

@@ -1,4 +1,4 @@
-"""The person's equations where all states are measured: learned terms and a network beside them."""
+"""Problem's equations with all states measured: learned terms and a parallel network."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def _space(facts: Facts) -> Space:
 
 
 def _with_network(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
-    """A small network beside fitted equations, trained gently from there, or with corrections
-    trained with the equations from what is known of the parameters."""
+    """Add a small network to fitted equations, trained gently from there, or with corrections
+    trained together with the equations from the priors of the parameters."""
     if _at_places(facts):
         return _network_at_places(facts, recipe, kind)
     recipe = recipe.configured(network=kind, hidden=32, size=0.1)
@@ -83,9 +83,11 @@ def _with_network(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
 
 
 def _network_at_places(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
-    """In closed loop a fit of the equations alone takes what the controller does for what the
-    system does: physics and network start together from the priors. Linear terms are all but held
-    at zero, since the equations name the linear effects."""
+    """Start physics and network together from the priors, with networks at the given places.
+
+    In closed loop a fit of the equations alone attributes the controller's action to the system.
+    Linear terms are nearly held at zero, since the equations contain the linear effects.
+    """
     symmetry: Arguments = (("symmetry", True),) if facts.symmetry else ()
     recipe = recipe.configured(
         linear=True, sparsity=0.0, ridge=1.0, delay=True, equations=0, reach=1.5,

@@ -1,4 +1,4 @@
-"""Whether the records are of several levels of excitation, and whether they are periodic."""
+"""Detection of several excitation levels and of periodic records."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def several_levels(facts: Facts) -> bool:
 
 
 def noise_of_periods(facts: Facts) -> float | None:
-    """What V cannot go below, from what differs between the periods of the records: the standard
-    deviation of the noise over that of the output, mean over the outputs. None without periods."""
+    """Return the noise floor of V from the variation between periods: standard deviation of the
+    noise over that of the output, mean over the outputs. None without periods."""
     return _noise(SameRecords(facts.records)) if periodic(facts) else None
 
 
