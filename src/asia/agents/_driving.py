@@ -66,7 +66,7 @@ class ProposesAhead(Protocol):
 
 
 def proposes_ahead(agent: object) -> bool:
-    """Whether an agent may be asked while others of its proposals run."""
+    """Return whether an agent may be asked while others of its proposals run."""
     return isinstance(agent, ProposesAhead) and agent.proposes_ahead
 
 

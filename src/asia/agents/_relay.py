@@ -39,7 +39,7 @@ class RelayAgent:
     """Asks the agent whose turn it is. The search hands over, and knows whose turn it is."""
 
     def __init__(self, runners: Sequence[Runner]) -> None:
-        """Raises UserError where one agent follows itself."""
+        """Raise UserError where one agent follows itself."""
         self.runners = tuple(runners)
         check_legs([runner.leg for runner in self.runners])
 
@@ -85,7 +85,8 @@ def make_runner(agent: Agent, experiments: int | None) -> Runner:
 
 
 def is_relay(text: str) -> bool:
-    """Whether it asks for a relay: legs with `,` or `+` between them, or a number behind `*`."""
+    """Return whether it asks for a relay: legs with `,` or `+` between them, or a number behind
+    `*`."""
     return any(sign in text for sign in "*,+")
 
 
@@ -123,7 +124,7 @@ def relay_budget(legs: Sequence[LegPlan | Leg]) -> int | None:
 
 
 def check_relay_budget(legs: Sequence[LegPlan | Leg], budget: int) -> None:
-    """Raises UserError unless the legs fit into the budget of the search."""
+    """Raise UserError unless the legs fit into the budget of the search."""
     asked = sum(leg.experiments or 0 for leg in legs)
     rest = legs[-1].experiments is None
     sums = " + ".join(f"{leg.agent}*{leg.experiments}" for leg in legs if leg.experiments)
@@ -143,7 +144,7 @@ def check_relay_budget(legs: Sequence[LegPlan | Leg], budget: int) -> None:
 
 
 def check_legs(legs: Sequence[Leg]) -> None:
-    """Raises UserError where one agent follows itself."""
+    """Raise UserError where one agent follows itself."""
     for one, other in pairwise(legs):
         if (one.agent, one.settings) == (other.agent, other.settings):
             raise UserError(f"a relay in which {one.agent} follows itself: join its two legs")

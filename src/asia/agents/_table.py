@@ -159,7 +159,7 @@ def recorded_agents(started: Started) -> tuple[Agent | None, ...]:
 
 
 def reads_notes(started: Started) -> bool:
-    """Whether any agent of the search reads notes; one that is not built in sees them."""
+    """Return whether any agent of the search reads notes; one that is not built in sees them."""
     deaf = {row.name for row in AGENT_ROWS if not row.reads_notes}
     names = [leg.agent for leg in started.legs] or [started.agent]
     return not deaf.issuperset(names)

@@ -137,7 +137,7 @@ def _seconds(sheet: Sheet) -> Array:
 
 
 def _check_same_times(u: Sheet, y: Sheet) -> None:
-    """Raises UserError where inputs and outputs were not sampled at the same times."""
+    """Raise UserError where inputs and outputs were not sampled at the same times."""
     where = u.where
     (name, first_column), (_, second_column) = (next(iter(s.columns.items())) for s in (u, y))
     cells = first_column.cells, second_column.cells

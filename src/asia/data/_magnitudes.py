@@ -42,7 +42,7 @@ def check_magnitudes(
 def check_ranges(
     trajectories: Sequence[Trajectory], inputs: Sequence[str], outputs: Sequence[str]
 ) -> None:
-    """Raises UserError for a signal that moves, but so little that its variance comes out as 0."""
+    """Raise UserError for a signal that moves, but so little that its variance comes out as 0."""
     if not trajectories:
         return
     _check_range([t.u for t in trajectories], "input", inputs)

@@ -42,7 +42,7 @@ class Preprocess:
         return max(self.delay.values(), default=0)
 
     def check(self, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Raises UserError for a name that is no signal, or no input where one is wanted."""
+        """Raise UserError for a name that is no signal, or no input where one is wanted."""
         tables: tuple[tuple[str, Mapping[str, float], Sequence[str]], ...] = (
             ("delay", self.delay, inputs),
             ("offset", self.offset, [*inputs, *outputs]),

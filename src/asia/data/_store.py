@@ -146,7 +146,7 @@ def read_seal(path: Path) -> SealHead:
 
 
 def find_key(path: Path, head: SealHead, keys: Path) -> None:
-    """Raises UserError, which says how to mend it, when the key of a store cannot be used."""
+    """Raise UserError, which says how to mend it, when the key of a store cannot be used."""
     _fernet(head, path, keys)
 
 

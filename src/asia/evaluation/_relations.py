@@ -124,7 +124,8 @@ class RequestCheck:
         return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
 
     def begins_with(self, answer: Array) -> bool:
-        """Whether this is the start of the scored answer: then `causality` has no objection."""
+        """Return whether this is the start of the scored answer: then `causality` has no
+        objection."""
         whole = self.batch.y_hat[:, : answer.shape[1]]
         return float(self._apart(answer, whole).max(initial=0.0)) <= _SAME
 

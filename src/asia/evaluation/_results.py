@@ -129,7 +129,7 @@ class Evaluation:
 
 
 def same_simulations(first: Sequence[Sequence[Array]], again: Sequence[Sequence[Array]]) -> bool:
-    """Whether every simulation came out bitwise the same; one sequence a fold."""
+    """Return whether every simulation came out bitwise the same; one sequence a fold."""
     return all(
         a.tobytes() == b.tobytes()
         for one, other in zip(first, again, strict=True)

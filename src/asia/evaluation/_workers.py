@@ -180,7 +180,7 @@ class WorkerRunner:
         return replace(self._limits, gpu=True) if self.on_gpu(source) else self._limits
 
     def on_gpu(self, source: str) -> bool:
-        """Whether workers that run a candidate compute on the GPU."""
+        """Return whether workers that run a candidate compute on the GPU."""
         return self._gpu and trains_network(source)
 
     def _worker_for(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:

@@ -71,7 +71,7 @@ class DaskExecutor:
         return [future.result() for future in futures]
 
     def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
-        """As `Carrier.carry`."""
+        """Implement `Carrier.carry`."""
         try:
             with self._place():
                 return self._carried(answer, request, digest, data)

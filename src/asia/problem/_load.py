@@ -222,8 +222,8 @@ def least_samples(rule: ProtocolRule) -> int:
 
 
 def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
-    """Raises UserError when a record is too short for the folds: each held-out block must be able
-    to hold a past window and some samples to train on."""
+    """Raise UserError when a record is too short for the folds: each held-out block must be able to
+    hold a past window and some samples to train on."""
     gap = rule.folds.gap or 0
     if rule.folds.kind == "leave_one_group_out":
         wanted = f"a past window of {rule.past}"

@@ -69,7 +69,7 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
 
 
 def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
-    """Raises UserError that names every part whose digest is not the expected one."""
+    """Raise UserError that names every part whose digest is not the expected one."""
     found = _digests(problem, None)
     changed = [f"the {part}" for part in _PARTS if found[part] != getattr(expected, part)]
     train = found["train"]

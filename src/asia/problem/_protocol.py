@@ -16,7 +16,7 @@ GroupsTable = Mapping[str, Sequence[str]]
 
 
 def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[str]) -> None:
-    """Raises UserError at the first setting that another one rules out or needs."""
+    """Raise UserError at the first setting that another one rules out or needs."""
     if table.kind == "windows" and table.horizon is None:
         raise UserError(
             'protocol.kind = "windows" needs protocol.horizon, the samples simulated in each '

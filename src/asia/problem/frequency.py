@@ -14,7 +14,7 @@ from asia.problem._problem import Problem
 
 
 def check_period(records: Sequence[Trajectory], period: int | None) -> None:
-    """Raises UserError where a record holds less than two periods."""
+    """Raise UserError where a record holds less than two periods."""
     for record in records:
         if period is not None and len(record) < 2 * period:
             raise UserError(

@@ -82,8 +82,8 @@ def group(symmetry: Symmetry, names: Sequence[str]) -> Array:
 
 
 def covers(symmetry: Symmetry, names: Collection[str]) -> bool:
-    """Whether some generator changes one of the signals `names`, and none takes one of them to
-    another signal."""
+    """Return whether some generator changes one of the signals `names`, and none takes one of them
+    to another signal."""
     named = [(signal, _unsigned(value)) for g in symmetry.values() for signal, value in g.items()]
     closed = all((signal in names) == (other in names) for signal, other in named)
     return closed and any(signal in names for signal, _ in named)

@@ -158,7 +158,7 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
 
 
 def _is_measured(records: Sequence[Trajectory], part: Excerpt) -> bool:
-    """Whether each output was measured in it at least once."""
+    """Return whether each output was measured in it at least once."""
     missing = records[part.record].missing
     own = slice(part.samples.start, part.samples.stop)
     return missing is None or not missing[own].all(axis=0).any()

@@ -201,7 +201,8 @@ class _Records:
         return x[here]
 
     def follows(self, events: Mask, length: int) -> Mask:
-        """Whether one of the samples t, t - 1 ... t - length + 1 of the record is an event."""
+        """Return whether one of the samples t, t - 1 ... t - length + 1 of the record is an
+        event."""
         here = np.arange(len(events), dtype=np.int32)
         last = np.maximum.accumulate(np.where(events, here, np.int32(-1)))
         since = here - last

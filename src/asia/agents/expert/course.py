@@ -23,7 +23,7 @@ _MOST_STARTS = 8
 
 
 def beats_nothing(view: AgentView) -> bool:
-    """Whether the first kinds of model were tried and none of them beats the mean."""
+    """Return whether the first kinds of model were tried and none of them beats the mean."""
     mean = min(1.0, view.mean) if view.mean is not None else 1.0
     best = view.best
     if best is not None and best.value is not None and best.value < _NEXT_TO_NOTHING * mean:
@@ -189,6 +189,6 @@ _NAMES = frozenset(move.name for move in COURSE_MOVES)
 
 
 def keeps_course(move: Move) -> bool:
-    """Whether the move is worth making while nothing beats the mean: it looks for another kind of
-    model, or mends a fit that failed."""
+    """Return whether the move is worth making while nothing beats the mean: it looks for another
+    kind of model, or mends a fit that failed."""
     return move.name in _NAMES or move.after == "failure"

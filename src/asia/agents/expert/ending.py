@@ -40,7 +40,7 @@ def reason_to_end(view: AgentView) -> str | None:
 
 
 def nothing_left(view: AgentView, trial: Trial) -> bool:
-    """Whether residuals of the training side look like noise alone, and V agrees with them.
+    """Return whether residuals of the training side look like noise alone, and V agrees with them.
 
     Bands hold for all lags, signals and folds together. Windows overlap, so that residuals in them
     tell no bands.

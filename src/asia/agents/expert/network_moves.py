@@ -75,7 +75,7 @@ def _absent(at: Situation, name: str) -> bool:
 
 
 def _given_symmetry(at: Situation) -> bool:
-    """Whether the method can give the network the symmetries of the problem."""
+    """Return whether the method can give the network the symmetries of the problem."""
     return any(p.name == "symmetry" for p in at.row.space(at.facts).options)
 
 

@@ -87,7 +87,7 @@ class Wish:
         return f"Note {self.note} is followed: {self.text}."
 
     def is_followed(self, view: AgentView) -> bool:
-        """Whether an experiment says that it followed this note."""
+        """Return whether an experiment says that it followed this note."""
         return any(self.mark in one.hypothesis for one in view.proposed)
 
 

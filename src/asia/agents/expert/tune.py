@@ -33,8 +33,8 @@ _EFFORT = frozenset({"steps", "iterations", "starts", "members", "truncation"})
 
 
 def may_tune(at: Situation) -> bool:
-    """Whether the leading recipe has numbers to tune and the tuned experiments, at most a fifth of
-    the budget, are not used up."""
+    """Return whether the leading recipe has numbers to tune and the tuned experiments, at most a
+    fifth of the budget, are not used up."""
     used = sum(plain_title(trial.title).endswith(f": {TUNED}") for trial in at.view.proposed)
     return used < _SHARE * at.view.experiments and bool(_spans(at))
 

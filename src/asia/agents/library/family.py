@@ -87,7 +87,7 @@ class Family:
         return self.trial(facts).changed(**dict(self.small))
 
     def suits(self, facts: Facts) -> bool:
-        """Whether the family can be used on the problem at all."""
+        """Return whether the family can be used on the problem at all."""
         found = traits(facts)
         return self.needs <= found and not self.unfit & found
 
@@ -98,7 +98,7 @@ class Family:
         return self.base + points - _AGAINST * bool(self.against & found)
 
     def doubtful(self, facts: Facts) -> bool:
-        """Whether a trait of the problem speaks against the family."""
+        """Return whether a trait of the problem speaks against the family."""
         return bool(self.against & traits(facts))
 
     def seconds(self, facts: Facts, recipe: Recipe) -> float:

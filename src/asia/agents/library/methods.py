@@ -55,7 +55,8 @@ def network_space(facts: Facts, cost: SampleCost, config: tuple[Parameter, ...])
 
 
 def symmetry_space(facts: Facts) -> tuple[Parameter, ...]:
-    """Whether a model without equations is given the symmetries of its signals, where declared."""
+    """Return whether a model without equations is given the symmetries of its signals, where
+    declared."""
     return (OneOf("symmetry", (False, True)),) if "symmetric" in traits(facts) else ()
 
 
@@ -127,7 +128,7 @@ def noise_space(facts: Facts, *, with_loss: bool = False) -> tuple[Parameter, ..
 
 
 def has_noise_model(recipe: Recipe) -> bool:
-    """Whether the fit takes a slow disturbance into account."""
+    """Return whether the fit takes a slow disturbance into account."""
     return recipe.get("noise_model") == "slow"
 
 

@@ -52,7 +52,7 @@ class Situation:
         return self.trial.value / best.value
 
     def varies(self, name: str) -> bool:
-        """Whether the library lets the setting be varied in this family."""
+        """Return whether the library lets the setting be varied in this family."""
         return self.row.space(self.facts).find(name) is not None
 
 
@@ -84,7 +84,7 @@ class Move:
     """Factor of the weight after each time that the move did not help."""
 
     def applies(self, at: Situation) -> bool:
-        """Whether the family and the outcome are of the move's kind."""
+        """Return whether the family and the outcome are of the move's kind."""
         known = not self.families or at.recipe.family in self.families
         return known and (at.trial.value is None) == (self.after == "failure")
 

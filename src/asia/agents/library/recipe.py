@@ -71,7 +71,7 @@ class Recipe:
         return float(value)
 
     def has(self, name: str) -> bool:
-        """Whether the source names the setting."""
+        """Return whether the source names the setting."""
         return any(key == name for key, _ in (*self.config, *self.options))
 
     def configured(self, **changes: Value) -> Recipe:

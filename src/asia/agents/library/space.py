@@ -109,7 +109,7 @@ def draw(rng: np.random.Generator, recipe: Recipe, space: Space) -> Recipe:
 
 
 def applies(parameter: Parameter, recipe: Recipe) -> bool:
-    """Whether the parameter has a meaning in the recipe."""
+    """Return whether the parameter has a meaning in the recipe."""
     if not parameter.needs:
         return True
     value = recipe.get(parameter.needs)

@@ -128,7 +128,8 @@ def request_key(path: str, body: bytes) -> str:
 
 
 def may_have_cost(exchange: Exchanged, content: bytes) -> bool:
-    """Whether the server may have counted tokens for it: answered, or sent and never answered."""
+    """Return whether the server may have counted tokens for it: answered, or sent and never
+    answered."""
     if exchange.status != 0:
         return _answered(exchange.status)
     try:

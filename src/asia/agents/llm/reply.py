@@ -40,7 +40,7 @@ class MalformedReplyError(Exception):
 
 
 def read_reply(text: str, cut: bool = False) -> Reply:
-    """Raises MalformedReplyError. cut: the answer ended at its limit of tokens."""
+    """Raise MalformedReplyError. cut: the answer ended at its limit of tokens."""
     text = _without_thoughts(text)
     prose, blocks, is_open = _split(text)
     if cut or is_open:

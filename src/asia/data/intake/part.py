@@ -42,7 +42,7 @@ def expanded(sheet: Sheet, wanted: Wanted) -> Wanted:
 
 
 def parts(sheet: Sheet, wanted: Wanted) -> list[SheetPart]:
-    """Raises UserError where a column is missing or holds no numbers."""
+    """Raise UserError where a column is missing or holds no numbers."""
     for name in wanted.names:
         require_column(sheet, name)
     own = [require_column(sheet, n).seconds for n in (*wanted.inputs, *wanted.outputs)]

@@ -62,7 +62,7 @@ def time_column(sheet: Sheet, wanted: Wanted) -> str | None:
 
 
 def _is_count(name: str, sheet: Sheet) -> bool:
-    """Whether an index only numbers the rows."""
+    """Return whether an index only numbers the rows."""
     cells = sheet.columns[name].cells
     if name.casefold() not in ("index", "__index_level_0__") or len(cells) < 2:
         return False
@@ -122,8 +122,8 @@ def _factor(numbers: Array, name: str, unit: str, wanted: Wanted) -> float:
 
 
 def _in_days(numbers: Array) -> bool:
-    """Whether the stamps of this century lie a round number of seconds apart if they are days, and
-    neither a round number nor a round rate if they are seconds."""
+    """Return whether the stamps of this century lie a round number of seconds apart if they are
+    days, and neither a round number nor a round rate if they are seconds."""
     steps = np.diff(numbers)
     step = float(np.median(steps)) if steps.size else 0.0
     if step <= 0.0:

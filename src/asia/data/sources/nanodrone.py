@@ -46,7 +46,7 @@ class Nanodrone(DataSet):
             raise UserError(f"data.source is '{self.source}': write 'nanodrone' alone")
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
-        """As `DataSet.load`."""
+        """Implement `DataSet.load`."""
         inputs, outputs = channels.names
         wanted = Wanted(tuple(inputs), tuple(outputs))
         sheets = [Text().read(path, wanted)[0] for path in _flights(subset)]
@@ -55,7 +55,7 @@ class Nanodrone(DataSet):
         )
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """As `Source.places`."""
+        """Implement `Source.places`."""
         if subset == "guard":
             return tuple(path for path in _flights("train") if path.stem in self.guard)
         return _flights(subset)

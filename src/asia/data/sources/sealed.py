@@ -37,7 +37,7 @@ class SealedStore(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """As `Source.from_table`."""
+        """Implement `Source.from_table`."""
         assert table.sealed is not None
         return cls((root / table.sealed.file).resolve(), table.sealed.sha256)
 
@@ -61,7 +61,7 @@ class SealedStore(Source):
         return (key_folder(self.keys),) if subset == "test" else ()
 
     def to_toml(self) -> dict[str, Any]:
-        """As `Source.to_toml`."""
+        """Implement `Source.to_toml`."""
         return {"sealed": {"file": str(self.path), "sha256": self.sha256}}
 
     def outline(self, channels: Channels) -> Outline:
@@ -87,11 +87,11 @@ class SealedStore(Source):
         )
 
     def check_openable(self) -> None:
-        """As `Source.check_openable`."""
+        """Implement `Source.check_openable`."""
         find_key(self.path, self._head(), key_folder(self.keys))
 
     def with_keys(self, folder: Path | None) -> SealedStore:
-        """As `Source.with_keys`."""
+        """Implement `Source.with_keys`."""
         return replace(self, keys=folder)
 
     def _head(self) -> SealHead:

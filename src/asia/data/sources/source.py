@@ -219,7 +219,7 @@ class Source(ABC):
         return None
 
     def check_openable(self) -> None:
-        """Raises UserError when the test is certain not to open."""
+        """Raise UserError when the test is certain not to open."""
         return
 
     def with_keys(self, folder: Path | None) -> Source:
@@ -252,7 +252,7 @@ class DataSet(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """As `Source.from_table`."""
+        """Implement `Source.from_table`."""
         del root
         refuse_seed(table)
         if isinstance(table.guard, int):
@@ -260,7 +260,7 @@ class DataSet(Source):
         return cls(table.source or "", table.guard)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """As `Source.read`."""
+        """Implement `Source.read`."""
         if subset == "test":
             return self.load("test", channels)
         if subset == "guard" and not self.guard:
@@ -282,17 +282,17 @@ class DataSet(Source):
         )
 
     def to_toml(self) -> dict[str, Any]:
-        """As `Source.to_toml`."""
+        """Implement `Source.to_toml`."""
         return {"source": self.source, "guard": list(self.guard) or None}
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """As `Source.guard_names`."""
+        """Implement `Source.guard_names`."""
         return self.guard
 
 
 def refuse_seed(table: DataTable) -> None:
-    """Raises UserError where a seed is named for records that are not simulated."""
+    """Raise UserError where a seed is named for records that are not simulated."""
     if table.seed is not None:
         raise UserError("data.seed belongs to a simulated source: leave it out")
 

@@ -14,7 +14,7 @@ from asia.problem.new.text import RecordRows
 
 
 def check_directory(directory: Path) -> None:
-    """Raises UserError unless a new problem can be written there."""
+    """Raise UserError unless a new problem can be written there."""
     if not directory.exists():
         return
     if not directory.is_dir():

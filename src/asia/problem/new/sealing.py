@@ -39,7 +39,7 @@ class Columns:
     sampling_time: float
 
     def read(self, content: PlainFile) -> Trajectory:
-        """Raises UserError."""
+        """Raise UserError."""
         return sealed_record(content, Wanted(self.inputs, self.outputs), self.sampling_time)
 
 

@@ -109,7 +109,7 @@ class Ladder:
         return reported.value
 
     def doubt(self, correction: Array) -> bool:
-        """Whether the candidate, which breaks a relation, is refused."""
+        """Return whether the candidate, which breaks a relation, is refused."""
         return isinstance(self._search.submit(_score(correction), self._spoil).outcome, Failure)
 
 

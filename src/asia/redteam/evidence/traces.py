@@ -149,8 +149,8 @@ def _is_odd_trap(path: str) -> bool:
 
 
 def _lost(pid: int) -> bool:
-    """Whether it is a Python of ours behind a worker's filter, which nothing that a worker starts
-    can take off, and no evaluator is above it."""
+    """Return whether it is a Python of ours behind a worker's filter, which nothing that a worker
+    starts can take off, and no evaluator is above it."""
     if not (_confined(pid) and _ours(pid)):
         return False
     parent = _parent(pid)
@@ -169,7 +169,7 @@ def _confined(pid: int) -> bool:
 
 
 def _ours(pid: int) -> bool:
-    """Whether it runs this Python; unknown, and so False, for a process of another user."""
+    """Return whether it runs this Python; unknown, and so False, for a process of another user."""
     try:
         return os.path.samefile(f"/proc/{pid}/exe", sys.executable)
     except OSError:

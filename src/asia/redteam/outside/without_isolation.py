@@ -33,8 +33,8 @@ _NO_LAYERS: tuple[Layer, ...] = ()
 
 
 def attack_without_isolation(attack: CandidateAttack) -> Finding:
-    """Whether one variant at least succeeds. Runs the attack's code for real: to be called inside
-    an outer sandbox only."""
+    """Return whether one variant at least succeeds. Runs the attack's code for real: to be called
+    inside an outer sandbox only."""
     # Here an honest candidate has a score too: to have one is no success.
     success = scores_better if attack.success is has_score else attack.success
     found: list[Finding] = []

@@ -196,7 +196,7 @@ class Channel:
 
 
 def select_one(fd: int, event: int = select.POLLIN) -> bool:
-    """Whether `fd` has something to tell, end of file included."""
+    """Return whether `fd` has something to tell, end of file included."""
     poller = select.poll()
     poller.register(fd, event)
     return bool(poller.poll(0))

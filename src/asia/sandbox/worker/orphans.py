@@ -33,7 +33,7 @@ class OrphanWatch:
     that bear `mark`."""
 
     def __init__(self) -> None:
-        """Raises SandboxError where it cannot be started."""
+        """Raise SandboxError where it cannot be started."""
         self.mark = f"bwrap-{secrets.token_hex(8)}"
         try:
             self._process = subprocess.Popen(

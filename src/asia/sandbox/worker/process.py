@@ -58,7 +58,7 @@ class WorkerProcess:
     """The process id of the worker itself, None where it is not known."""
 
     def running(self) -> bool:
-        """Whether the worker is still there."""
+        """Return whether the worker is still there."""
         return self.process.poll() is None
 
     def ending(self) -> Ending:

@@ -22,7 +22,7 @@ _FINE: Arguments = (("hidden", 24), ("ridge", 1e-9), ("linear_ridge", 1e-9))
 
 
 def _searchable(facts: Facts) -> bool:
-    """Whether the two filters can be searched: one input, one output, whole records."""
+    """Return whether the two filters can be searched: one input, one output, whole records."""
     return facts.horizon is None and len(facts.inputs) == len(facts.outputs) == 1
 
 

@@ -119,7 +119,7 @@ def _pieces_weight(at: Situation) -> float:
 
 
 def _has_lfr(at: Situation) -> bool:
-    """Whether a nonlinear LFR model was tried: it has these structures as special cases."""
+    """Return whether a nonlinear LFR model was tried: it has these structures as special cases."""
     return any(trial.family == "nl_lfr" for trial in at.view.trials)
 
 

@@ -24,7 +24,7 @@ def _physics_net(_: Facts) -> Recipe:
 
 
 def _at_places(facts: Facts) -> bool:
-    """Whether the problem says where in the equations unknown effects enter."""
+    """Return whether the problem says where in the equations unknown effects enter."""
     return facts.physics is not None and bool(facts.physics.corrections)
 
 
@@ -119,12 +119,12 @@ def _alone(at: Situation) -> Recipe:
 
 
 def _fitted_first(at: Situation) -> bool:
-    """Whether the equations are fitted by Levenberg-Marquardt, alone or before a network."""
+    """Return whether the equations are fitted by Levenberg-Marquardt, alone or before a network."""
     return at.recipe.number("equations", 15) > 0
 
 
 def _watched(at: Situation) -> bool:
-    """Whether a fit may see its validation score, and stops a network by it."""
+    """Return whether a fit may see its validation score, and stops a network by it."""
     return at.facts.early_stopping == "validation"
 
 

@@ -16,12 +16,12 @@ _APART, _FEWEST = 1.2, 2
 
 
 def periodic(facts: Facts) -> bool:
-    """Whether all inputs of all records have one period, and whole records are simulated."""
+    """Return whether all inputs of all records have one period, and whole records are simulated."""
     return facts.horizon is None and _period(SameRecords(facts.records)) is not None
 
 
 def several_levels(facts: Facts) -> bool:
-    """Whether the inputs come in levels that are clearly apart, several records a level."""
+    """Return whether the inputs come in levels that are clearly apart, several records a level."""
     scale = np.concatenate([r.u for r in facts.records]).std(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     sizes = np.sort([np.sqrt(((r.u / scale) ** 2).mean()) for r in facts.records])

@@ -32,7 +32,7 @@ class Arrow(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq", ".arrow", ".feather", ".ipc")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         file = _open(path)
         empty = {n: Column(np.zeros(0, _kind(t))) for n, t in file.types.items()}
         names = {find_column(list(empty), n) for n in wanted.names}

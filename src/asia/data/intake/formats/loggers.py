@@ -19,7 +19,7 @@ class Tdms(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".tdms",)
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         nptdms = need("nptdms", path, "loggers")
         try:
             file: Any = nptdms.TdmsFile.read(path)
@@ -52,7 +52,7 @@ class Mdf(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".mf4", ".mdf", ".dat4")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         asammdf = need("asammdf", path, "loggers")
         try:
             file: Any = asammdf.MDF(path)

@@ -39,7 +39,7 @@ class PublishedFile:
         assert not self.url or self.zipped or re.fullmatch("[0-9a-f]{64}", self.sha256)
 
     def is_digest(self, found: str) -> bool:
-        """Whether `found` can be the digest of this file."""
+        """Return whether `found` can be the digest of this file."""
         first, _, last = self.sha256.partition("...")
         return found.startswith(first) and found.endswith(last)
 

@@ -51,7 +51,7 @@ class Simulated(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """As `Source.from_table`."""
+        """Implement `Source.from_table`."""
         del root
         name = (table.source or "").partition(":")[2]
         if name not in SYSTEMS:
@@ -64,7 +64,7 @@ class Simulated(Source):
         return cls(table.seed or 0, table.guard if isinstance(table.guard, int) else 0, name)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """As `Source.read`."""
+        """Implement `Source.read`."""
         del channels
         system = SYSTEMS[self.system]
         made = system.records(self.seed, subset, self.guard)
@@ -79,7 +79,7 @@ class Simulated(Source):
         return ()
 
     def to_toml(self) -> dict[str, Any]:
-        """As `Source.to_toml`."""
+        """Implement `Source.to_toml`."""
         return {
             "source": f"simulated:{self.system}",
             "seed": self.seed,
@@ -88,5 +88,5 @@ class Simulated(Source):
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """As `Source.guard_names`."""
+        """Implement `Source.guard_names`."""
         return tuple(f"{self.system}_guard{k}" for k in range(1, self.guard + 1))
