@@ -50,7 +50,7 @@ class AgentRow:
 
 
 AGENT_ROWS: tuple[AgentRow, ...] = (
-    AgentRow("expert", "an engineer's habits, without a language model", ExpertAgent),
+    AgentRow("expert", "rules of an experienced engineer, without a language model", ExpertAgent),
     AgentRow("random", "draws from the model library", RandomAgent, reads_notes=False),
     AgentRow(
         "random-paper",

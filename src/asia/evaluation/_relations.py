@@ -168,7 +168,7 @@ class RequestCheck:
             length = found.beginning.shape[1]
             ahead = self._beyond_rounding(found.beginning, found.long[:, :length])
         last = max(parts, default=0.0)
-        words = "going on from its own outputs, the simulation ends elsewhere"
+        words = "continued from its own outputs, the simulation reaches another end"
         sooner = "the length of a simulation moves its output"
         return (
             Suspicion(SuspicionKind.BLOCK_END, words, last) if last > 0 else None,

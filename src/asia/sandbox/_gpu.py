@@ -74,7 +74,7 @@ def gpu_here(level: Isolation) -> str:
         SandboxError: with the reason in plain words, where they cannot reach one
     """
     if not gpu_nodes():
-        raise SandboxError("there is no device node /dev/nvidia0 with a driver beside it")
+        raise SandboxError("there is no device node /dev/nvidia0 with its driver")
     one = (Signal("u"),)
     try:
         with open_worker(level, _LIMITS, libraries=("jax",)) as worker:

@@ -137,8 +137,10 @@ COURSE_MOVES: tuple[Move, ...] = (
         state=lambda c: str(relation(c.facts).delay),
         weight=_late_weight,
         change=_late,
-        hypothesis="What is new in the outputs goes with what was new in the inputs this long ago, "
-        "which is longer than a model looks for by itself.",
+        hypothesis=(
+            "The innovations of the outputs correlate with those of the inputs at this delay, "
+            "which is longer than a model detects automatically."
+        ),
         expected="A far lower V.",
         behind_counts=False,
     ),
@@ -146,8 +148,10 @@ COURSE_MOVES: tuple[Move, ...] = (
         name="a free integrator",
         weight=_integrator_weight,
         change=lambda c: c.recipe.configured(integrators=1),
-        hypothesis="Nothing beats the mean: the output may add up its inputs, which no mode that "
-        "comes back can follow.",
+        hypothesis=(
+            "No model beats the mean: the output may integrate its inputs, which stable modes "
+            "cannot follow."
+        ),
         expected="A V below that of the mean, if the output drifts with the sum of the inputs.",
         behind_counts=False,
     ),
@@ -155,8 +159,10 @@ COURSE_MOVES: tuple[Move, ...] = (
         name="from short pieces",
         weight=_pieces_weight,
         change=lambda c: c.recipe.configured(pieces=True, past_fit=True),
-        hypothesis="Nothing beats the mean: whole records may be too long to learn from. Short "
-        "pieces of them, each from a state of its own, are within reach of any model.",
+        hypothesis=(
+            "No model beats the mean: whole records may be too long for training. Short "
+            "segments, each with its own initial state, are easier to fit."
+        ),
         expected="A lower training error, V follows.",
         behind_counts=False,
     ),
@@ -164,24 +170,24 @@ COURSE_MOVES: tuple[Move, ...] = (
         name="many other starts",
         weight=_starts_weight,
         change=lambda c: c.recipe.trained(starts=_MOST_STARTS),
-        hypothesis="Nothing beats the mean: the fits so far may all sit in poor local minima.",
-        expected="A far lower training error, or certainty that starts are not the cause.",
+        hypothesis="No model beats the mean: all fits so far may be in poor local minima.",
+        expected="A far lower training error, or evidence that local minima are not the cause.",
         behind_counts=False,
     ),
     Move(
         name="from a random start",
         weight=_drawn_weight,
         change=lambda c: c.recipe.configured(start="random"),
-        hypothesis="Nothing beats the mean, the linear model neither: it is no good start.",
-        expected="Another minimum, lower or not.",
+        hypothesis="No model beats the mean, and the linear model is a poor starting point.",
+        expected="A different minimum.",
         behind_counts=False,
     ),
     Move(
         name="by multiple shooting from measured states",
         weight=_shooting_weight,
         change=lambda c: by_multiple_shooting(c.facts, c.recipe),
-        hypothesis="Nothing beats the mean: gradients through long simulations may be the cause.",
-        expected="Lower training error where whole simulations are hard to learn.",
+        hypothesis="No model beats the mean: gradients through long simulations may be the cause.",
+        expected="Lower training error where whole simulations are hard to fit.",
         behind_counts=False,
     ),
 )

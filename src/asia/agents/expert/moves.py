@@ -80,7 +80,7 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name="fitted in full",
         weight=_full_weight,
         change=_in_full,
-        hypothesis="The short trial is among the best third: it has earned a long fit.",
+        hypothesis="The short trial is among the best third, which justifies a long fit.",
         expected="Lower training error, V follows.",
         behind_counts=False,
     ),
@@ -88,8 +88,11 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name=TUNED,
         weight=_tuning_weight,
         change=tuned,
-        hypothesis="What is left to gain lies in the numbers: within a factor of three of the best "
-        "ones known, where the outcomes so far say it is likeliest (tree-structured Parzen).",
+        hypothesis=(
+            "The remaining gain lies in the hyperparameters: within a factor of three of the "
+            "best ones, where the outcomes so far make it most likely (tree-structured Parzen "
+            "estimator)."
+        ),
         expected="A small gain in V.",
         same_effort=True,
         fade=0.9,
@@ -98,8 +101,9 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name="a shorter fit",
         weight=lambda c: 0.5 * (c.trial.status == "timeout"),
         change=_fewer,
-        hypothesis="The fit did not end in time: with fewer steps it says at least how far the "
-        "family goes.",
+        hypothesis=(
+            "The fit exceeded its time limit: fewer steps still give a value for the family."
+        ),
         expected="A value for this family, to compare with the others.",
         after="failure",
         behind_counts=False,
@@ -108,7 +112,7 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name="a calmer fit",
         weight=lambda c: 0.4 * (c.trial.status == "invalid") * _can_calm(c),
         change=_calmer,
-        hypothesis="The simulation ran away: smaller steps or a firmer prior keep it bounded.",
+        hypothesis="The simulation diverged: smaller steps or a stronger prior keep it bounded.",
         expected="A value for this family, to compare with the others.",
         after="failure",
         behind_counts=False,
@@ -120,7 +124,7 @@ SETTING_MOVES: tuple[Move, ...] = (
         name="more starts",
         weight=lambda c: 0.25 * (0 < c.recipe.number("starts", 0) <= 16),
         change=lambda c: c.recipe.trained(starts=round(2 * c.recipe.number("starts", 1))),
-        hypothesis="The best of the starting points may not be the best there is.",
+        hypothesis="The best of the starting points may not lead to the global minimum.",
         expected="The same or a lower training error.",
     ),
     Move(

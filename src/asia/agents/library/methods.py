@@ -147,15 +147,17 @@ def integrator_moves() -> tuple[Move, ...]:
             change=lambda c: c.recipe.configured(
                 integrators=round(c.recipe.number("integrators", 0)) + 1
             ),
-            hypothesis="The output drifts with a sum of the input, and what drives it may drift as "
-            "well: a force on a mass without a spring integrates twice.",
+            hypothesis=(
+                "The output drifts with the sum of the input, and its driving state may drift "
+                "as well: a force on a mass without a spring integrates twice."
+            ),
             expected="A lower error late in the simulation, on every fold.",
         ),
         Move(
             name="without a free integrator",
             weight=lambda c: 0.5 * (c.recipe.number("integrators", 0) > 0),
             change=lambda c: c.recipe.without("integrators"),
-            hypothesis="What looked like a free integrator may be a slow mode that comes back.",
+            hypothesis="The free integrator may be a slow stable mode.",
             expected="A lower V if it does.",
         ),
     )
@@ -171,8 +173,10 @@ def from_pieces(weight: Callable[[Situation], float], **also: bool) -> Move:
         name="fit from pieces",
         weight=weight,
         change=lambda c: c.recipe.configured(pieces=True, **also),
-        hypothesis="The residual is coloured and the fit may sit in a local minimum: short "
-        "pieces of the records, each from a state of its own, have fewer.",
+        hypothesis=(
+            "The residual is coloured and the fit may be in a local minimum: short segments of "
+            "the records, each with its own initial state, have fewer."
+        ),
         expected="A lower training error, V follows.",
     )
 
@@ -191,8 +195,10 @@ def slow_noise() -> Move:
         name="slow disturbance in the noise",
         weight=_weight,
         change=lambda c: c.recipe.trained(noise_model="slow"),
-        hypothesis="The training residual is not white: a slow disturbance that no input shows is "
-        "part of the output, and least squares bends the model to follow it. Generalised least "
-        "squares does not.",
+        hypothesis=(
+            "The training residual is not white: the output contains a slow unmeasured "
+            "disturbance, which biases a least-squares fit. Generalised least squares avoids "
+            "this bias."
+        ),
         expected="A higher training error and a lower V, with parameters that agree between folds.",
     )

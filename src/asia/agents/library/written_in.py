@@ -200,8 +200,10 @@ def _removal(setting: str, what: str) -> Move:
         name=f"without {what}",
         weight=weight,
         change=lambda c: c.recipe.without(setting, *_WITH.get(setting, ())),
-        hypothesis="What was added may follow its own fold: V does not miss it if the effect is "
-        "not real, or if a later addition is the true one.",
+        hypothesis=(
+            "The added term may overfit its fold: V does not rise without it if the effect is "
+            "not real, or if a later addition is the true one."
+        ),
         expected="The same training error or a little more, and a lower V.",
     )
 
@@ -214,18 +216,22 @@ _SWITCHING: tuple[Move, ...] = (
         ),
         change=lambda c: c.recipe.configured(friction=velocities(c)),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis="What a one-step model leaves over has the sign of a motion: dry friction, with "
-        "levels of its own in the two directions and more of it at rest (Stribeck).",
-        expected="A far lower error where the system sticks or turns, on every fold.",
+        hypothesis=(
+            "The residual of a one-step model has the sign of a velocity: dry friction, with "
+            "different levels in the two directions and more of it at rest (Stribeck)."
+        ),
+        expected="A far lower error where the system sticks or reverses, on every fold.",
     ),
     Move(
         name="friction with presliding on {state}",
         weight=_presliding_weight,
         change=lambda c: c.recipe.configured(presliding=True),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis="The records remember where the motion turned: friction gives way a little "
-        "before it slides (LuGre).",
-        expected="Lower error after each turn of the motion.",
+        hypothesis=(
+            "The records depend on the last reversal of the motion: friction yields a little "
+            "before it slides (LuGre)."
+        ),
+        expected="Lower error after each reversal of the motion.",
     ),
     Move(
         name="hysteresis on {state}",
@@ -236,8 +242,10 @@ _SWITCHING: tuple[Move, ...] = (
             hysteresis=velocities(c)
         ),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis="What a one-step model leaves over depends on where the motion turned: a "
-        "restoring force with hysteresis (Bouc-Wen).",
+        hypothesis=(
+            "The residual of a one-step model depends on the last reversal of the motion: a "
+            "restoring force with hysteresis (Bouc-Wen)."
+        ),
         expected="A far lower error over whole loops, on every fold.",
     ),
     Move(
@@ -245,16 +253,20 @@ _SWITCHING: tuple[Move, ...] = (
         weight=lambda c: _switching_weight(c, "play", ("input",)),
         change=lambda c: c.recipe.configured(play=(_turning_input(c),)),
         state=lambda c: _turning_input(c),
-        hypothesis="What a one-step model leaves over depends on where the input turned: a play "
-        "(backlash) between the actuator and what it moves.",
-        expected="Lower error after each turn of the input, on every fold.",
+        hypothesis=(
+            "The residual of a one-step model depends on the last reversal of the input: "
+            "backlash between the actuator and its load."
+        ),
+        expected="Lower error after each reversal of the input, on every fold.",
     ),
     Move(
         name="shorter steps of the integrator",
         weight=_finer_weight,
         change=_finer,
-        hypothesis="A force that switches is smoothed to what the integrator's step can follow: "
-        "shorter steps let it be sharper.",
+        hypothesis=(
+            "A switching force is smoothed to the step of the integrator: shorter steps allow a"
+            " sharper switch."
+        ),
         expected="Lower error where the system sticks; the fit takes longer.",
     ),
 )
@@ -265,25 +277,32 @@ WRITTEN_IN: tuple[Move, ...] = (
         name="terms that the equations lack",
         weight=_terms_weight,
         change=lambda c: c.recipe.configured(discover=c.states),
-        hypothesis="The equations lack a term: a product of states and inputs, which the "
-        "sensitivity of the simulation error points at.",
-        expected="A far lower error on every fold, and terms that the folds agree on.",
+        hypothesis=(
+            "The equations lack a term: a product of states and inputs, found from the "
+            "sensitivity of the simulation error."
+        ),
+        expected="A far lower error on every fold, and the same terms in all folds.",
     ),
     Move(
         name="slow disturbance",
         weight=_noise_weight,
         change=_with_noise,
-        hypothesis="The residual is slow: least squares takes it for many errors and bends the "
-        "parameters to them. With a slow disturbance and white noise it counts as what it is.",
-        expected="A higher training error, parameters that the folds agree on, and a lower V.",
+        hypothesis=(
+            "The residual is slow: least squares treats it as many independent errors, which "
+            "biases the parameters. A model of a slow disturbance plus white noise avoids this "
+            "bias."
+        ),
+        expected="A higher training error, similar parameters in all folds, and a lower V.",
     ),
     Move(
         name="bent sensor",
         weight=_sensor_weight,
         change=lambda c: c.recipe.without("offset").configured(sensor="power", **_kept_offsets(c)),
-        hypothesis="The output is a rising curve of what the equations give: errors at low and "
-        "high outputs have one sign.",
-        expected="Parameters nearer what is known of them, and a lower V on every fold.",
+        hypothesis=(
+            "The measured output is an increasing curve of the modelled one: errors at low and "
+            "high outputs have the same sign."
+        ),
+        expected="Parameters nearer to their priors, and a lower V on every fold.",
     ),
     Move(
         name="sensor of any shape",
@@ -297,7 +316,7 @@ WRITTEN_IN: tuple[Move, ...] = (
         "lag",
         _read_by_others,
         lambda c: _lag_weight(c, _read_by_others(c), 0.8, 0.62),
-        "What one state gives to the next takes its way: the record turns later than the "
+        "The effect of one state on the next is delayed: the record reverses later than the "
         "simulation.",
         "Lower error at turning points; the input explains less of the residual.",
     ),
@@ -314,23 +333,23 @@ WRITTEN_IN: tuple[Move, ...] = (
         "smooth",
         _last_state,
         lambda c: _smooth_weight(c, _last_state(c), 0.64),
-        "The law of a state is nearly right: a smooth factor, held near 1 by its prior, stands "
-        "for what it lacks.",
-        "Lower error at the levels where the law is off.",
+        "The law of a state is nearly right: a smooth factor, kept near 1 by its prior, corrects "
+        "it.",
+        "Lower error at the levels where the law is wrong.",
     ),
     _addition(
         "smooth correction of {state}, an input",
         "smooth",
         _inputs,
         lambda c: _smooth_weight(c, _inputs(c), 0.45),
-        "An actuator is not quite linear: a smooth factor stands for its curve.",
-        "Lower error at the commands where the line is off.",
+        "An actuator is slightly nonlinear: a smooth factor models its curve.",
+        "Lower error at the commands where the linear model is wrong.",
     ),
     Move(
         name="wider smooth corrections",
         weight=lambda c: 0.6 * bool(names_of(c, "smooth")) * (_width(c) < 0.3),
         change=lambda c: c.recipe.configured(smooth_width=float(f"{3.0 * _width(c):.2g}")),
-        hypothesis="Smooth corrections helped, and their prior may hold them back.",
+        hypothesis="Smooth corrections helped, and their prior may be too strong.",
         expected="Lower training error, V follows.",
     ),
     _removal("linear", "the linear term"),

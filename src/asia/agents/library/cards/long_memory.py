@@ -79,7 +79,7 @@ _OF_INPUTS = (
     network_family(
         "transformer",
         "Transformer",
-        "attention over past inputs: long records of systems that nothing simpler fits",
+        "attention over past inputs: long records of systems that no simpler model fits",
         1,
         (("long", 1),),
         NetworkStart(

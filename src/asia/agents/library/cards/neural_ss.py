@@ -185,17 +185,21 @@ _ELEMENTS: tuple[Move, ...] = (
         name="dry friction",
         weight=lambda c: _element_weight(c, "friction", "velocity"),
         change=lambda c: _with_friction(c, 1),
-        hypothesis="What a one-step model leaves over has the sign of an output: a mass whose "
-        "velocity is measured, and which sticks. An element of friction can hold it still.",
-        expected="A far lower V; the simulation stands where the system stands.",
+        hypothesis=(
+            "The residual of a one-step model has the sign of an output: a mass with measured "
+            "velocity that sticks. A friction element can hold it at rest."
+        ),
+        expected="A far lower V; the simulation is at rest where the system is.",
         behind_counts=False,
     ),
     Move(
         name="friction or hysteresis",
         weight=lambda c: _element_weight(c, "friction", "displacement"),
         change=lambda c: _with_friction(c, 2),
-        hypothesis="What a one-step model leaves over depends on which way the output moves, or "
-        "where it turned: an element of friction with a memory of its own.",
+        hypothesis=(
+            "The residual of a one-step model depends on the direction of the output, or on its"
+            " last reversal: a friction element with its own memory."
+        ),
         expected="A far lower V; lower error after each turn.",
         behind_counts=False,
     ),
@@ -203,8 +207,10 @@ _ELEMENTS: tuple[Move, ...] = (
         name="play",
         weight=lambda c: _element_weight(c, "play", "input"),
         change=_with_play,
-        hypothesis="What a one-step model leaves over depends on where an input turned: a play "
-        "(backlash) between actuator and process.",
+        hypothesis=(
+            "The residual of a one-step model depends on the last reversal of an input: "
+            "backlash between actuator and process."
+        ),
         expected="A far lower V; lower error after each turn of the input.",
         behind_counts=False,
     ),
@@ -212,23 +218,27 @@ _ELEMENTS: tuple[Move, ...] = (
         name="a trace of friction",
         weight=lambda c: _trace_weight(c, 0.87),
         change=_with_trace_of_friction,
-        hypothesis="The residual is coloured, and smooth functions may not be what is missing: an "
-        "element of friction turns where the motion turns, and can hold the system still.",
+        hypothesis=(
+            "The residual is coloured, and a nonsmooth effect may be missing: a friction "
+            "element switches at reversals of the motion, and can hold the system at rest."
+        ),
         expected="A far lower V if something sticks; a higher one if nothing does.",
     ),
     Move(
         name="a trace of play",
         weight=lambda c: _trace_weight(c, 0.86),
         change=_with_play,
-        hypothesis="The residual is coloured, and smooth functions may not be what is missing: in "
-        "a play between two parts nothing happens after each turn.",
+        hypothesis=(
+            "The residual is coloured, and a nonsmooth effect may be missing: with backlash the"
+            " output does not move after each reversal."
+        ),
         expected="A far lower V if there is play; a higher one if there is none.",
     ),
     Move(
         name="static functions beside the element",
         weight=lambda c: 0.7 * _has_element(c) * (c.recipe.get("nonlinearity") == "none"),
         change=lambda c: c.recipe.configured(nonlinearity="state", hidden=4, ridge=1e-3),
-        hypothesis="What is left beside friction or play may be smooth.",
+        hypothesis="The residual next to friction or backlash may be smooth.",
         expected="Lower training error; lower V if the effect is real.",
     ),
     Move(
@@ -244,9 +254,11 @@ _CARRIED = Move(
     name="delays set by an input",
     weight=_carried_weight,
     change=_as_carried,
-    hypothesis="The delay is the longer the smaller one of the inputs is: a flow or a speed that "
-    "carries the others to where they act.",
-    expected="A far lower V; the error no longer gathers after each step of an input.",
+    hypothesis=(
+        "The delay grows as one of the inputs decreases: a flow or a speed that transports the "
+        "effect of the others."
+    ),
+    expected="A far lower V; the error is no longer concentrated after each step of an input.",
     behind_counts=False,
 )
 
@@ -300,8 +312,10 @@ CARD = Card(
             name="static function at the output",
             weight=lambda c: _unless_at(c, "output", 0.8 if curved(c.trial) else 0.7),
             change=lambda c: _moved_to(c, "output"),
-            hypothesis="The system may be linear with a static function after it (Wiener): fewer "
-            "weights say the same.",
+            hypothesis=(
+                "The system may be linear with a static function after it (Wiener): fewer "
+                "weights suffice."
+            ),
             expected="A lower V at the same training error, if the structure is right.",
         ),
         Move(
@@ -326,8 +340,10 @@ CARD = Card(
                 * (not c.recipe.get("channels"))
             ),
             change=lambda c: c.recipe.configured(channels=1).trained(starts=4),
-            hypothesis="One signal goes through one static function and back into a linear system "
-            "(a hardening spring, a saturating actuator in a loop): fewer weights say the same.",
+            hypothesis=(
+                "One signal passes one static function in the feedback of a linear system (a "
+                "hardening spring, a saturating actuator in a loop): fewer weights suffice."
+            ),
             expected="A lower V at the same training error, if the structure is right.",
         ),
     ),

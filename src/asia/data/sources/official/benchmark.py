@@ -21,8 +21,8 @@ class OfficialBenchmark(DataSet):
     usage: ClassVar[str] = "benchmark:<name>"
     public: ClassVar[bool] = True
     test_kept: ClassVar[str] = (
-        "a public download: the plain files stay on this machine, isolation alone keeps "
-        "candidates off them, and whoever knows the data set knows them"
+        "a public download: the plain files stay on this machine, protected from candidates by "
+        "isolation only, and known to anyone who knows the data set"
     )
 
     def __post_init__(self) -> None:

@@ -46,7 +46,7 @@ class Simulated(Source):
 
     usage: ClassVar[str] = "simulated:<system>"
     test_kept: ClassVar[str] = (
-        "simulated from a seed that the problem names: whoever has ASIA can repeat it"
+        "simulated from a seed in the problem file: anyone with ASIA can repeat it"
     )
 
     @classmethod
