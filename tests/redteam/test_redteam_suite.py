@@ -69,7 +69,7 @@ def honest() -> HonestFinding:
 
 
 def one_of_each_kind() -> tuple[Attack, ...]:
-    """For everything that stops attacks the first attack that it stops."""
+    """Return for every barrier the first attack that it stops."""
     firsts = {min((a.number for a in ATTACKS if stop in a.stops), default=0) for stop in Barrier}
     return tuple(attack for attack in ATTACKS if attack.number in firsts)
 
@@ -143,7 +143,7 @@ def test_the_page_shows_what_became_of_them(report):
 
 
 def _cells(rows, with_layers):
-    """What stands by number and level."""
+    """Parse the table into cells by number and level."""
     cells: dict[tuple[str, str], str] = {}
     by_chance = {str(number) for number in BY_CHANCE}
     for row in rows:
@@ -289,7 +289,7 @@ def test_an_honest_candidate_is_not_flagged_and_one_that_looks_ahead_is(honest, 
 
 @needs_level
 def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
-    """Which fails the small problems, and is said of those whose limits are their own."""
+    """A failing fit on the small problems is reported for the problems with limits of their own."""
     from asia.redteam import _honest
 
     tanks, _ = small_problems()

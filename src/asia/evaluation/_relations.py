@@ -94,7 +94,7 @@ class RequestCheck:
         each other, and none may jump from the first sample on: chaos needs time to grow."""
         first, second = self.nearby
         if first is None or second is None:
-            words = "inputs moved by 1e-6 make the simulation diverge"
+            words = "changing the inputs by 1e-6 makes the simulation diverge"
             both = first is None and second is None
             return Suspicion(SuspicionKind.PERTURBATION, words, np.inf) if both else None
         jumps = [self._apart(y, self.batch.y_hat) for y in (first, second)]
@@ -106,7 +106,7 @@ class RequestCheck:
         isolated = least > _SAME and least > _ISOLATED * between
         if not isolated and not at_once:
             return None
-        words = "inputs moved by 1e-6 make the simulation jump"
+        words = "changing the inputs by 1e-6 makes the simulation jump"
         return Suspicion(SuspicionKind.PERTURBATION, words, least)
 
     def table(self) -> Suspicion | None:
@@ -120,7 +120,9 @@ class RequestCheck:
         taped = moves[still & (moves > _MOVES)]
         if taped.size == 0:
             return None
-        words = "inputs and past moved by 1e-2 change no output, though the output moves in time"
+        words = (
+            "changing inputs and past by 1e-2 changes no output, although the output varies in time"
+        )
         return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
 
     def begins_with(self, answer: Array) -> bool:
@@ -137,7 +139,7 @@ class RequestCheck:
             change = self._beyond_rounding(answer, self.batch.y_hat[:, :length])
         if change <= _SAME:
             return None
-        words = "inputs after a sample move the output before it"
+        words = "inputs after a sample change the output before it"
         return Suspicion(SuspicionKind.CAUSALITY, words, change)
 
     def ask_continuation(self, lengths: tuple[int, int]) -> Continuation:
@@ -169,7 +171,7 @@ class RequestCheck:
             ahead = self._beyond_rounding(found.beginning, found.long[:, :length])
         last = max(parts, default=0.0)
         words = "continued from its own outputs, the simulation reaches another end"
-        sooner = "the length of a simulation moves its output"
+        sooner = "the length of a simulation changes its output"
         return (
             Suspicion(SuspicionKind.BLOCK_END, words, last) if last > 0 else None,
             Suspicion(SuspicionKind.CAUSALITY, sooner, ahead) if ahead > _SAME else None,
@@ -202,7 +204,7 @@ class RequestCheck:
         change = np.inf if answer is None else float(self._apart(answer, self.batch.y_hat).max())
         if change <= _SAME:
             return None
-        words = "the same case asked again is answered otherwise"
+        words = "the same case simulated again gives another output"
         return Suspicion(SuspicionKind.REPLAY, words, change)
 
     def restart(self) -> tuple[float, list[float]] | None:
@@ -263,7 +265,7 @@ def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:
     except CandidateError as error:
         if error.reason in _OF_THE_MACHINE:
             raise
-        words = "started later on the same record the simulation fails"
+        words = "the simulation fails from a later start on the same record"
         return Suspicion(SuspicionKind.RESTART, words, np.inf)
     if not known:
         return None
@@ -273,7 +275,7 @@ def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:
     if best - own <= _WORSE or best <= _MUCH_WORSE * own:
         return None
     ratio = best / own if own > 0 else np.inf
-    words = "started later on the same record the simulation is far worse"
+    words = "the simulation is far worse from a later start on the same record"
     return Suspicion(SuspicionKind.RESTART, words, ratio)
 
 

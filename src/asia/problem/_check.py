@@ -269,17 +269,19 @@ def _signal_doubts(check: SignalCheck) -> list[str]:
         ):
             if share > _STUCK:
                 doubts.append(
-                    f"{name} sits at {value:g} {check.signal.unit}".rstrip()
+                    f"{name} is at its limit {value:g} {check.signal.unit}".rstrip()
                     + f" in {share:.1%} of the samples: it may saturate there"
                 )
         if check.bandwidth_share < _OVERSAMPLED:
             doubts.append(
-                f"{name} moves far slower than it is sampled (99 % of its power below "
-                f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may do"
+                f"{name} is sampled much faster than it changes (99 % of its power below "
+                f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may "
+                f"suffice"
             )
     elif check.excitation_order < 4:
         doubts.append(
-            f"{name} excites {check.excitation_order} modes at most: a richer input tells more"
+            f"{name} excites at most {check.excitation_order} modes: use an input with more "
+            "frequencies"
         )
     return doubts
 
@@ -289,8 +291,8 @@ def _inputs_together(inputs: Sequence[Signal], train: Sequence[Trajectory]) -> l
     centred = u - u.mean(axis=0)
     norms = np.sqrt((centred**2).sum(axis=0))
     return [
-        f"inputs {inputs[i].name} and {inputs[j].name} move together: their effects cannot be "
-        "told apart"
+        f"inputs {inputs[i].name} and {inputs[j].name} are collinear: their effects cannot be "
+        "separated"
         for i, j in combinations(range(u.shape[1]), 2)
         if norms[i] * norms[j] > 0
         and abs(centred[:, i] @ centred[:, j]) > _TOGETHER * norms[i] * norms[j]

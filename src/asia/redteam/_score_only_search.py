@@ -53,12 +53,12 @@ def turn(doubt: Callable[[float], bool], most: float) -> float:
 def forgetful(score: Score) -> Failure | None:
     """Answers differently when asked again, whatever it scores."""
     del score
-    return Failure(Reason.SUSPECT, "replay: the same case asked again is answered otherwise", 1)
+    return Failure(Reason.SUSPECT, "replay: the same case simulated again gives another output", 1)
 
 
 def one_start(bound: float) -> Spoil:
     """Simulates so badly from later starts that the check fails if its own V is below `bound`."""
-    words = "restart: started later on the same record the simulation is far worse"
+    words = "restart: the simulation is far worse from a later start on the same record"
     failure = Failure(Reason.RESTART, words, 1)
     return lambda score: failure if score.value < bound else None
 

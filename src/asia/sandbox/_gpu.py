@@ -15,9 +15,9 @@ DEVICES = ("auto", "cpu", "gpu")
 """Devices that a search may request."""
 _OPEN = (
     "gpu: workers that train networks reach its driver at level {level}, through a filter that "
-    "lets its commands pass, and have a limit on memory in place of one on addresses"
+    "allows its commands, and have a limit on resident memory instead of addresses"
 )
-# What JAX calls the card, once it has computed something on it.
+# Return JAX's name of the card, after a computation on it.
 _TRIAL = """
 import jax
 import numpy as np

@@ -24,14 +24,14 @@ def probe(wanted: Isolation | None = None) -> Probe:
         reason = why_not(wanted)
         if reason is not None:
             raise SandboxError(f"isolation level '{wanted}' cannot run here: {reason}")
-        return _found(LEVELS[wanted], ("asked for by the user",))
+        return _found(LEVELS[wanted], ("requested by the user",))
     notes: list[str] = []
     for level in fitting_levels():
         reason = level.why_not()
         if reason is None:
             return _found(level, notes)
         notes.append(f"{level.isolation}: {reason}")
-    raise SandboxError("no level of isolation works here")
+    raise SandboxError("no isolation level works on this machine")
 
 
 def _found(level: Level, notes: Sequence[str]) -> Probe:

@@ -52,7 +52,7 @@ def diagnose(
     with np.errstate(over="ignore", invalid="ignore"):
         found = _analyse(u, y, y_hat, scale, train_error)
     if not all(math.isfinite(value) for value in astuple(found)):
-        raise CandidateError(Reason.NOT_FINITE, "the simulation of the training data ran away")
+        raise CandidateError(Reason.NOT_FINITE, "the simulation of the training data diverged")
     return found
 
 

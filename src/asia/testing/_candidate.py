@@ -65,7 +65,7 @@ def _check(source: str, records: Sequence[Trajectory], context: Context, level: 
         fresh.load(executed_source(source), model, context)
         found = suspicions(fresh, blocks, y_hat, scale, rule.horizon)
     words = "; ".join(f"{one.kind}: {one.words}" for one in found)
-    assert not found, f"it does not answer like a model: {words}"
+    assert not found, f"it does not behave like a dynamical system: {words}"
     with open_worker(level, _LIMITS) as other:
         again = _fitted(other, source, records, context, blocks)
     assert _same(again, y_hat), "a second fit with the same seed gives another model"

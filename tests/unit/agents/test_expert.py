@@ -288,7 +288,8 @@ def no_better_than_the_mean(proposal: Proposal, number: int) -> Trial:
 
 
 def remarks(known: Facts, experiments: int = 15) -> tuple[list[str], tuple[Trial, ...]]:
-    """What the expert says with each proposal of a search in which nothing beats the mean."""
+    """Collect the expert's remark with each proposal of a search in which no candidate beats the
+    mean."""
     said: list[str] = []
 
     class Listening(ExpertAgent):
@@ -305,7 +306,7 @@ def test_while_nothing_beats_the_mean_the_expert_tries_other_kinds_and_varies_no
     known = facts(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
     said, trials = remarks(known)
     assert said[:3] == ["", "", ""]
-    assert all("nothing beats the mean" in words for words in said[3:])
+    assert all("no candidate beats the mean" in words for words in said[3:])
     assert "no input" in said[-1]
     names = {move.name for move in COURSE_MOVES}
     refined = [t.title.partition(": ")[2] for t in trials if t.parent is not None]
@@ -316,7 +317,7 @@ def test_while_nothing_beats_the_mean_the_expert_tries_other_kinds_and_varies_no
 
 def test_the_expert_says_why_nothing_beats_the_mean_and_what_to_do() -> None:
     said, _ = remarks(closed_loop(1.05, 0.5), 5)
-    assert "runs away by itself" in said[-1]
+    assert "the plant is unstable" in said[-1]
     assert "inputs follow the past outputs" in said[-1]
     assert 'kind = "windows"' in said[-1]
     said, _ = remarks(closed_loop(0.9, 0.5), 5)
@@ -337,7 +338,7 @@ def test_a_delay_beyond_what_families_look_for_is_set_at_once() -> None:
 def test_nothing_left_to_try_beside_the_mean_ends_the_search_with_the_reason() -> None:
     rng = np.random.default_rng(0)
     known = facts(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
-    with pytest.raises(AgentStoppedError, match="nothing beats the mean") as end:
+    with pytest.raises(AgentStoppedError, match="no candidate beats the mean") as end:
         search(AGENT, known, 200, no_better_than_the_mean)
     assert end.value.reason == "exhausted"
 

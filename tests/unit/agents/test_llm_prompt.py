@@ -1,4 +1,4 @@
-"""What a language model is told: bounded, the same each time, candidates' words as data."""
+"""Prompt of a language model: bounded, reproducible, candidates' words as data."""
 
 from __future__ import annotations
 

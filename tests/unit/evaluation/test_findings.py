@@ -1,4 +1,4 @@
-"""What an evaluation finds of each fold beside its score."""
+"""Findings of an evaluation for each fold besides its score."""
 
 from pathlib import Path
 

@@ -16,7 +16,7 @@ HORIZONS = [None, 20]
 
 @pytest.fixture(autouse=True)
 def only_lengths_that_are_always_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """How many more there are depends on the time."""
+    """Fix the lengths of prefixes; the number of further ones depends on the time."""
     monkeypatch.setattr(_metamorphic, "_MORE", 0)
 
 
@@ -208,7 +208,7 @@ def test_a_simulation_drawn_to_what_follows_the_block_is_found_out():
     length = len(held.validation[0].y)
 
     def drawn(past_u: Array, past_y: Array, u: Array) -> Array:
-        """By the block's length, from whatever start."""
+        """The block's length reveals the end, from any start."""
         target = after.get(round(float(past_u[0, -1, 0]), 9), 0.5)
         left = np.clip(length - np.arange(u.shape[1]), 1, length)
         part = np.clip(1 - left / (0.3 * length), 0, 1)[None, :, None]
@@ -226,7 +226,7 @@ def test_cases_that_know_their_neighbours_are_found_out():
 
 
 def single(past_u: Array, past_y: Array, u: Array) -> Array:
-    """In single precision, with its rounding."""
+    """Simulate in single precision, with its rounding."""
     return honest(past_u, past_y.astype(np.float32), u.astype(np.float32)).astype(np.float32)
 
 
@@ -281,7 +281,7 @@ def switched(past_u: Array, past_y: Array, u: Array) -> Array:
 
 
 def forward(past_u: Array, past_y: Array, u: Array) -> Array:
-    """By convolution in the frequency domain: causal but for rounding."""
+    """Simulate by convolution in the frequency domain: causal except for rounding."""
     n = 2 * u.shape[1]
     kernel = 0.9 ** np.arange(u.shape[1])
     spectrum = np.fft.rfft(u[..., 0], n) * np.fft.rfft(kernel, n)

@@ -1,4 +1,4 @@
-"""What a check says of delay, feedback, drift, steps and outliers."""
+"""Advice on delay, feedback, drift, steps and outliers."""
 
 from dataclasses import replace
 
@@ -99,7 +99,7 @@ def test_feedback_to_a_sine_is_not_judged(tanks: Problem) -> None:
     u = np.sin(2 * np.pi * np.arange(SAMPLES) / 37)
     problem = of(tanks, u, np.roll(u, 3))
     assert any(
-        line.startswith("feedback: not judged for input u")
+        line.startswith("feedback: not tested for input u")
         for line in delay_lines(problem, input_delays(problem))
     )
     assert not any("follows earlier" in doubt for doubt in data_doubts(problem))

@@ -21,7 +21,7 @@ from tests.unit.search.toy import arx
 
 
 class Frame:
-    """What data frames of different packages have in common."""
+    """Minimal interface shared by data frames of different packages."""
 
     def __init__(self, columns: Sequence[str], values: np.ndarray) -> None:
         self.columns, self._values, self.shape = list(columns), values, values.shape

@@ -113,7 +113,7 @@ def test_too_few_samples_are_refused() -> None:
 
 
 def test_an_output_that_hardly_moves_in_one_fold_is_refused() -> None:
-    """Its square would underflow, and with it every error."""
+    """The square of its deviation would underflow, and with it every error."""
     t = np.arange(60.0)
     y = np.where(t < 30, t, 1e-310 * t)[:, None]
     with pytest.raises(UserError, match="output 1 is constant over the training samples of fold 1"):

@@ -1,5 +1,4 @@
-"""What workers are given of a GPU. There is none here: the device nodes are made up, and the driver
-was never called."""
+"""GPU access of workers, with made-up device nodes and without a driver."""
 
 import ctypes
 import os
@@ -175,7 +174,7 @@ def test_the_filter_lets_pass_what_the_driver_calls_and_nothing_else(machine: st
 
 
 def run(program: list[tuple[int, ...]], number: int, machine: str) -> int:
-    """What the filter says of a call with strange arguments."""
+    """Run the filter on a call with strange arguments."""
     architecture = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}[machine]
     data = struct.pack("<iIQ6Q", number, architecture, 0, *([12345] * 6))
     place, value = 0, 0
@@ -221,7 +220,7 @@ def test_a_card_that_jax_reaches_is_used_and_its_walls_are_said(
     opened: list[Limits] = []
 
     class There:
-        """In place of a worker on a GPU."""
+        """Stand-in for a worker on a GPU."""
 
         def __enter__(self) -> "There":
             return self

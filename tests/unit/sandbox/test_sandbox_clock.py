@@ -1,4 +1,4 @@
-"""Where the seconds of a worker go, also by the word of a worker that lies."""
+"""Seconds of a worker by activity, also as reported by a worker that lies."""
 
 import math
 import struct

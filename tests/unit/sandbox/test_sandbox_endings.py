@@ -1,4 +1,4 @@
-"""How a worker ended: by itself, whatever code or signal it chose, or by somebody's hand."""
+"""Ends of a worker: by itself, with any code or signal, or by another process."""
 
 import os
 import signal
@@ -109,7 +109,7 @@ def _kill_once_busy(process: WorkerProcess) -> None:
 
 
 def _waits(pid: int) -> bool:
-    """Whether it is a worker that has begun to fit, and has given itself its name."""
+    """Return whether it is a worker that has begun to fit, and has given itself its name."""
     with open(f"/proc/{pid}/comm", "rb") as name:
         return name.read().strip() == BUSY
 

@@ -22,7 +22,7 @@ LOCKED = pytest.mark.skipif(why_not(Isolation.LANDLOCK) is not None, reason="no 
 
 
 def decide(machine: str, number: int, *arguments: int, architecture: int | None = None) -> int:
-    """What the kernel would do: the filter run over one system call."""
+    """Run the filter over one system call and return the kernel's decision."""
     code = struct.iter_unpack("@HBBI", seccomp.build(machine, PID))
     program = list(code)
     words = (*arguments, 0, 0, 0, 0, 0, 0)[:6]

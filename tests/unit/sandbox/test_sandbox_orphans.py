@@ -1,4 +1,4 @@
-"""Who is killed while a worker starts leaves no process."""
+"""Orphan processes after a kill during the start of a worker."""
 
 import signal
 import subprocess

@@ -64,7 +64,7 @@ def test_a_kernel_without_landlock_keeps_namespaces_and_says_what_is_missing(mon
 def test_a_weaker_level_is_there_for_the_asking():
     found = probe(Isolation.PROCESS)
     assert found.level is Isolation.PROCESS
-    assert found.notes == ("asked for by the user",)
+    assert found.notes == ("requested by the user",)
 
 
 @pytest.mark.parametrize(

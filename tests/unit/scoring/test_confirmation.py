@@ -27,7 +27,7 @@ from asia.scoring import (
 
 
 def fits(blocks: Array) -> RepeatedFits:
-    """From blocks (seeds, folds, blocks), whose means are the values."""
+    """Make fits from blocks (seeds, folds, blocks), whose means are the values."""
     return RepeatedFits(blocks.mean(axis=2), blocks)
 
 

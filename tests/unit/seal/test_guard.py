@@ -1,4 +1,4 @@
-"""Which records stand guard, and what naming them wrong says."""
+"""Guard records, and errors for wrong names."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -321,7 +321,7 @@ def test_where_keys_are(
 def test_a_store_opens_without_this_package(
     make: Make, files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the documentation tells it."""
+    """Open the store by the steps of the documentation."""
     page = (Path(__file__).parents[3] / "docs" / "seal.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
     plain = files[1].read_bytes()

@@ -59,7 +59,7 @@ class BayesAgent:
                     title=f"{row.label}, estimated",
                     hypothesis="Configurations like the better ones so far, by a tree-structured "
                     f"Parzen estimator.{_record_of_others(view, rows)}",
-                    expected="With luck below the best; where little is known, to learn something.",
+                    expected="A lower V than the best, or information where few trials are.",
                 )
         return None
 

@@ -87,7 +87,9 @@ class ExpertAgent:
                 continue
             proposal = _wished(view, wish, unwanted)
             if proposal is None:
-                remarks.append(f"note {wish.note}: nothing is left to {wish.text} on this problem")
+                remarks.append(
+                    f"note {wish.note}: nothing new to try for {wish.text!r} on this problem"
+                )
             else:
                 proposal = replace(proposal, hypothesis=f"{proposal.hypothesis} {wish.mark}")
         if proposal is None:

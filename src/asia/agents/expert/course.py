@@ -39,40 +39,45 @@ def why_nothing_helps(view: AgentView) -> str:
     best = view.best
     lowest = "" if best is None else f" (best V {best.value:.3g} of #{best.number:02d})"
     cause = _cause(view.facts, relation(view.facts))
-    return f"nothing beats the mean of the output{lowest}: {cause}"
+    return f"no candidate beats the mean of the output{lowest}: {cause}"
 
 
 def _cause(facts: Facts, found: Relation) -> str:
     if found.unstable:
-        loop = " and the inputs follow the past outputs: a loop holds it" if found.feedback else ""
+        loop = (
+            " and the inputs follow the past outputs: a control loop stabilises it"
+            if found.feedback
+            else ""
+        )
         return (
-            f"the plant runs away by itself (a pole of modulus {found.pole:.4g}){loop}. "
+            f"the plant is unstable (a pole of modulus {found.pole:.4g}){loop}. "
             f"{_windows(facts, found)}"
         )
     if found.feedback:
         return (
             "the inputs follow the past outputs (correlation "
-            f"{found.feedback:.2f}): the records are of a closed loop, and the outputs go with "
-            "disturbances that no input shows. "
+            f"{found.feedback:.2f}): the records come from a closed loop, and the outputs follow "
+            "unmeasured disturbances. "
             f"{_windows(facts, found)} Or excite the set point and record it as an input."
         )
     if not found.acts:
         return (
-            f"no input, and no square of one, shows an effect on an output within {found.reach} "
-            "samples. Check that inputs and outputs belong to the same time, that the inputs move "
+            f"no input and no squared input has a significant effect on an output within "
+            f"{found.reach} "
+            "samples. Check that inputs and outputs are synchronised, that the inputs vary "
             "enough, and that the input that drives the plant is recorded. "
             f"{_windows(facts, found)}"
         )
     if found.delay > _DELAY_TRIED:
-        return f"the inputs act only after {found.delay} samples. Models with this delay come next."
+        return f"the dead time is {found.delay} samples. Models with this delay follow."
     if integrating(facts):
         return (
-            "an output drifts with the sum of the inputs, so that a small error of an input adds "
-            f"up. Models with free integrators come next. {_windows(facts, found)}"
+            "an output drifts with the sum of the inputs, so that small input errors "
+            f"accumulate. Models with free integrators follow. {_windows(facts, found)}"
         )
     return (
-        "the inputs act, but no model so far makes much of that over a whole simulation. Other "
-        f"starts and kinds of model come next. {_windows(facts, found)}"
+        "the inputs have an effect, but no model so far predicts it over a whole simulation. "
+        f"Other initial values and model classes follow. {_windows(facts, found)}"
     )
 
 
@@ -81,7 +86,7 @@ def _windows(facts: Facts, found: Relation) -> str:
     if facts.horizon is not None:
         return (
             f"Shorter windows than {facts.horizon} samples, or a longer past window than "
-            f"{facts.past} samples, ask less of a model."
+            f"{facts.past} samples, make the task easier."
         )
     long = ceil(log(10.0) / log(found.pole)) if found.unstable else 50
     return (

@@ -26,16 +26,17 @@ def reason_to_end(view: AgentView) -> str | None:
     floor = noise_of_periods(view.facts) if view.facts.metric == "rmse" else None
     if floor is not None and best.value is not None and best.value <= _AT_FLOOR * floor:
         return (
-            f"V of #{best.number:02d} is {best.value:.3g}, what differs between the periods of the "
-            f"records is {floor:.3g} of the output, and {_TRIES} further experiments brought less "
+            f"V of #{best.number:02d} is {best.value:.3g}, the variation between the periods of "
+            f"the "
+            f"records is {floor:.3g} of the output, and {_TRIES} further experiments gained less "
             "than 1 %: the noise floor is reached"
         )
     if not nothing_left(view, best):
         return None
     return (
         f"the residuals of #{best.number:02d} are white and independent of the inputs within 99 % "
-        "bands, its V is at its training error, and "
-        f"{_TRIES} further experiments brought less than 1 %: the noise floor is reached"
+        "bands, its V equals its training error, and "
+        f"{_TRIES} further experiments gained less than 1 %: the noise floor is reached"
     )
 
 

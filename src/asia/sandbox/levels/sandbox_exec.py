@@ -32,7 +32,7 @@ class SandboxExec(Level):
     isolation = Isolation.SANDBOX_EXEC
     layers = (Layer.PROFILE, Layer.RLIMITS)
     system = "darwin"
-    caveat = "written to its documentation, not tested"
+    caveat = "written from its documentation, not tested"
 
     def why_not(self) -> str | None:
         if sys.platform != "darwin":

@@ -26,9 +26,7 @@ def layer_remedy(layer: Layer) -> str:
         return ANOTHER_SYSTEM
     reason = landlock.why_not() or ""
     if "boot" in reason:
-        return (
-            "add landlock to the boot parameter lsm= (what it holds now: /sys/kernel/security/lsm)"
-        )
+        return "add landlock to the boot parameter lsm= (present value: /sys/kernel/security/lsm)"
     if "refused" in reason:
         return "allow the landlock_ system calls in the container's seccomp profile"
     return "use Linux 5.13 or newer, built with Landlock"

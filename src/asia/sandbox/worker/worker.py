@@ -198,7 +198,7 @@ class Worker:
 
     def _said_of_parameters(self, request: str, most: int) -> bytes:
         if self._cases_seen:
-            raise SandboxError(f"the worker has seen cases: {request} are asked for before them")
+            raise SandboxError(f"the worker has received cases: request {request} before them")
         return self._said(request, (), most)
 
     def _said(self, request: str, arguments: tuple[object, ...], most: int) -> bytes:
@@ -352,7 +352,7 @@ class Worker:
     def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
         """A model that follows `head`."""
         if head.length > self._limits.model_mb * 1024 * 1024:
-            detail = f"{head.length} bytes, at most {self._limits.model_mb} MB are kept"
+            detail = f"{head.length} bytes, the limit is {self._limits.model_mb} MB"
             raise self._failure(Reason.MODEL_SIZE, detail)
         return self._body(head, deadline, late)
 
@@ -384,7 +384,7 @@ class Worker:
         if ending.outside is not None:
             self.close()
             number = int(ending.outside)
-            return WorkerKilledError(f"the worker was ended from outside by signal {number}")
+            return WorkerKilledError(f"another process ended the worker by signal {number}")
         if self._cases_seen:
             return self._failure(Reason.EXITED)
         said = self._channel.take_output()[-_LAST_WORDS:].strip()

@@ -18,7 +18,7 @@ def check_bands(held: Array, outputs: Sequence[str], level: float) -> Check:
     each = sorted(zip(held.tolist(), outputs, strict=True))
     words = ", ".join(f"{name} {percent(share)}" for share, name in each[:_MOST_NAMED])
     rest = " at least" if len(each) > _MOST_NAMED else ""
-    sentence = f"output bands of {percent(level)} held{rest}: {words}"
+    sentence = f"{percent(level)} output bands contained{rest}: {words}"
     short = level - each[0][0]
     verdict = Verdict.FAIL if short > _FAIL else Verdict.DOUBT if short > _DOUBT else Verdict.PASS
     return Check("output bands", verdict, sentence, weight=max(0.0, short))

@@ -64,7 +64,9 @@ def _cause(found: SimulatedBlocks | None, apart: Sequence[str]) -> tuple[Cause |
     share = None if found is None else _corrected(found)
     if share is None:
         return Cause.OVERFIT, str(Cause.OVERFIT)
-    evidence = f"a new gain and new slow dynamics for each part explain {percent(share)} of it"
+    evidence = (
+        f"a different gain and slow dynamics for each part explain {percent(share)} of the residual"
+    )
     if share >= _DRIFTS:
         return Cause.PARAMETERS, f"{Cause.PARAMETERS} ({evidence})"
     if share <= _NOISE:

@@ -52,7 +52,7 @@ class _Found:
         """Describe the size of the contribution."""
         return (
             f"{percent(self.found.share)} of the residual's variance, "
-            f"{percent(self.size)} of the output's deviation"
+            f"{percent(self.size)} of the output's standard deviation"
         )
 
 
@@ -83,7 +83,7 @@ def check_fit(found: SimulatedBlocks) -> Check:
     bad = bool(len(finite)) and float(finite.min()) <= 0.0
     sentence = f"fit index in free run: {words}"
     if bad:
-        sentence += "; below 0 % the mean of the output would be nearer"
+        sentence += "; below 0 % the mean of the output is more accurate"
     return Check("fit in free run", Verdict.FAIL if bad else Verdict.PASS, sentence, weight=0.5)
 
 
@@ -173,7 +173,7 @@ def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
         sentence = f"no residual changes with the direction of motion ({worst.words()} at most)"
         return Check("motion", Verdict.PASS, sentence)
     sentence = (
-        f"the residual of {found.outputs[worst.output]} changes where the motion turns: "
+        f"the residual of {found.outputs[worst.output]} changes at reversals of the motion: "
         f"{Cause.FRICTION} ({worst.words()})"
     )
     # With a long past the signs alone stand in for much that is linear: a short one weighs.

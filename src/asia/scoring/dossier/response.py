@@ -92,7 +92,7 @@ def check_responses(
     """Static gains, slowest poles and step responses: shown."""
     name, axes = "poles and static gain", ("time [s]", "change for a step of 1")
     if not found:
-        reason = "does not apply: the model gave no finite answer to small steps of an input"
+        reason = "does not apply: the response of the model to small input steps is not finite"
         return Check(name, Verdict.ABSENT, reason)
     curves: list[CheckCurve] = []
     words: list[str] = []

@@ -20,7 +20,7 @@ _DRAWN = 0.5
 _OFF, _FAR_OFF = 0.25, 0.5
 _CHANCE = 1e-4
 _TOO_SHORT = (
-    "does not apply: the simulations are too short for a spectrum, which takes "
+    "does not apply: the simulations are too short for a spectrum, which needs "
     f"{_SHORTEST} samples of eight windows or more, or {4 * _SHORTEST} of fewer"
 )
 
@@ -132,16 +132,20 @@ def _judged(
     axes: tuple[str, str],
 ) -> Check:  # fmt: skip
     if worst is None:
-        sentence = f"nowhere is the coherence of an input and an output above {_COHERENT:g}"
+        sentence = f"the coherence of every input and output is at most {_COHERENT:g}"
         return Check(title, Verdict.SHOWN, sentence, curves=curves, axes=axes)
     size, frequency, coherence, pair = worst
     if size == 0.0:
         sentence = (
-            "the gain of the simulation is that of the data, within chance, wherever the coherence "
+            "the gain of the simulation agrees with the data within statistical error where the "
+            "coherence "
             f"is above {_COHERENT:g}"
         )
         return Check(title, Verdict.PASS, sentence, curves=curves, axes=axes)
-    words = f"{pair} at {frequency} Hz is {percent(size)} off the data (coherence {coherence:.2f})"
+    words = (
+        f"{pair} at {frequency} Hz deviates by {percent(size)} from the data (coherence "
+        f"{coherence:.2f})"
+    )
     if size < _OFF:
         return Check(title, Verdict.PASS, f"at most, {words}", curves=curves, axes=axes)
     verdict = Verdict.FAIL if size >= _FAR_OFF else Verdict.DOUBT

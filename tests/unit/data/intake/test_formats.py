@@ -46,7 +46,7 @@ def mat_struct(path: Path) -> None:
 
 
 def mat_hdf5(path: Path) -> None:
-    """As MATLAB writes -v7.3: a user block, and columns as rows."""
+    """Write a file as MATLAB -v7.3: a user block, and columns as rows."""
     with h5py.File(path, "w", userblock_size=512) as file:
         group = file.create_group("run")
         for name, values in COLUMNS.items():

@@ -169,7 +169,7 @@ def test_a_worker_that_was_killed_is_tried_again(
     def fails_once(*given: object) -> object:
         calls[0] += 1
         if calls[0] == 1:
-            raise WorkerKilledError("the worker was ended from outside by signal 9")
+            raise WorkerKilledError("another process ended the worker by signal 9")
         return fit(*given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(remote, "fit_fold", fails_once)

@@ -13,7 +13,7 @@ from asia.scoring import Failure
 
 
 class Fold:
-    """In place of a fit: the test ends it, or its stop does."""
+    """Stand-in for a fit that the test or its stop ends."""
 
     def __init__(self, pruner: FoldPruner, index: int, value: float | Failure) -> None:
         self._pruner, self._index, self._value = pruner, index, value

@@ -200,7 +200,7 @@ def test_bands_that_hold_too_little() -> None:
     names = ("a", "b", "c", "d")
     good = check_bands(np.array([0.91, 0.84, 0.9, 1.0]), names, 0.9)
     assert good.verdict is Verdict.PASS
-    assert good.sentence == "output bands of 90 % held at least: b 84 %, c 90 %, a 91 %"
+    assert good.sentence == "90 % output bands contained at least: b 84 %, c 90 %, a 91 %"
     assert check_bands(np.array([0.79]), ("a",), 0.9).verdict is Verdict.DOUBT
     assert check_bands(np.array([0.45]), ("a",), 0.9).verdict is Verdict.FAIL
     assert no_bands("why").verdict is Verdict.ABSENT
