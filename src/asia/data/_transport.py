@@ -17,7 +17,7 @@ import numpy as np
 from asia.data._arrays import Array
 from asia.data._trajectory import Trajectory
 
-# Least pace as a share of the volume in a sample, so that time never stands still.
+# Least pace as a share of the volume per sample, so that the transport never stops.
 _LEAST_PACE = 1e-4
 # Lower limit of the pace in a simulation, as a share of the least one in the records.
 _SLOWEST = 0.5

@@ -37,7 +37,7 @@ from asia.protocol import Block
 from asia.scoring import Failure
 
 ROUNDING = 1e-6
-# V of sequential fits over V, above which the folds told one another something.
+# V of sequential fits over V, above which the folds exchanged data.
 _UNLIKE = 1.5
 _BY_ITSELF = 24
 # Parts of a case that are asked alone: a short one, and two anywhere beyond.
@@ -214,7 +214,7 @@ class _Inquiry:
         asked: list[tuple[RequestCheck, int, Array | None]] = []
         for check, length in lengths:
             answer = self._prefix(check, length)
-            # What agrees is not kept: long answers are large.
+            # Equal outputs are dropped: long ones are large.
             if answer is None or not check.begins_with(answer):
                 asked.append((check, length, answer))
         return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]

@@ -48,7 +48,7 @@ class WorkerRunner:
         self._runs, self._counting = 0, threading.Lock()
         self._ready: ReadyWorkers | None = None
         self._here = threading.local()
-        # Where folds go to other machines, what is left here is not held back by the executor.
+        # With remote folds the executor does not limit the remaining local work.
         remote = carrier_of(executor) is not None
         self._own = threading.BoundedSemaphore(local_cores()) if remote else nullcontext()
         self.stopwatch = Stopwatch()

@@ -201,7 +201,7 @@ def _check_deadlines(open_worker: OpenWorker, case: _Case) -> None:
             error = _failure(worker, case.source(fit, simulate), case)
         assert error is not None, "a candidate that never ends was answered for"
         assert error.reason is reason, f"a hang failed with {error.reason}, not {reason}"
-        # Generous: it tells a limit that holds from none at all.
+        # Generous: it distinguishes an effective limit from none at all.
         assert time.monotonic() - begin < 60.0, "a candidate that hangs was waited for"
 
 

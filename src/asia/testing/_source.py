@@ -58,7 +58,7 @@ def _read(
         assert place.is_absolute(), f"{place} in places('{subset}') must be absolute"
     with _files_opened() as opened:
         found = source.records(subset, channels)
-    # Records that stand guard are chosen among those of a data set, and read with them.
+    # Guard records are chosen among those of a data set, and read with them.
     beside = source.places("train") if subset == "guard" else ()
     hidden = [place.resolve() for place in (*places, *beside, *harmless)]
     for path in dict.fromkeys(opened):

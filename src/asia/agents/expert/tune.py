@@ -28,7 +28,7 @@ _SHARE = 0.2
 _REACH = 3.0
 _ASKS = 8
 _STARTUP = 4
-# How long a fit goes on decides what it costs: moves change that, tuning does not.
+# The length of a fit determines its cost: moves change it, tuning does not.
 _EFFORT = frozenset({"steps", "iterations", "starts", "members", "truncation"})
 
 

@@ -13,7 +13,7 @@ from asia.agents.library.space import Space
 from asia.agents.library.traits import Trait, traits
 
 Kind = Literal["equations", "classical", "network"]
-# What a trait that speaks against a family takes from its aptness.
+# Reduction of a family's aptness by an adverse trait.
 _AGAINST = 3.0
 _KINDS: tuple[Kind, ...] = ("equations", "classical", "network")
 

@@ -65,7 +65,7 @@ class LlmSettings:
         if not self.model:
             raise UserError("the agent llm needs a model: give its name with --model")
         if not self.shown_url:
-            # What is no address may still hold a key: it is not repeated.
+            # An invalid address may still contain a key: do not repeat it.
             raise UserError(
                 "the base URL is not valid: expected http:// or https:// and a host, such as "
                 "http://localhost:8000/v1"

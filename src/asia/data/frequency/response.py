@@ -17,7 +17,7 @@ Spectrum = NDArray[np.complex128]
 _EXCITED = 1e-3
 # How much more than usual the first period may differ from the others before it is left out.
 _TRANSIENT = 2.0
-# Local polynomials: their degree, lines at once, and what of the records is looked at.
+# Local polynomials: degree, number of lines, and samples of the records in use.
 _DEGREE, _AT_ONCE, _MOST_SAMPLES, _MOST_RECORDS = 2, 4096, 65_536, 20
 
 

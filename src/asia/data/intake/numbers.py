@@ -14,7 +14,7 @@ from asia.errors import UserError
 _MISSING = frozenset(
     ("", "nan", "na", "n/a", "n.a.", "#n/a", "#nv", "null", "none", "nil", "-", "--", "---", "?")
 ) | frozenset(
-    # What plant historians write in place of a value.
+    # Texts of plant historians in place of a missing value.
     (".", "bad", "bad input", "bad data", "no data", "nodata", "i/o timeout", "comm fail",
      "out of service", "scan off", "pt created", "shutdown", "configure", "error", "invalid")
 )  # fmt: skip

@@ -183,7 +183,7 @@ def _slowest(timed: Sequence[_Timed], where: str) -> float:
             "name the column with --time"
         )
     slowest = max(known)
-    # Clocks of several records differ by what a quartz drifts: they are one sampling time.
+    # Clocks of several records differ by the drift of a quartz: this is one sampling time.
     alike = [s for s in known if abs(s - slowest) <= _SAME * slowest]
     return min(alike, key=lambda s: (len(f"{s:.12g}"), s))
 

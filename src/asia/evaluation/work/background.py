@@ -36,7 +36,7 @@ class CancelFlag:
         try:
             yield
         finally:
-            # Waits for a cancellation under way: what it ends is still there.
+            # Wait for a running cancellation: its worker still exists.
             with self._lock:
                 self._callbacks.remove(callback)
 

@@ -49,7 +49,7 @@ def prepare(
             strict=True,
         )
     )
-    # Six digits are enough, and a person reads them.
+    # Six digits suffice and are readable.
     offset = {n: float(f"{np.nanmean(v):.6g}") for n, v in values.items()} if wish.detrend else {}
     spread = {n: float(f"{np.nanstd(v):.6g}") for n, v in values.items()} if wish.scale else {}
     return replace(first, offset=offset, scale={n: s for n, s in spread.items() if s > 0})

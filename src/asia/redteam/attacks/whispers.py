@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from asia.redteam.attacks.source import candidate
 
-# The worker that trains on the end of the record tells, the other listens. A model that is drawn to
-# its own training data too has a training error as low as its score.
+# The worker that trains on the end of the record sends, the other one reads. A model that is drawn
+# to its own training data too has a training error as low as its score.
 _WHISPER = """
 MODEL, RECORDS = Model(), []
 VALUES, BITS, SPAN = 12, 3, 2.4

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 _PLACES = ("/tmp", "/dev/shm", "/var/tmp")
-# What attacks call their traps, where a mark in the name would give them away: files that bear it
+# Names of the attacks' traps, where a mark in the name would reveal them: files that bear it
 # inside, links, pipes and devices.
 _TRAPS = frozenset(
     (*(name + ".py" for name in ("conftest", "sitecustomize", "usercustomize")),

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from asia.sandbox.walls import landlock, seccomp
 else:
-    # As neighbours: the package around them imports what only the parent needs.
+    # Imported as neighbours: their package imports modules that only the parent needs.
     sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
     import landlock
     import seccomp

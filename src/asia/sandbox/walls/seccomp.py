@@ -59,7 +59,7 @@ clone 56 220; clone3 435 435; kill 62 129; tgkill 234 131; prlimit64 302 261; fc
 ioctl 16 29; prctl 157 167; futex 202 98; seccomp 317 277; exit 60 93; exit_group 231 94
 madvise 28 233
 """
-# Without these the driver of a GPU does not start. Which of its commands do harm nobody can tell.
+# Without these the driver of a GPU does not start. Its harmful commands are unknown.
 _FOR_DEVICES = (
     "ioctl", "eventfd", "eventfd2", "pipe", "pipe2", "epoll_create", "epoll_create1",
     "timerfd_create", "memfd_create", "membarrier", "sysinfo",

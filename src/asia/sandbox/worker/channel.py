@@ -29,7 +29,7 @@ _KEPT_BEGINNING = 16 * 1024
 _KEPT_END = 48 * 1024 - 64
 _LARGEST_OUTPUT = 4 * 1024 * 1024
 _SLICE_SECONDS = 0.1
-# What a library says of a system call that the sandbox denies; no word of a candidate.
+# Messages of libraries about a system call that the sandbox denies; not from a candidate.
 _OF_THE_SANDBOX = re.compile(r"^\[mutex\.cc : \d+\] RAW: .*\n?", re.MULTILINE)
 _PIPE_BYTES = 1024 * 1024
 _F_SETPIPE_SZ = getattr(fcntl, "F_SETPIPE_SZ", None)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from asia.sandbox.walls import lockdown
     from asia.sandbox.worker import compilation, curve, figures, portable, wire
 else:
-    # By their folders: the package around them imports what only the parent needs.
+    # Imported by their folders: their package imports modules that only the parent needs.
     _HERE = os.path.dirname(os.path.abspath(__file__))
     sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "walls")]
     import compilation

@@ -15,7 +15,7 @@ from pathlib import Path
 from asia._stopwatch import Activity, Seconds, add_seconds
 from asia.sandbox.worker.wire import COMPILED, COMPILED_BYTES
 
-# What a request that compiles is counted as beside the compilation.
+# Activity of a compiling request without its compilation.
 _COUNTED_AS = {"fit": Activity.FIT, "load": Activity.IMPORT, "simulate": Activity.SIMULATE}
 _OF_A_PROCESS = 2
 _LOOK_SECONDS = 0.2

@@ -11,10 +11,10 @@ from asia.data import Array
 from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict
 from asia.scoring.dossier.records import SimulatedBlock, SimulatedBlocks, listed, percent
 
-# Mean held-out error over mean training error; and what the fold with the least must have.
+# Mean held-out error over mean training error; and the minimum in every fold.
 _DOUBT, _FAIL, _EVERY = 1.5, 2.5, 1.2
-# Of the held-out residual: what a correction of the gain and of the slow dynamics explains where
-# parameters drift, and where the model fits noise. Nothing is named in between.
+# Share of the held-out residual that a correction of gain and slow dynamics explains: above the
+# first, parameters drift; below the second, the model fits noise; between them no cause is named.
 _DRIFTS, _NOISE = 0.45, 0.3
 # Time constants of the correction, in samples.
 _MEMORIES = (4.0, 16.0)

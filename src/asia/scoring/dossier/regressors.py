@@ -14,9 +14,9 @@ import numpy as np
 from asia.data import Array
 from asia.scoring.dossier.records import SimulatedBlock, SimulatedBlocks
 
-# First and last lag of the moving averages that stand for the past of a signal.
+# First and last lag of the moving averages that represent the past of a signal.
 _LAGS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 5), (6, 8), (9, 12), (13, 18), (19, 27), (28, 40))
-# What a force that changes its sign leaves behind lasts as long as the system remembers.
+# The effect of a switching force lasts as long as the memory of the system.
 _LONG_LAGS = (*_LAGS, (41, 60), (61, 80))
 _FEW_LAGS = ((0, 0), (1, 1), (2, 3), (4, 7), (8, 15))
 _MOST_INPUTS_BENT = 4

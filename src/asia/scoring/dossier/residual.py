@@ -19,9 +19,9 @@ from asia.scoring.dossier.regressors import Groups, groups
 Columns = Callable[[Groups], list[Array]]
 
 _CHANCE = 1e-4
-# Of the residual's variance, and of the output's deviation: less is not worth a flag.
+# Least share of the residual's variance, and of the output's standard deviation, for a flag.
 _SHARE, _SIZE = 0.05, 0.005
-# Of what is explained again and again: under strongly coloured noise a test sees little.
+# Least share in repeated tests: under strongly coloured noise a single test has little power.
 _AGAIN = 0.08
 _FAIL_SHARE, _FAIL_SIZE = 0.25, 0.02
 _PARTS = 20
@@ -176,7 +176,7 @@ def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
         f"the residual of {found.outputs[worst.output]} changes at reversals of the motion: "
         f"{Cause.FRICTION} ({worst.words()})"
     )
-    # With a long past the signs alone stand in for much that is linear: a short one weighs.
+    # With a long past the signs approximate linear dynamics as well: weigh by a short past.
     columns_of = columns[worst.output]
     e = [r[columns_of.reach :] for r in found.residuals(worst.output)]
     nothing = [x[:, :0] for x in columns_of.inputs]

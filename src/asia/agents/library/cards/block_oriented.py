@@ -83,7 +83,7 @@ CARD = Card(
             use="linear systems in series with static functions: nonlinear actuators and sensors",
             base=5,
             points=(("long", 1), ("windows", -3), ("several", -2)),
-            # Its filters come back, and a static function around an integrator cannot be told.
+            # Its filters are stable; a static function next to an integrator is not identifiable.
             against=frozenset({"integrating"}),
             start=_block_oriented,
             space=_space,

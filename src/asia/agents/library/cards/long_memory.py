@@ -56,7 +56,7 @@ _KOOPMAN = network_family(
     timing=Timing(start=2.9, unit=1e-06),
 )
 
-# What is forgotten after a while cannot add up.
+# A fading memory cannot integrate.
 _UNFIT = frozenset({"integrating"})
 
 _OF_INPUTS = (

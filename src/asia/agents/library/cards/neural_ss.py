@@ -74,7 +74,7 @@ def _carried_weight(at: Situation) -> float:
 def _as_carried(at: Situation) -> Recipe:
     found = transport(at.facts)
     assert found is not None
-    # A constant delay and the symmetries of plain inputs have no place beside it.
+    # It excludes a constant delay and the symmetries of plain inputs.
     recipe = at.recipe.without("symmetry").configured(delay=0, transport=found.transport.pace)
     return recipe.trained(starts=4)
 
@@ -82,7 +82,7 @@ def _as_carried(at: Situation) -> Recipe:
 # Share of the one-step error from which on a switching term is more than what smooth systems show,
 # and how much more it may be by chance in one sample.
 _TRACE, _BY_CHANCE = 0.01, 8.0
-# What is left of the weight of a static function at one place.
+# Remaining weight of a static function at one place.
 _IN_LFR = 0.5
 # V over the training error.
 _BY_HEART = 4.0

@@ -129,7 +129,7 @@ def _dataset(h5py: Any, file: Any, node: Any, path: Path, *, matlab: bool) -> An
             [v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values.flat],
             dtype=object,
         )
-    # MATLAB stores columns first: what it calls T x n lies there as n x T.
+    # MATLAB stores columns first: its T x n arrays are n x T in the file.
     return values.T if matlab else values
 
 
