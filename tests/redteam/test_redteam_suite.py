@@ -104,7 +104,7 @@ def test_every_attack_is_stopped_at_every_level(report):
     assert report.stopped == len(report.plan.attacks)
 
 
-def test_every_attack_is_stopped_by_what_was_expected(report):
+def test_every_attack_is_stopped_by_an_expected_barrier(report):
     expected = {attack.number: {*map(str, attack.stops)} for attack in report.plan.attacks}
     stopped = [f for f in report.findings if f.level != OFF]
     assert [f for f in stopped if not {*f.stops} <= expected[f.number]] == []
@@ -134,7 +134,7 @@ def test_the_page_lists_the_attacks():
     assert shown == [(str(a.number), a.name, a.tries.replace("`", "")) for a in ATTACKS]
 
 
-def test_the_page_shows_what_became_of_them(report):
+def test_the_page_shows_the_findings(report):
     """Word for word on a machine such as the page names, elsewhere without the layers."""
     shown = page_tables()["#", "attack", "namespace", "landlock", "off"]
     ((_, found),) = tables(report_table(report)).items()
@@ -213,7 +213,7 @@ if os.fork() == 0:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_a_process_nobody_marked_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
+def test_an_unmarked_process_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
     from asia.redteam.evidence import traces as module
 
     monkeypatch.setattr(module, "_PATIENCE_SECONDS", 0.0)

@@ -68,7 +68,7 @@ def test_the_expert_goes_to_its_next_move_while_the_first_runs() -> None:
     assert len({p.title for p in moves}) == 3
 
 
-def test_bayes_takes_what_runs_for_as_bad_as_the_worst() -> None:
+def test_bayes_counts_running_trials_as_bad_as_the_worst() -> None:
     facts = simulation(physics=False)
     drawn, rows = several(BayesAgent(), view(facts, (), "explore")), families(facts)
     tried = [replace(trial(1), source=p.source, family=p.family) for p in drawn]
@@ -82,7 +82,7 @@ def test_bayes_takes_what_runs_for_as_bad_as_the_worst() -> None:
     assert [t.value for t in study.trials] == [2.0, 1.0]
 
 
-def test_a_model_is_told_what_runs_and_asked_for_another_direction() -> None:
+def test_a_prompt_lists_running_trials_and_asks_for_another_direction() -> None:
     seen = now(trial(1), trial(2))
     proposal = Proposal("x = 1\n", "esn", "a reservoir", "it is cheap", "better", 2)
     alone, beside = (search_text(v, Task("explore")) for v in (seen, ahead(seen, proposal)))

@@ -106,7 +106,7 @@ def test_a_grey_box_that_leads_goes_on_once_two_others_were_tried() -> None:
     assert names.count("greybox") > 7
 
 
-def test_the_linear_reference_counts_as_a_trial_beside_a_grey_box() -> None:
+def test_the_linear_reference_counts_as_a_trial_next_to_a_grey_box() -> None:
     known = simulation(physics=True)
     outcome = better_each_time("greybox")
     trials = tuple(t for t in search(ExpertAgent, known, 15, outcome) if t.family == "greybox")[:2]

@@ -124,7 +124,7 @@ class FailingLate:
         return honest(past_u, past_y, u)
 
 
-def test_a_model_that_fails_from_later_starts_alone_is_found_out():
+def test_a_model_that_fails_only_from_later_starts_is_detected():
     assert kinds(FailingLate(Reason.CRASH)) == {"restart"}
 
 
@@ -171,7 +171,7 @@ def test_a_look_ahead_at_few_places_takes_more_lengths(monkeypatch: pytest.Monke
     assert sum(flagged(seed) for seed in range(20)) >= 19
 
 
-def test_the_only_window_of_each_record_is_asked_alone():
+def test_the_only_window_of_each_record_has_its_own_request():
     def mixed(past_u: Array, past_y: Array, u: Array) -> Array:
         return honest(past_u, past_y, u) + 0.1 * past_y[:, -1:].mean(axis=0)
 
@@ -202,7 +202,7 @@ def test_wild_first_samples_excuse_no_later_ones():
     assert "causality" in kinds(wild)
 
 
-def test_a_simulation_drawn_to_what_follows_the_block_is_found_out():
+def test_a_simulation_drawn_to_data_after_the_block_is_detected():
     held = fold()
     after = {round(float(b.case.past_u[-1, 0]), 9): b.y[-1, 0] for b in held.validation}
     length = len(held.validation[0].y)

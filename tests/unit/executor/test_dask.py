@@ -139,7 +139,7 @@ def until_unwanted(request: bytes, data: bytes, unwanted: Callable[[], bool]) ->
     return b"ended"
 
 
-def test_one_that_is_forgotten_ends_alone(threads: Any) -> None:
+def test_a_forgotten_request_ends_alone(threads: Any) -> None:
     executor = DaskExecutor(threads.scheduler_address)
     raised: list[str] = []
 

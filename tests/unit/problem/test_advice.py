@@ -49,7 +49,7 @@ def test_each_fault_is_said_once(tanks: Problem) -> None:
     spiked[[200, 700]] += 40.0
     faults = {
         "rises by": y + np.linspace(0.0, 20.0, SAMPLES),
-        "comes in steps of 0.8 m": 0.8 * np.round(y / 0.8),
+        "is quantized in steps of 0.8 m": 0.8 * np.round(y / 0.8),
         "2 samples jump away from both neighbours, the first at sample 201 of record 'r'": spiked,
     }
     for said, values in faults.items():
@@ -83,7 +83,7 @@ def test_an_input_that_reads_the_output_of_the_same_sample_is_doubted(tanks: Pro
     assert any("delay 0: output y" in line and "controller" in line for line in lines)
 
 
-def test_feedback_is_told_from_an_open_loop(tanks: Problem) -> None:
+def test_feedback_is_distinguished_from_an_open_loop(tanks: Problem) -> None:
     rng = np.random.default_rng(0)
     u, y, x, disturbance = np.zeros(SAMPLES), np.zeros(SAMPLES), 0.0, 0.0
     for k in range(SAMPLES):

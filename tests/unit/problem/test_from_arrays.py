@@ -145,7 +145,7 @@ def test_the_same_again_is_loaded_and_other_data_are_refused(tmp_path: Path) -> 
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "mine").iterdir()} == before
 
 
-def test_a_directory_with_other_things_in_it_is_left_alone(tmp_path: Path) -> None:
+def test_a_directory_with_other_files_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(UserError, match="is not empty"):
         make(tmp_path)

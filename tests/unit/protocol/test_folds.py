@@ -32,7 +32,7 @@ def test_cascaded_tanks_folds_are_those_of_the_paper() -> None:
     past=st.integers(0, 4),
     gap=st.integers(0, 6),
 )
-def test_forward_folds_train_on_the_past_alone(
+def test_forward_folds_train_only_on_the_past(
     lengths: list[int], count: int, past: int, gap: int
 ) -> None:
     records = [record(n, str(i)) for i, n in enumerate(lengths)]
@@ -53,7 +53,7 @@ def test_forward_folds_train_on_the_past_alone(
 
 
 @given(length=st.integers(60, 90), count=st.integers(2, 4), gap=st.integers(1, 6))
-def test_a_gap_beside_a_held_out_block_trains_nothing(length: int, count: int, gap: int) -> None:
+def test_a_gap_next_to_a_held_out_block_trains_nothing(length: int, count: int, gap: int) -> None:
     rule = ProtocolRule(folds=FoldRule(count=count, gap=gap), past_inputs=2, past_outputs=2)
     plain = ProtocolRule(folds=FoldRule(count=count), past_inputs=2, past_outputs=2)
     folds = make_folds([record(length)], rule)

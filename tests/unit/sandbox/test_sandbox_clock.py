@@ -109,7 +109,7 @@ def test_what_jax_compiles_is_known(worker: Callable[..., Worker], case: Case) -
 @pytest.mark.parametrize(
     "answer", ["b''", "b'x' * 10_000_000", "b'\\xff' * 48", "None", "time.sleep(30)"]
 )
-def test_a_worker_that_lies_about_its_times_has_told_nothing(
+def test_a_worker_that_lies_about_its_times_is_ignored(
     worker: Callable[..., Worker], case: Case, answer: str
 ) -> None:
     with worker() as one:

@@ -115,7 +115,7 @@ def _waits(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSEGV", "SIGTERM"])
-def test_a_keeper_ends_as_its_worker_did(worker, case, level, name):
+def test_a_supervisor_ends_like_its_worker(worker, case, level, name):
     if level is not Isolation.PROCESS:
         pytest.skip("a keeper stands above workers of level process alone")
     with worker() as one, pytest.raises((CandidateError, WorkerKilledError)):

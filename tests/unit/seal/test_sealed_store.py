@@ -163,7 +163,7 @@ def test_a_moved_store_is_no_difference_and_another_one_is(make: Make, tmp_path:
 
 
 @pytest.mark.parametrize("place", ["head", "payload", "cut", "other key", "no store", "text"])
-def test_a_damaged_store_or_key_is_told(make: Make, place: str) -> None:
+def test_a_damaged_store_or_key_is_reported(make: Make, place: str) -> None:
     made = make()
     assert made.store is not None
     assert made.key is not None
@@ -273,7 +273,7 @@ def test_what_cannot_be_moved(make: Make, files: tuple[Path, Path], tmp_path: Pa
     assert not (tmp_path / "mine").exists()
 
 
-def test_other_copies_are_told(make: Make, files: tuple[Path, Path]) -> None:
+def test_other_copies_are_reported(make: Make, files: tuple[Path, Path]) -> None:
     os.link(files[1], files[1].with_name("copy.csv"))
     (files[1].parent / ".git").mkdir()
     made = make()

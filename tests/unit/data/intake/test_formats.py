@@ -155,7 +155,7 @@ def test_every_format_gives_the_same_digest(
 
 
 @pytest.mark.parametrize("kind", [k for k in FORMATS if k.suffixes[0] != ".csv"])
-def test_a_file_that_is_not_what_its_name_says_is_refused(tmp_path: Path, kind: Any) -> None:
+def test_a_file_with_a_wrong_suffix_is_refused(tmp_path: Path, kind: Any) -> None:
     path = tmp_path / f"log{kind.suffixes[0]}"
     path.write_bytes(b"this is a note, not a measurement")
     with pytest.raises(UserError, match="does not read as") as caught:

@@ -173,7 +173,7 @@ def test_a_gap_cuts(tmp_path: Path) -> None:
     assert any("1 gap in time" in note for note in found.notes)
 
 
-def test_missing_inputs_cut_and_short_pieces_go(tmp_path: Path) -> None:
+def test_missing_inputs_cut_and_short_segments_are_dropped(tmp_path: Path) -> None:
     lines = table().split("\n")
     lines[4], lines[31] = "0.75,,1.0", "7.5,NaN,1.0"
     path = write(tmp_path, "\n".join(lines))

@@ -213,7 +213,7 @@ def test_the_gain_of_the_data_is_drawn_where_it_is_clear(random: np.random.Gener
     noisy = slow + 0.05 * random.standard_normal(SAMPLES)
     check = check_frequency_response(simulations(slow, noisy, u), ())
     assert check.curves[0].name == "valve to level, data, coherence above 0.5"
-    assert "within chance" in check.sentence
+    assert "agrees with the data within statistical error" in check.sentence
     clear = check_frequency_response(simulations(y_hat, y_hat, u), ())
     assert 0 < len(check.curves[0].x) < len(clear.curves[0].x)
 
