@@ -191,7 +191,7 @@ def test_a_candidate_that_really_is_better_counts_as_through():
 
 
 @needs_level
-def test_what_is_left_behind_counts_as_through(monkeypatch):
+def test_traces_count_as_success(monkeypatch):
     monkeypatch.setattr(Traces, "survivors", lambda self: ("process 1",))
     finding = attack_candidate(CANDIDATES[0], ONE_LEVEL)
     assert finding.verdict is AttackVerdict.THROUGH

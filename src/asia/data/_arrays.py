@@ -81,7 +81,7 @@ def read_arrays(
     ]
     if not parts:
         return Intake(())
-    if sampling_time is None and all(p.stamps is None or len(p.stamps) < 3 for p in parts):
+    if sampling_time is None and all(p.timestamps is None or len(p.timestamps) < 3 for p in parts):
         raise UserError("the sampling time is not known: give sampling_time=..., in seconds")
     return make_records(parts, use, sampling_time, least, _IGNORE_INDEX)
 
@@ -107,11 +107,11 @@ def _part(
     own = [found for v in (u, y) if (found := _time_index(v, where)) is not None]
     if len(own) == 2:
         _check_same_times(own[0], own[1])
-    stamps = _seconds(own[0]) if own else None
-    if stamps is not None and not np.isfinite(stamps).all():
-        rows = np.isfinite(stamps)
-        us, ys, stamps = us[rows], ys[rows], stamps[rows]
-    return SheetPart(name, us, ys, stamps, None, where, 1, is_file=True)
+    timestamps = _seconds(own[0]) if own else None
+    if timestamps is not None and not np.isfinite(timestamps).all():
+        rows = np.isfinite(timestamps)
+        us, ys, timestamps = us[rows], ys[rows], timestamps[rows]
+    return SheetPart(name, us, ys, timestamps, None, where, 1, is_file=True)
 
 
 def _time_index(values: Any, where: str) -> Sheet | None:
@@ -145,8 +145,8 @@ def _check_same_times(u: Sheet, y: Sheet) -> None:
     if kinds[0] != kinds[1]:
         raise UserError(f"{where}: one of u and y has dates as its index, the other has numbers")
     both = replace(first_column, cells=np.concatenate(cells))
-    stamps = _seconds(replace(u, columns={name: both}))
-    first, second = stamps[: len(cells[0])], stamps[len(cells[0]) :]
+    timestamps = _seconds(replace(u, columns={name: both}))
+    first, second = timestamps[: len(cells[0])], timestamps[len(cells[0]) :]
     step = float(np.median(np.diff(first))) if len(first) > 1 else 1.0
     apart = np.abs(second - first)
     if np.nanmax(apart) > JITTER * abs(step):

@@ -142,7 +142,7 @@ class Problem:
         signals = name_signals(inputs, us[0], "u"), name_signals(outputs, ys[0], "y")
         # The module makes problems: imported above, it would close a circle.
         arrays = import_module("asia.problem.new.arrays")
-        least = arrays.least_piece(protocol)
+        least = arrays.least_segment(protocol)
         train = read_arrays(us, ys, *signals, sampling_time, "train", "train", least)
         step = train.records[0].sampling_time
         test = read_arrays(test_us, test_ys, *signals, step, "test", "test")

@@ -39,7 +39,7 @@ def several(agent: Agent, seen: AgentView, count: int = 5) -> list[Proposal]:
 
 
 @pytest.mark.parametrize("make", [ExpertAgent, RandomAgent, BayesAgent])
-def test_what_runs_is_not_proposed_again(make: type) -> None:
+def test_running_candidates_are_not_proposed_again(make: type) -> None:
     found = several(make(), view(simulation(physics=True), (), "explore"))
     assert len({source_digest(p.source) for p in found}) == 5
     if make is ExpertAgent:

@@ -118,7 +118,7 @@ def test_the_linear_reference_counts_as_a_trial_next_to_a_grey_box() -> None:
     assert Allocation.of(close).objection("greybox")
 
 
-def test_where_only_two_families_apply_the_rule_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rule_is_relaxed_when_only_two_families_apply(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [row for row in families(simulation(physics=False)) if row.name in ("nl_lfr", "esn")]
     monkeypatch.setattr(agent, "families", lambda facts: rows)
     trials = search(ExpertAgent, simulation(physics=False), 10, better_each_time("nl_lfr"))

@@ -113,7 +113,7 @@ def test_overfit_and_plateau_are_read_from_the_training_side() -> None:
     assert plateau_share(known) < 0.02
 
 
-def test_of_two_moves_alike_the_one_with_the_cheaper_fit_is_made_first(
+def test_the_cheaper_one_of_two_equal_moves_is_made_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     known = simulation(physics=False)

@@ -44,7 +44,7 @@ def test_a_fence_inside_a_longer_one_belongs_to_the_source() -> None:
         (f"```python\n{GOOD}", "no closing fence"),
     ],
 )
-def test_what_cannot_be_read(text: str, wrong: str) -> None:
+def test_malformed_replies_are_refused(text: str, wrong: str) -> None:
     with pytest.raises(MalformedReplyError, match=wrong):
         read_reply(text)
 

@@ -129,7 +129,7 @@ def test_a_model_that_fails_only_from_later_starts_is_detected():
 
 
 @pytest.mark.parametrize("reason", [Reason.SIMULATE_TIMEOUT, Reason.MEMORY])
-def test_what_the_machine_had_a_part_in_is_no_suspicion(reason):
+def test_failures_caused_by_the_machine_are_no_suspicion(reason):
     with pytest.raises(CandidateError) as caught:
         kinds(FailingLate(reason))
     assert caught.value.reason is reason
@@ -330,7 +330,7 @@ def test_the_same_checks_twice_say_the_same():
     assert all(s.figure > 0 for s in first)
 
 
-def test_nobody_knows_which_windows_are_checked():
+def test_the_checked_windows_are_unpredictable():
     held_out = fold(10)
     requests = held_out_requests(held_out.validation, 10)
     assert len(requests) > 9

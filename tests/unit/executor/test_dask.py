@@ -67,7 +67,7 @@ def go(
     return search(ready, agent, on_event, lambda view: None, executor)
 
 
-def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_parts_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UserError, match="expected dask://HOST:PORT"):
         make_executor("dask")
     monkeypatch.setattr("asia.executor.dask.importlib.util.find_spec", lambda name: None)

@@ -57,7 +57,7 @@ def test_each_fault_is_said_once(tanks: Problem) -> None:
         assert said in doubt
 
 
-def test_what_a_logger_writes_in_place_of_a_value_is_said(tanks: Problem) -> None:
+def test_logger_codes_of_missing_values_are_reported(tanks: Problem) -> None:
     u, y = clean(2)
     coded, held, stuck = u.copy(), y.copy(), y.copy()
     coded[400] = -9999.0

@@ -166,7 +166,7 @@ def test_a_directory_with_other_files_is_not_changed(tmp_path: Path) -> None:
         ({"budget": {"memory_mb": 1}}, "JAX cannot start"),
     ],
 )
-def test_what_does_not_make_a_problem(
+def test_invalid_problems_are_refused(
     tmp_path: Path, changes: dict[str, Any], expected: str
 ) -> None:
     with pytest.raises(UserError, match=expected):

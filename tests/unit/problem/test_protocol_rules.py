@@ -163,7 +163,7 @@ def test_check_lists_held_out_samples(write: Callable[[str], Path]) -> None:
         (("horizons = [5, 20]", "skip = 3"), "every sample of a window counts"),
     ],
 )
-def test_what_does_not_fit_together_is_one_sentence(
+def test_inconsistent_data_are_refused_in_one_sentence(
     write: Callable[[str], Path], change: tuple[str, str], expected: str
 ) -> None:
     toml = WINDOWS.replace(*change)

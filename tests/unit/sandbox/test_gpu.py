@@ -112,9 +112,7 @@ def test_jax_reports_its_device(level: Isolation, case: Case) -> None:
         assert worker.device() == "cpu cpu"
 
 
-def test_what_a_candidate_says_of_its_device_is_short_and_harmless(
-    level: Isolation, case: Case
-) -> None:
+def test_the_reported_device_is_short_and_harmless(level: Isolation, case: Case) -> None:
     liar = """
 import sys, types
 class Device:

@@ -72,7 +72,7 @@ def test_no_word_of_a_worker_changes_the_sum(word: bytes) -> None:
     assert sum(parts) == pytest.approx(18.0)
 
 
-def test_what_compiles_inside_a_trace_counts_once() -> None:
+def test_compilation_inside_a_trace_counts_once() -> None:
     meter = Meter()
     meter.request = "fit"
     meter.heard("/jax/core/compile/backend_compile_duration", 0.0)
@@ -99,7 +99,7 @@ def test_the_parent_measures_a_worker(
     assert Activity.COMPILE not in spent
 
 
-def test_what_jax_compiles_is_known(worker: Callable[..., Worker], case: Case) -> None:
+def test_compilation_by_jax_is_measured(worker: Callable[..., Worker], case: Case) -> None:
     with worker() as one:
         one.fit(COMPILES, case.trajectories, case.context)
         one.count_compiling()

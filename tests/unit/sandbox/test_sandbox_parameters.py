@@ -171,6 +171,6 @@ def test_estimates_come_back_as_they_were_packed():
         pack_estimates(estimates(1)).replace(np.float64(1.0).tobytes(), b"\xff" * 8, 1),
     ],
 )
-def test_what_is_no_table_of_estimates_is_refused(body):
+def test_an_invalid_table_of_estimates_is_refused(body):
     with pytest.raises(ValueError, match=r"estimates|parameter"):
         unpack_estimates(body)

@@ -113,7 +113,7 @@ def test_an_uncaught_refusal_fails_the_fit_with_its_message(worker, case):
          Reason.MODEL_SIZE, "1 MB"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_scored_fails_the_candidate(worker, case, body, reason, words):
+def test_an_output_that_cannot_be_scored_fails_the_candidate(worker, case, body, reason, words):
     answers = Answers()
     with worker(model_mb=1) as one, pytest.raises(CandidateError) as caught:
         one.fit(asking(body), case.trajectories, case.context, answers)

@@ -259,7 +259,9 @@ def test_a_key_that_cannot_be_written(make: Make, files: tuple[Path, Path], keys
     assert files[1].exists()
 
 
-def test_what_cannot_be_moved(make: Make, files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_files_that_cannot_be_moved_are_refused(
+    make: Make, files: tuple[Path, Path], tmp_path: Path
+) -> None:
     link = tmp_path / "link.csv"
     link.symlink_to(files[1])
     for test, expected in (
@@ -307,7 +309,7 @@ def test_files_of_one_name_keep_apart(make: Make, files: tuple[Path, Path], tmp_
         ({"XDG_CONFIG_HOME": "not/absolute", "HOME": "/c"}, "/c/.config/asia/keys"),
     ],
 )
-def test_where_keys_are(
+def test_folder_of_keys(
     monkeypatch: pytest.MonkeyPatch, environment: dict[str, str], expected: str
 ) -> None:
     for name in ("ASIA_KEYS", "XDG_CONFIG_HOME"):

@@ -200,7 +200,7 @@ def _of_records(records: Sequence[Trajectory], output: int) -> FrequencyResponse
     longest = min(max(len(r) for r in records), _MOST_SAMPLES)
     # Records much shorter than the others tell nothing of their frequencies.
     length = min([len(r) for r in records if 2 * len(r) >= longest] + [longest])
-    pieces = [r for r in records if len(r) >= length][:_MOST_RECORDS]
+    segments = [r for r in records if len(r) >= length][:_MOST_RECORDS]
     terms = (_DEGREE + 1) * (nu + 1)
     reach = terms // 2 + 3
     if length < 8 * reach:
@@ -209,7 +209,7 @@ def _of_records(records: Sequence[Trajectory], output: int) -> FrequencyResponse
     gains: list[Spectrum] = []
     powers: list[Array] = []
     rests: list[Array] = []
-    for r in pieces:
+    for r in segments:
         u = scale * np.fft.rfft(r.u[:length] - r.u[:length].mean(axis=0), axis=0)[lines]
         y = scale * np.fft.rfft(r.y[:length, output] - r.y[:length, output].mean())[lines]
         gain, rest = _local_fit(u, y, reach)

@@ -18,9 +18,9 @@ from asia.data.intake.grid import (
     between,
     clock,
     held,
-    pieces,
     places,
     runs,
+    segments,
 )
 from asia.data.intake.part import SheetPart, expanded, parts, units
 from asia.data.intake.sheet import Sheet, Wanted
@@ -147,28 +147,32 @@ def as_written(sheet: Sheet, wanted: Wanted, sampling_time: float) -> Trajectory
 
 def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
     """Return the part in increasing time; reverse it where time decreases from row to row."""
-    if part.stamps is None or len(part.stamps) < 3 or not (np.diff(part.stamps) <= 0).all():
+    if (
+        part.timestamps is None
+        or len(part.timestamps) < 3
+        or not (np.diff(part.timestamps) <= 0).all()
+    ):
         return part
     notes.append(f"{part.where}: the newest row came first, the order was turned round")
     back = slice(None, None, -1)
-    return replace(part, u=part.u[back], y=part.y[back], stamps=part.stamps[back])
+    return replace(part, u=part.u[back], y=part.y[back], timestamps=part.timestamps[back])
 
 
 def _stretches(part: SheetPart, ignore: str) -> list[_Timed]:
-    if part.stamps is None:
+    if part.timestamps is None:
         return [_Timed(part, None)]
-    found = runs(part.stamps, part.where, part.first_line, ignore)
-    return [_Timed(cut, clock(_stamps(cut))) for cut in (_cut(part, rows) for rows in found)]
+    found = runs(part.timestamps, part.where, part.first_line, ignore)
+    return [_Timed(cut, clock(_timestamps(cut))) for cut in (_cut(part, rows) for rows in found)]
 
 
 def _cut(part: SheetPart, rows: slice) -> SheetPart:
-    stamps = None if part.stamps is None else part.stamps[rows]
+    timestamps = None if part.timestamps is None else part.timestamps[rows]
     line = part.first_line + rows.start
-    return replace(part, u=part.u[rows], y=part.y[rows], stamps=stamps, first_line=line)
+    return replace(part, u=part.u[rows], y=part.y[rows], timestamps=timestamps, first_line=line)
 
 
-def _stamps(part: SheetPart) -> Array:
-    return np.zeros(0) if part.stamps is None else part.stamps
+def _timestamps(part: SheetPart) -> Array:
+    return np.zeros(0) if part.timestamps is None else part.timestamps
 
 
 def _own_step(one: _Timed) -> float | None:
@@ -222,7 +226,7 @@ def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) 
     else:
         if one.clock.coarse and one.clock.jitter > _EXACT:
             notes.append(f"{part.where}: stamps rounded to coarse steps lie on a grid")
-        cuts = pieces(places(_stamps(part), own))
+        cuts = segments(places(_timestamps(part), own))
         if len(cuts) > 1:
             notes.append(f"{part.where}: {_many(len(cuts) - 1, 'gap')} in time")
         whole = [_cut(part, rows) for rows in cuts]
@@ -251,8 +255,8 @@ def _other_rate(
         return [_decimated(part, count) for part in whole if len(part.u) >= count]
     made: list[SheetPart] = []
     for part in whole:
-        stamps = np.arange(len(part.u), dtype=np.float64) * own
-        timed = SheetPart(part.name, part.u, part.y, stamps, own, part.where, part.first_line)
+        timestamps = np.arange(len(part.u), dtype=np.float64) * own
+        timed = SheetPart(part.name, part.u, part.y, timestamps, own, part.where, part.first_line)
         made += _resampled(timed, Clock(own, 0.0), step, use, notes, ignore)
     return made
 
@@ -283,13 +287,13 @@ def _resampled(
         f"{part.where}: {reason}; resampled to {step:g} s: inputs held, outputs on straight lines "
         "between their neighbours"
     )
-    stamps = _stamps(part)
-    breaks = (np.flatnonzero(np.diff(stamps) > _GAP * max(found.step, step)) + 1).tolist()
+    timestamps = _timestamps(part)
+    breaks = (np.flatnonzero(np.diff(timestamps) > _GAP * max(found.step, step)) + 1).tolist()
     if breaks:
         notes.append(f"{part.where}: {_many(len(breaks), 'gap')} in time")
     made: list[SheetPart] = []
-    for a, b in zip([0, *breaks], [*breaks, len(stamps)], strict=True):
-        own = stamps[a:b]
+    for a, b in zip([0, *breaks], [*breaks, len(timestamps)], strict=True):
+        own = timestamps[a:b]
         at = own[0] + step * np.arange(int((own[-1] - own[0]) / step + 1e-9) + 1)
         u, y = held(own, part.u[a:b], at), between(own, part.y[a:b], at)
         made.append(SheetPart(part.name, u, y, None, None, part.where, part.first_line + a))
@@ -301,16 +305,16 @@ def _without_missing(part: SheetPart, notes: list[str]) -> list[SheetPart]:
     at either end."""
     good = np.isfinite(part.u).all(axis=1)
     if good.all():
-        return _measured_stretch(part, notes)
+        return _measured_segment(part, notes)
     notes.append(f"{part.where}: cut where inputs are missing ({int((~good).sum())} samples)")
     rows = np.flatnonzero(good).astype(np.int64)
     if not rows.size:
         return []
-    stretches = (slice(int(rows[s.start]), int(rows[s.stop - 1]) + 1) for s in pieces(rows))
-    return [one for rows in stretches for one in _measured_stretch(_cut(part, rows), notes)]
+    spans = (slice(int(rows[s.start]), int(rows[s.stop - 1]) + 1) for s in segments(rows))
+    return [one for rows in spans for one in _measured_segment(_cut(part, rows), notes)]
 
 
-def _measured_stretch(part: SheetPart, notes: list[str]) -> list[SheetPart]:
+def _measured_segment(part: SheetPart, notes: list[str]) -> list[SheetPart]:
     """Cut the part to the samples between the first and the last with measured outputs.
 
     Samples with all outputs measured are the limits where there are any. Returns [] where an output

@@ -81,7 +81,7 @@ def save_problem(given: ArrayProblem, directory: Path) -> Problem:
     return load_problem(directory)
 
 
-def least_piece(protocol: ProtocolRule | Table | None) -> int:
+def least_segment(protocol: ProtocolRule | Table | None) -> int:
     """Samples of the shortest piece of a record that the folds can divide; 1 where the protocol is
     wrong, which loading the problem tells."""
     if protocol is None or isinstance(protocol, ProtocolRule):

@@ -110,7 +110,7 @@ def test_a_candidates_failure_comes_back_with_its_words(problem: Problem) -> Non
 @pytest.mark.parametrize(
     "spoil", [lambda r: r[:-8], lambda r: b"", lambda r: r.replace(b'"train"', b'"trein"')]
 )
-def test_what_is_no_answer_is_no_result(problem: Problem, spoil: Callable[[bytes], bytes]) -> None:
+def test_an_invalid_answer_is_no_result(problem: Problem, spoil: Callable[[bytes], bytes]) -> None:
     with pytest.raises(SandboxError, match="what is no answer"):
         evaluator(problem, Loopback(spoil)).evaluate(arx(1))
 

@@ -86,7 +86,7 @@ def test_a_sound_model_under_coloured_noise_passes(random: np.random.Generator) 
     ],
     ids=["delay", "lag", "saturation", "drift", "friction", "sign"],
 )
-def test_what_the_model_lacks_is_named_first(defect, cause, random) -> None:
+def test_the_missing_dynamics_are_named_first(defect, cause, random) -> None:
     u = held_steps(random)
     y_hat = signal.lfilter(B, A, u)
     y = defect(y_hat, np.arange(SAMPLES)) + 0.02 * random.standard_normal(SAMPLES)
@@ -106,7 +106,7 @@ def test_the_sentence_names_input_output_and_lags(random: np.random.Generator) -
     assert "the residual of level follows valve at lag 5" in check.sentence
 
 
-def test_what_is_too_small_to_matter_passes(random: np.random.Generator) -> None:
+def test_a_negligible_effect_passes(random: np.random.Generator) -> None:
     u = held_steps(random)
     y_hat = signal.lfilter(B, A, u)
     late = np.concatenate([np.zeros(1), u[:-1]])

@@ -110,7 +110,7 @@ def _as_polynomials(at: Situation) -> Recipe:
     return recipe.without("hidden")
 
 
-def _pieces_weight(at: Situation) -> float:
+def _segments_weight(at: Situation) -> float:
     """Return a weight above that of any ridge: in a local minimum V exceeds the training error as
     well."""
     if at.facts.horizon is not None or at.recipe.get("pieces"):
@@ -284,7 +284,7 @@ CARD = Card(
         *integrator_moves(),
         _CARRIED,
         *_ELEMENTS,
-        from_pieces(_pieces_weight, past_fit=True),
+        from_pieces(_segments_weight, past_fit=True),
         Move(
             name="polynomials",
             weight=_polynomial_weight,

@@ -39,10 +39,10 @@ class Tdms(FileFormat):
 
 def _tdms_column(channel: Any) -> Column:
     unit = str(channel.properties.get("unit_string", ""))
-    stamps = None
+    timestamps = None
     if "wf_increment" in channel.properties:
-        stamps = np.asarray(channel.time_track(), dtype=np.float64)
-    return Column(np.asarray(channel[:]), unit, stamps)
+        timestamps = np.asarray(channel.time_track(), dtype=np.float64)
+    return Column(np.asarray(channel[:]), unit, timestamps)
 
 
 class Mdf(FileFormat):
