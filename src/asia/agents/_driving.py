@@ -9,7 +9,7 @@ from asia.ledger import Event, Exchanged, StopReason
 
 
 class InterruptedWaitError(Exception):
-    """Raised by an agent that waits, when the search has something else to do first; it is asked
+    """Error of an agent that waits, when the search has another task first; the agent is called
     again."""
 
 

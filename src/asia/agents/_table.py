@@ -36,7 +36,7 @@ class AgentRow:
     help: str
     """Description in one line."""
     make: Callable[[], Agent] | None = None
-    """Makes it; None where it needs more than its name: a server, or somebody who proposes."""
+    """Factory; None where an agent needs more than its name: a server, or a submitter."""
     packages: tuple[str, ...] = ()
     """Packages whose versions its proposals depend on."""
 
@@ -140,8 +140,13 @@ def make_agent(name: str, space: str | None = None) -> Agent:
 
 
 def recorded_agent(name: str, settings: Mapping[str, str]) -> Agent | None:
-    """The agent of a ledger, to be asked again; None where somebody else proposed. A language model
-    answers from the ledger. Raises UserError when the class of the agent cannot be imported now."""
+    """Return the agent of a ledger for a resumed search; None for an external proposer.
+
+    A language model answers from the ledger.
+
+    Raises:
+        UserError: when the class of the agent cannot be imported now
+    """
     if name == "llm":
         return LlmAgent(LlmSettings.from_record(settings), network=False)
     if _CLASS in settings and name not in RESERVED:

@@ -29,7 +29,7 @@ class Effort:
 @dataclass(frozen=True)
 class Facts:
     """Public facts about the problem. `records` are the training trajectories; in cross-validation
-    each is some fold's answer, which no agent needs to abuse.
+    each contains the held-out outputs of some fold.
 
     past_inputs, past_outputs: samples in the past window; horizon: samples of one window, None
     where whole records are simulated; notes, strategies: notes from the literature and suggested
@@ -116,7 +116,7 @@ class Trial:
 
     @property
     def improved(self) -> bool:
-        """Whether it was the best so far: its method by more than luck, or its own fit."""
+        """Whether it was the best so far, by significance or by its own fit."""
         return self.status == "keep" or self.lowest
 
     @property

@@ -19,8 +19,13 @@ _BACK, _LARGEST = 20, 3.48
 
 @dataclass(frozen=True)
 class FoundDelay:
-    """lag: samples until the output answers, 0 for a direct feed-through; None where it never
-    leaves the band. correlation: (lags,) from 0 on; band: its 99 % band without any effect."""
+    """Delay from an input to an output.
+
+    Attributes:
+        lag: samples until the output responds, 0 for a direct feed-through; None where it never
+            leaves the band. correlation: (lags,) from 0 on; band: its 99 % band without any
+            effect.
+    """
 
     lag: int | None
     correlation: Array

@@ -106,7 +106,7 @@ class Preprocess:
         return (y[:: self.decimate] - self._offsets(signals)) / self._scales(signals)
 
     def back(self, y: Array, signals: Sequence[Signal], samples: int) -> Array:
-        """Outputs that a model gives -> (samples, ny) in physical units; on straight lines between
+        """Convert simulated outputs -> (samples, ny) in physical units; on straight lines between
         the samples that were kept, and held after the last."""
         if not self:
             return y

@@ -146,7 +146,11 @@ def read_seal(path: Path) -> SealHead:
 
 
 def find_key(path: Path, head: SealHead, keys: Path) -> None:
-    """Raise UserError, which says how to mend it, when the key of a store cannot be used."""
+    """Check that the key of a store can be used.
+
+    Raises:
+        UserError: with the remedy, when it cannot
+    """
     _fernet(head, path, keys)
 
 

@@ -148,9 +148,13 @@ class Evaluator(WorkerRunner):
         return Evaluation(combine([f.score for f in folds]), folds, ends[0].output, calls)
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
-        same as the worker that fitted it, and answers like a model (see `suspicions`), and unless V
-        stays where it is far below the training error."""
+        """Check the models of a candidate in fresh workers.
+
+        Returns:
+            a Failure unless each model simulates bitwise the same as in the worker that fitted
+                it, keeps the relations of `suspicions`, and keeps V where it is far below the
+                training error
+        """
         found = self.objection_to_answers(source, folds)
         return self.objection_to_consistency(source, folds) if found is None else found
 
@@ -169,8 +173,8 @@ class Evaluator(WorkerRunner):
             return Failure(error.reason, error.detail)
 
     def objection_to_consistency(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """The part of `objection` with fits one after the other: no worker of the same candidate
-        may run beside it."""
+        """The part of `objection` with fits one after the other: no other worker of the same
+        candidate may run meanwhile."""
         if SuspicionKind.CONSISTENCY in self._without:
             return None
 

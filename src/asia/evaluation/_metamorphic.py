@@ -1,7 +1,7 @@
-"""Metamorphic checks: relations that hold between the answers of any model of a dynamical system.
+"""Metamorphic checks: relations that hold between simulations of any model of a dynamical system.
 
-A lookup table answers the cases it was made for and fails on cases close to them. Relations between
-answers need no threshold on how good a model may be (Chen et al., ACM Computing Surveys 51(1),
+A lookup table reproduces its own cases and fails on cases close to them. Relations between
+simulations need no threshold on how good a model may be (Chen et al., ACM Computing Surveys 51(1),
 2018).
 """
 
@@ -220,8 +220,8 @@ class _Inquiry:
         return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]
 
     def _prefixes(self) -> Iterator[tuple[RequestCheck, int]]:
-        """Requests and lengths: the same three for all, at which a model compiles; then others, as
-        many as a model that does not compile answers in a second."""
+        """Yield requests and lengths: the same three lengths for all, for which a model compiles;
+        then as many others as a model without compilation simulates in a second."""
         checks = [check for check in self.checks if check.lengths(self.fractions) is not None]
         for place in range(max(len(checks), len(self.fractions)) if checks else 0):
             check = checks[place % len(checks)]

@@ -19,7 +19,7 @@ LARGEST_SCORE = 100.0
 
 @dataclass
 class Oracle:
-    """Answers `context.validation_score` of one fit of `source` on `fold`; use it as a context
+    """Server of `context.validation_score` of one fit of `source` on `fold`; use it as a context
     manager.
 
     Models are simulated in a worker of their own, opened for the first of them and kept for all:

@@ -1,4 +1,4 @@
-"""The relations between the answers of one model, each on one request."""
+"""Relations between the simulations of one model, each on one request."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Suspicion:
 
 @dataclass(frozen=True)
 class Continuation:
-    """Answers to starts inside a block, from simulated outputs, that end with it; None where not
+    """Simulations continued inside a block from simulated outputs up to its end; None where not
     finite."""
 
     beginning: Array | None
@@ -77,7 +77,7 @@ class RequestCheck:
     simulator: CaseSimulator
     """Simulator under test."""
     batch: CaseBatch
-    """The request and its scored answer."""
+    """Request with its scored outputs."""
     scale: Array
     """Standard deviations of the outputs, (ny,)."""
     random: np.random.Generator
@@ -85,13 +85,13 @@ class RequestCheck:
 
     @cached_property
     def nearby(self) -> tuple[Array | None, Array | None]:
-        """The answers to inputs and past moved by 1e-6, there and back."""
+        """Simulate with inputs and past changed by 1e-6, in both directions."""
         moved = self.batch.moved(TINY, self.scale, self.random)
         return self.ask(next(moved)), self.ask(next(moved))
 
     def perturbation(self) -> Suspicion | None:
-        """Answers to two cases close to the scored one must lie about as near to its answer as to
-        each other, and none may jump from the first sample on: chaos needs time to grow."""
+        """Test continuity: two perturbed simulations must be about as near to the scored one as to
+        each other, and none may jump from the first sample on, because chaos needs time to grow."""
         first, second = self.nearby
         if first is None or second is None:
             words = "changing the inputs by 1e-6 makes the simulation diverge"
@@ -126,14 +126,17 @@ class RequestCheck:
         return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
 
     def begins_with(self, answer: Array) -> bool:
-        """Return whether this is the start of the scored answer: then `causality` has no
+        """Return whether this is the start of the scored outputs: then `causality` has no
         objection."""
         whole = self.batch.y_hat[:, : answer.shape[1]]
         return float(self._apart(answer, whole).max(initial=0.0)) <= _SAME
 
     def causality(self, length: int, answer: Array | None) -> Suspicion | None:
-        """answer: that to the first `length` inputs alone, which must be the start of the answer
-        to all of them. It says nothing where 1e-6 of the inputs moves it as much."""
+        """Test causality on the first `length` inputs alone, whose outputs must be the start of the
+        outputs for all inputs.
+
+        The test is void where a change of the inputs by 1e-6 has an effect of the same size.
+        """
         change = np.inf
         if answer is not None:
             change = self._beyond_rounding(answer, self.batch.y_hat[:, :length])
@@ -199,7 +202,7 @@ class RequestCheck:
         return float(apart.max(initial=0.0))
 
     def replay(self) -> Suspicion | None:
-        """The answer to a case does not depend on the requests before it."""
+        """Test that the outputs of a case do not depend on earlier requests."""
         answer = self.ask(self.batch)
         change = np.inf if answer is None else float(self._apart(answer, self.batch.y_hat).max())
         if change <= _SAME:
@@ -240,7 +243,7 @@ class RequestCheck:
         return short, middle, long
 
     def ask(self, batch: CaseBatch) -> Array | None:
-        """The answer; None where it is not finite."""
+        """Simulate a request; None where the outputs are not finite."""
         try:
             answer = self.simulator.simulate(batch.past_u, batch.past_y, batch.u)
         except CandidateError as error:

@@ -26,10 +26,16 @@ class CaseSimulator(Protocol):
 def simulate_held_out(
     worker: CaseSimulator, blocks: Sequence[Block], horizon: int | None
 ) -> tuple[Array, ...]:
-    """Simulated outputs (H, ny) of blocks whose outputs are kept back, in the order of `blocks`.
+    """Simulate held-out blocks whose outputs the evaluator keeps.
 
-    A later past window is an earlier block's answer. Whole blocks go one a request, in time order;
-    windows as `time_order` groups them. Raises CandidateError.
+    A later past window would reveal an earlier block's outputs. Whole blocks go one a request, in
+    time order; windows are grouped as in `time_order`.
+
+    Returns:
+        outputs (H, ny) in the order of `blocks`
+
+    Raises:
+        CandidateError: when the worker fails
     """
     requests = held_out_requests(blocks, horizon)
     found = simulate_requests(worker, blocks, requests, largest(requests))
@@ -115,8 +121,16 @@ def time_order(records: Sequence[int]) -> list[list[int]]:
 def simulate_requests(
     worker: CaseSimulator, blocks: Sequence[Block], requests: Sequence[Sequence[int]], rows: int
 ) -> dict[int, Array]:
-    """Simulated outputs (H, ny) of the blocks that are asked for. Requests with fewer than `rows`
-    cases repeat their first one, so that a model compiles once. Raises CandidateError."""
+    """Simulate the requested blocks.
+
+    Requests with fewer than `rows` cases repeat their first one, so that a model compiles once.
+
+    Returns:
+        outputs (H, ny)
+
+    Raises:
+        CandidateError: when the worker fails
+    """
     found: dict[int, Array] = {}
     for request in requests:
         cases = [blocks[i].case for i in (*request, *[request[0]] * (rows - len(request)))]

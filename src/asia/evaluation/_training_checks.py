@@ -43,8 +43,13 @@ class TrainingCheck:
 def training_checks(
     blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array, context: Context
 ) -> tuple[TrainingCheck, ...]:
-    """Those that do not pass, the one that matters most first; y_hat: (H, ny) a block. Checks that
-    need further answers of the model are not among them. () of records that are too short."""
+    """Run the checks and return those that do not pass, the most important first.
+
+    Checks that need further simulations are left out. () for records that are too short.
+
+    Args:
+        y_hat: (H, ny) a block
+    """
     chosen = _spread(blocks, y_hat)
     if sum(len(y) for _, y in chosen) < _FEWEST_SAMPLES:
         return ()

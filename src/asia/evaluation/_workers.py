@@ -115,9 +115,15 @@ class WorkerRunner:
             thread.shutdown(wait=False)
 
     def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
-        """Results of the jobs; one whose worker fails for no fault of the candidate is tried once
-        more. Raises CandidateError when somebody ended the worker both times. Several threads may
-        run jobs; workers still open when the last of them ends are those of an interrupted run."""
+        """Run the jobs and return their results; a job whose worker fails through no fault of the
+        candidate is tried once more.
+
+        Several threads may run jobs; workers still open when the last of them ends belong to an
+        interrupted run.
+
+        Raises:
+            CandidateError: when another process ended the worker both times
+        """
         settings = self.settings
 
         def with_settings(job: Callable[[], T]) -> T:

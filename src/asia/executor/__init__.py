@@ -74,12 +74,12 @@ class Carrier(Protocol):
     def ask_each(
         self, describe: Callable[[bytes], bytes], request: bytes
     ) -> dict[str, tuple[bytes, float, float]]:
-        """`describe(request)` of every worker by its name, with the seconds that the answer took
-        and the `time.time()` of the question."""
+        """Call `describe(request)` on every worker; return the results by its name, with their
+        duration in seconds and the `time.time()` of the request."""
         ...
 
     def cancel(self) -> None:
-        """End all that is under way; those who wait get a SandboxError."""
+        """End all running work; its callers get a SandboxError."""
         ...
 
 

@@ -51,13 +51,14 @@ def turn(doubt: Callable[[float], bool], most: float) -> float:
 
 
 def forgetful(score: Score) -> Failure | None:
-    """Answers differently when asked again, whatever it scores."""
+    """Return the failure of a model whose outputs differ when a case is repeated, at any score."""
     del score
     return Failure(Reason.SUSPECT, "replay: the same case simulated again gives another output", 1)
 
 
 def one_start(bound: float) -> Spoil:
-    """Simulates so badly from later starts that the check fails if its own V is below `bound`."""
+    """Return the failure of a model that is so bad from later starts that the check fails if its
+    own V is below `bound`."""
     words = "restart: the simulation is far worse from a later start on the same record"
     failure = Failure(Reason.RESTART, words, 1)
     return lambda score: failure if score.value < bound else None

@@ -227,7 +227,7 @@ def _honest(
 
 
 def _play_searches(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Result]:
-    """Attacks on the search, played once: the walls have no part in them."""
+    """Run the attacks on the search once: the sandbox layers do not affect them."""
     with tempfile.TemporaryDirectory(prefix="asia-redteam-") as folder:
         scene = Scene(Path(folder), level)
         for attack in attacks:

@@ -185,7 +185,7 @@ class Finding:
     number: int
     """The number of the attack."""
     level: str
-    """A level of isolation, `off`, or `any level` where the walls have no part in the attack."""
+    """Isolation level, `off`, or `any level` where the sandbox layers do not affect the attack."""
     verdict: AttackVerdict
     """Verdict on the attack."""
     stops: tuple[str, ...]

@@ -59,7 +59,7 @@ class Limits:
 
 
 class WorkerKilledError(SandboxError):
-    """Somebody else ended the worker; most often the kernel, when memory had run out."""
+    """Error for a worker ended by another process; most often by the kernel without memory."""
 
 
 class ScoreRefusedError(Exception):
@@ -67,8 +67,13 @@ class ScoreRefusedError(Exception):
 
 
 ScoreModel = Callable[[bytes, float], float]
-"""(model as `Worker.dump` gives it, `time.monotonic()` value to answer by) -> its score. Raises
-ScoreRefusedError, and CandidateError where the model makes the candidate fail."""
+"""Function of a model, as `Worker.dump` gives it, and a deadline (`time.monotonic()`) that returns
+its score.
+
+Raises:
+    ScoreRefusedError: when no score is given
+    CandidateError: where the model makes the candidate fail
+"""
 
 
 @dataclass(frozen=True)

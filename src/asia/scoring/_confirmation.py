@@ -106,11 +106,12 @@ def block_values(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metri
 
 
 def paired_difference(one: RepeatedFits, other: RepeatedFits, level: float) -> Interval:
-    """V of one candidate less that of another, with an interval by Student's t.
+    """Return the difference of V of two candidates, with an interval by Student's t.
 
-    Two variances are added: that of the paired differences over the blocks, which tells how much
-    the choice of the held-out samples matters, and over the seeds. Their degrees of freedom are
-    Satterthwaite's. A candidate with one seed is one whose fits do not depend on it."""
+    Two variances are added: that of the paired differences over the blocks, which measures the
+    effect of the choice of the held-out samples, and over the seeds. Their degrees of freedom are
+    Satterthwaite's. A candidate with one seed is one whose fits do not depend on it.
+    """
     gaps = one.blocks.mean(axis=0) - other.blocks.mean(axis=0)
     seeds = _over_seeds(one, other)
     variance, degrees = _sum_of_variances(

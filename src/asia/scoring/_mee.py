@@ -41,7 +41,8 @@ class GroupError:
 
 @dataclass(frozen=True)
 class MeeTable:
-    """A row for each group; `horizons` are the steps that tables show beside the sum."""
+    """Table with a row for each group; `horizons` are the steps that tables show next to the
+    sum."""
 
     horizons: tuple[int, ...]
     groups: tuple[GroupError, ...]

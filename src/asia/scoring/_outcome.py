@@ -102,7 +102,7 @@ class TestScore:
 
 
 def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:
-    """Raise CandidateError unless `y_hat` has the shape and has not run away beyond 1e100."""
+    """Raise CandidateError unless `y_hat` has the shape and is below 1e100 everywhere."""
     if y_hat.shape != shape:
         raise CandidateError(Reason.WRONG_LENGTH, f"expected {shape}, got {y_hat.shape}")
     if not bool((np.abs(y_hat) < DIVERGED).all()):

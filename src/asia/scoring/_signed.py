@@ -209,8 +209,8 @@ class _Records:
         return (last >= 0) & (since < length) & (since <= self.place)
 
     def stretches(self, chosen: Mask, length: int) -> int:
-        """Into how many stretches of `length` samples the chosen ones fall, at least 1: as many of
-        them count as independent where the residual remembers `length` samples."""
+        """Count the segments of `length` samples that the chosen samples fall into, at least 1: as
+        many of them count as independent where the residual has a memory of `length` samples."""
         if self.alone:
             begins = self.place // length
         else:

@@ -116,10 +116,10 @@ def check_sandbox(open_worker: OpenWorker, *, walled: bool = True) -> None:
 
     Checked: fit and simulate give what the candidate computes; a model comes back from its bytes
     bitwise the same in a fresh worker; each failure has its reason, and those of simulate carry no
-    data; deadlines hold; a closed worker answers no more; nothing of the parent's environment is
-    inside; no process, file descriptor or child is left; behind walls, a file of the parent is
-    neither read nor changed, nothing is written, no service is reached, no attribute of a file is
-    set, no process is started, and two workers at a time cannot signal each other by locks on a
+    data; deadlines hold; a closed worker does not reply; nothing of the parent's environment is
+    inside; no process, file descriptor or child is left; inside the sandbox, a file of the parent
+    is neither read nor changed, nothing is written, no service is reached, no attribute of a file
+    is set, no process is started, and two workers at a time cannot signal each other by locks on a
     file or message queues.
     """
     case = _Case()

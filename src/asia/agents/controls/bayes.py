@@ -125,7 +125,7 @@ def _asked(study: Study, facts: Facts, rows: Sequence[Family]) -> tuple[Recipe, 
 
 @dataclass(frozen=True)
 class _Asked:
-    """A trial as the estimator would have asked for it."""
+    """Trial in the estimator's terms."""
 
     params: dict[str, Number]
     """Parameters of the trial in the estimator's terms."""

@@ -64,7 +64,7 @@ class Allocation:
 
     def chances_are_due(self, name: str) -> bool:
         """Return whether other families come before a third experiment with this one. A family with
-        equations goes on without them while it leads at least two others."""
+        equations continues while it leads at least two others."""
         served = sum(count >= _BOTH for count in self.tried.values())
         if self.tried[name] < _BOTH or served >= FAMILIES:
             return False

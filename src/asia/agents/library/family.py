@@ -57,7 +57,7 @@ class Family:
     extendable: bool = False
     """Whether moves can add missing effects, so that it leads although a black box is better."""
     stopped_by_score: frozenset[str] = frozenset()
-    """Methods, beside the gradient methods, that can stop by the score on the held-out part."""
+    """Methods, besides the gradient methods, that can stop by the score on the held-out part."""
     package: str = MODELS
     """The package that candidates import it from."""
 

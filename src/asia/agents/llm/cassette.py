@@ -57,7 +57,7 @@ class Cassette(httpx2.BaseTransport):
         ]
 
     def handle_request(self, request: httpx2.Request) -> httpx2.Response:
-        """The answer, with its body read."""
+        """Return the answer, with its body read."""
         body = self._kept(request.read())
         path = request.url.path
         served = self._serve(path, body)

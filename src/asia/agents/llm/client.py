@@ -45,8 +45,8 @@ class Answer:
 
 
 class ChatClient:
-    """One request at a time, recorded in the journal. network: False answers from the record
-    only."""
+    """Client with one request at a time, recorded in the journal. network: False answers from the
+    record only."""
 
     def __init__(
         self, settings: LlmSettings, journal: Journal, key: str, *, network: bool = True
@@ -68,7 +68,7 @@ class ChatClient:
         )
 
     def begin(self) -> None:
-        """A new proposal: answers paid for already come first."""
+        """Start a new proposal: paid answers come first."""
         self._cassette.rewind()
 
     def ask(self, messages: list[Message]) -> Answer:

@@ -40,7 +40,14 @@ class MalformedReplyError(Exception):
 
 
 def read_reply(text: str, cut: bool = False) -> Reply:
-    """Raise MalformedReplyError. cut: the answer ended at its limit of tokens."""
+    """Parse an answer.
+
+    Args:
+        cut: whether the answer ended at its limit of tokens
+
+    Raises:
+        MalformedReplyError: when it holds no candidate
+    """
     text = _without_thoughts(text)
     prose, blocks, is_open = _split(text)
     if cut or is_open:

@@ -26,13 +26,13 @@ class LlmReport:
     base_url: str
     """Address of the server."""
     steps: int
-    """Candidates that were asked for."""
+    """Requested candidates."""
     answers: int
-    """Answers in all."""
+    """Number of answers."""
     at_once: int
-    """Steps whose first answer could be used."""
+    """Steps with a usable first answer."""
     repaired: int
-    """Steps in which the form of an answer was mended."""
+    """Steps in which the form of an answer was corrected."""
     without_candidate: int
     """Steps without a candidate after all repairs."""
     scored: int
@@ -54,8 +54,8 @@ class LlmReport:
 
     @property
     def verdict(self) -> LlmVerdict:
-        """`able`: every first answer could be used, and most candidates had a score. `not able`:
-        a step brought no candidate, or most candidates had no score."""
+        """Verdict: `able` if every first answer could be used and most candidates had a score; `not
+        able` if a step gave no candidate or most candidates had no score."""
         enough = self.steps > 0 and 2 * self.scored >= self.steps
         if not enough or self.without_candidate:
             return "not able"

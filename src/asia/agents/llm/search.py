@@ -168,7 +168,7 @@ class _Shown:
         yield self._source(trial)
 
     def failed(self, number: int) -> Iterator[str]:
-        """The trial to mend."""
+        """Describe the trial to correct."""
         for trial in self.view.trials:
             if trial.number == number:
                 yield _line(trial)

@@ -41,8 +41,14 @@ class Clock:
 
 
 def runs(timestamps: Array, where: str, first_line: int, ignore: str) -> list[slice]:
-    """Stretches in which time goes on. ignore: how the user can do without the stamps. Raises
-    UserError for stamps that repeat."""
+    """Split the samples where time goes back.
+
+    Args:
+        ignore: advice on reading without the time stamps
+
+    Raises:
+        UserError: for repeated time stamps
+    """
     back = np.flatnonzero(np.diff(timestamps) < 0) + 1
     edges = [0, *back.tolist(), len(timestamps)]
     found = [slice(a, b) for a, b in itertools.pairwise(edges)]
@@ -102,7 +108,7 @@ def places(timestamps: Array, step: float) -> Rows:
 
 
 def segments(index: Rows) -> list[slice]:
-    """Stretches of samples that follow one another on the grid."""
+    """Split samples into segments without gaps on the grid."""
     breaks = np.flatnonzero(np.diff(index) != 1) + 1
     edges = [0, *breaks.tolist(), len(index)]
     return [slice(a, b) for a, b in itertools.pairwise(edges)]

@@ -128,7 +128,7 @@ def _merged(sheet: Sheet, wanted: Wanted) -> SheetPart:
 
 
 def _placed(timestamps: Array, values: Array, at: Array, step: float) -> Array:
-    """The values at the times where they were measured, NaN elsewhere."""
+    """Place values at their measured times, NaN at all others."""
     if not len(at):
         return np.zeros(0)
     near = np.clip(np.searchsorted(timestamps, at), 1, max(len(timestamps) - 1, 1))

@@ -54,7 +54,11 @@ class Intake:
 
 @dataclass(frozen=True)
 class _Timed:
-    """A stretch in which time goes on. clock: None where the file has no usable stamps."""
+    """Part in which time increases.
+
+    Attributes:
+        clock: None where the file has no usable time stamps
+    """
 
     part: SheetPart
     clock: Clock | None
@@ -71,9 +75,15 @@ def take_in(
 ) -> Intake:
     """Read the records of `paths`: the one way from a file to a record.
 
-    sampling_time: s; None for the slowest that the files tell. least: pieces of fewer samples are
-    left out. only, without: names of experiments to read, or to leave out. Outputs of a test are
-    never interpolated. Raises UserError.
+    Outputs of a test are never interpolated.
+
+    Args:
+        sampling_time: s; None for the slowest one in the files
+        least: shortest segment in samples; shorter ones are left out
+        only, without: names of experiments to read, or to leave out
+
+    Raises:
+        UserError: for files that cannot be read as records
     """
     found: list[SheetPart] = []
     found_units: dict[str, str] = {}
@@ -216,7 +226,7 @@ def _pieces(
 
 
 def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) -> list[SheetPart]:
-    """The stretch with the sampling time `step`, cut at its gaps."""
+    """Resample a part to the sampling time `step`, and cut it at its gaps."""
     part = one.part
     own = _own_step(one) or step
     if one.clock is not None and not one.clock.regular:
@@ -301,8 +311,8 @@ def _resampled(
 
 
 def _without_missing(part: SheetPart, notes: list[str]) -> list[SheetPart]:
-    """The stretches in which every input was measured; outputs may be missing, but not all of them
-    at either end."""
+    """Cut a part to the segments in which every input was measured; outputs may be missing, but not
+    all of them at either end."""
     good = np.isfinite(part.u).all(axis=1)
     if good.all():
         return _measured_segment(part, notes)

@@ -165,7 +165,8 @@ def _dated(sheet: Sheet, name: str, where: str) -> Array:
 
 
 def _days(sheet: Sheet, name: str) -> Array | None:
-    """Days, in µs, of a date column beside a column with the time of the day; None without both."""
+    """Days, in µs, of a date column next to a column with the time of the day; None without
+    both."""
     first = next((c for c in sheet.columns[name].cells if c is not None and str(c).strip()), "")
     if isinstance(first, datetime) or any(mark in str(first) for mark in "-/T"):
         return None

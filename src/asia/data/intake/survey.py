@@ -30,7 +30,7 @@ class FileColumns:
     time: str | None
     """The column with the sample times."""
     timed: bool
-    """Whether the file tells its sampling time."""
+    """Whether the file contains its sampling time."""
     unusable: Mapping[str, str] = field(default_factory=dict[str, str])
     """Columns that cannot be an output, and why."""
 
@@ -119,7 +119,7 @@ def record_files(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def split_names(text: str, known: Sequence[str] = ()) -> list[str]:
-    """Names of columns or files in an answer: one that is known, or several between commas, or
+    """Split an answer into names of columns or files: a known name, or several between commas, or
     else between blanks."""
     if text.strip() in known:
         return [text.strip()]

@@ -57,7 +57,7 @@ class SealedStore(Source):
         return SourceData(tuple(replace(r, name=n) for r, n in zip(found, names, strict=True)))
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """The keys; the store itself tells nothing without them."""
+        """Return the folder of keys; the store reveals nothing without them."""
         return (key_folder(self.keys),) if subset == "test" else ()
 
     def to_toml(self) -> dict[str, Any]:

@@ -34,8 +34,7 @@ class Channels:
     sampling_time: float
     """The sampling time of every record, s."""
     least: int = field(default=1, compare=False)
-    """Samples of the shortest piece of a training record that is of use, where files are cut at
-    gaps."""
+    """Shortest usable segment of a training record in samples, where files are cut at gaps."""
 
     @property
     def names(self) -> tuple[list[str], list[str]]:

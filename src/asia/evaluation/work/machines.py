@@ -88,7 +88,7 @@ def _sources() -> str:
 
 @dataclass(frozen=True)
 class MachineState:
-    """One worker of an executor, as `asia doctor` tells it."""
+    """State of one worker of an executor, for `asia doctor`."""
 
     worker: str
     """Name of the worker in the executor."""
@@ -111,7 +111,11 @@ class MachineState:
 
 
 def survey_machines(carrier: Carrier) -> list[MachineState]:
-    """Ask every worker. Raises SandboxError where one does not answer."""
+    """Query every worker.
+
+    Raises:
+        SandboxError: where one does not respond
+    """
     request = json.dumps(dict(installation())).encode()
     states: list[MachineState] = []
     for worker, (reply, seconds, asked) in carrier.ask_each(described, request).items():

@@ -212,7 +212,7 @@ def _check_isolation(isolation: Isolation, layers: tuple[str, ...], machine: str
 
 @contextmanager
 def _watched(worker: Worker, unwanted: Callable[[], bool]) -> Generator[None]:
-    """End the worker once its answer is not wanted any more."""
+    """End the worker once its result is no longer needed."""
     over = threading.Event()
 
     def look() -> None:

@@ -58,7 +58,7 @@ class FoldData:
 
 @dataclass(frozen=True)
 class FoldWork:
-    """A fold to be fitted: all that its outcome depends on, beside the data that it names."""
+    """Work on a fold: everything that its outcome depends on, besides the data that it names."""
 
     problem: str
     """sha256 of the run's lock file; "" for an evaluation outside a run."""

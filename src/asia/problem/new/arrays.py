@@ -82,8 +82,8 @@ def save_problem(given: ArrayProblem, directory: Path) -> Problem:
 
 
 def least_segment(protocol: ProtocolRule | Table | None) -> int:
-    """Samples of the shortest piece of a record that the folds can divide; 1 where the protocol is
-    wrong, which loading the problem tells."""
+    """Return the samples of the shortest segment that the folds can divide; 1 for an invalid
+    protocol, which loading the problem reports."""
     if protocol is None or isinstance(protocol, ProtocolRule):
         return least_samples(protocol or ProtocolRule())
     try:

@@ -202,7 +202,7 @@ def _write(
 
 
 def _least(rule: ProtocolRule, seal_fraction: float | None) -> tuple[int, int]:
-    """Samples that a piece of a training record, and of a test record, must have."""
+    """Return the least samples of a segment of a training record, and of a test record."""
     train = least_samples(rule)
     if seal_fraction is not None:
         train = ceil(train / (1.0 - seal_fraction)) + 1
@@ -320,7 +320,8 @@ def _still_held(paths: Sequence[Path]) -> str:
 
 
 def _written(path: Path, directory: Path) -> str:
-    """Relative when the data lie beside the problem, so that both can move together."""
+    """Return a relative path when the data are in the problem's directory, so that both can move
+    together."""
     path = path.resolve()
     if path.is_relative_to(directory.parent):
         return Path(os.path.relpath(path, directory)).as_posix()

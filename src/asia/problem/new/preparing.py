@@ -74,7 +74,8 @@ def _columns(arrays: Sequence[Array]) -> list[Array]:
 def _delays(
     wish: str | None, records: Sequence[Trajectory], inputs: Sequence[str]
 ) -> dict[str, int]:
-    """Samples by input. A model without delay answers at the sample after the input's."""
+    """Return the delays by input in samples; a model without delay responds at the sample after the
+    input's."""
     if wish is None:
         return {}
     if wish != "auto":

@@ -51,9 +51,13 @@ def take(
 ) -> Taken:
     """Read the records.
 
-    least: samples that a piece of a training record and of a test record must have to count.
-    test_experiments: those in the training files that are the test. split: whether the last part
-    of each record becomes the test. Raises UserError.
+    Args:
+        least: least samples of a segment of a training record and of a test record
+        test_experiments: experiments in the training files that are the test
+        split: whether the last part of each record becomes the test
+
+    Raises:
+        UserError: for files that cannot be read as records
     """
     for path, count in Counter(p.resolve() for p in (*train, *test)).items():
         if count > 1:

@@ -81,7 +81,7 @@ def candidate(
 
 
 def steps(attempts: Mapping[str, str], top: str = "") -> str:
-    """A candidate that tries each of these pieces of code while it fits and prints how each ended:
+    """Make a candidate that runs each of these codes in its fit and prints the result of each:
     `done`, or the name of the error."""
     fit = f"print({STEPS!r} + json.dumps({{n: attempt(c) for n, c in {dict(attempts)!r}.items()}}))"
     return candidate(fit=fit, top=top)

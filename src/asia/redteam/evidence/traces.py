@@ -108,8 +108,7 @@ class Neighbour:
 
     @property
     def hurt(self) -> str:
-        """Whether it ended, is stopped or has another priority, at two observations; "" for no
-        harm."""
+        """Description of its end, stop or changed priority, at two observations; "" for no harm."""
         if not self._changed():
             return ""
         time.sleep(_AGAIN_SECONDS)

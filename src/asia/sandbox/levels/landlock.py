@@ -23,7 +23,7 @@ _NOWHERE = "/"
 
 
 class Landlock(Level):
-    """A process that locks itself in. It needs both of its walls."""
+    """Level of a process that restricts itself, with Landlock and the system call filter."""
 
     isolation = Isolation.LANDLOCK
     layers = (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)

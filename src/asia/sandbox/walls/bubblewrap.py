@@ -27,8 +27,8 @@ def worker_walls(
     nesting: bool = False,
     gpu: bool = False,
 ) -> list[str]:
-    """bwrap options of a worker, up to the command. shared, nesting: as of `walls`; gpu: whether it
-    computes on the GPU."""
+    """Return the bwrap options of a worker, up to the command. shared, nesting: as in `walls`; gpu:
+    whether it computes on the GPU."""
     memory = {"/dev/shm": _SHM_BYTES, "/tmp": tmp_bytes}
     shown = [*(_gpu_options() if gpu else []), "--chdir", _HOME]
     options = walls(memory, _HOME, shown, shared=shared, nesting=nesting)

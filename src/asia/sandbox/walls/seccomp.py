@@ -210,9 +210,9 @@ def _futex() -> bytes:
     """A futex that is not private to the process lies, on a page of a shared file, between workers.
 
     Futures of libstdc++, which XLA uses, and joining a thread wait on such ones in their own
-    memory. So no wait on them sleeps in the kernel, where others could wake or count it. Theirs
-    look again whatever a wait answers: WAIT, which a future uses, gives a positive number after the
-    short sleep that `install` hangs on SIGSYS; the rest EAGAIN at once, a time limit or not.
+    memory. So no wait on them sleeps in the kernel, where others could wake or count it. They check
+    again after any result of a wait: WAIT, which a future uses, gives a positive number after the
+    short sleep that `install` attaches to SIGSYS; the rest EAGAIN at once, a time limit or not.
     """
     code = _step(_LOAD, _low(1)) + _step(_JUMP_SET, _FUTEX_PRIVATE, 0, 1) + _allow()
     for operation, answer in (

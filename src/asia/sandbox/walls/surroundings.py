@@ -76,7 +76,7 @@ def child_command(
     libraries: Collection[str] = (),
 ) -> list[str]:
     """Command line of a worker; `layers` are those it puts on itself, `libraries` those it loads
-    before it is asked anything.
+    before its first request.
 
     -P and -s rather than -I: the environment is ours, and -I would drop PYTHONHASHSEED with it.
     """

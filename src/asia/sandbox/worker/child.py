@@ -133,7 +133,7 @@ def _as_model(value: object, what: str = "fit returned") -> Model:
 
 
 class _Session:
-    """Answers requests until the parent closes the pipe."""
+    """Session that handles requests until the parent closes the pipe."""
 
     def __init__(self, requests: int, replies: int, places: tuple[str, ...]) -> None:
         """places: folders of this machine, which no fitted model may name."""

@@ -22,7 +22,7 @@ _LOOK_SECONDS = 0.2
 
 
 class WorkerClock:
-    """Adds up wall and processor seconds of a worker by activity."""
+    """Sum of wall and processor seconds of a worker by activity."""
 
     def __init__(self, find: Callable[[], int | None]) -> None:
         """find: the worker's process id, None where it is not known."""
@@ -43,7 +43,7 @@ class WorkerClock:
 
     @contextmanager
     def elsewhere(self, activity: Activity) -> Generator[None]:
-        """Leave out of `activity`, which is under way, the wall seconds that pass in here."""
+        """Leave the wall seconds in this context out of the running `activity`."""
         begin = time.monotonic()
         try:
             yield

@@ -35,7 +35,7 @@ class Ending:
     code: int | None
     """Exit code, 128 + n for signal n; None if unknown."""
     outside: int | None
-    """The signal that somebody else sent; None for an end of its own."""
+    """Signal from another process; None for an end of its own."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The framing that both ends of a worker's pipes agree on.
+"""Framing of messages on a worker's pipes.
 
 A request is the u64 length of a pickle, which only travels into the sandbox, the u64 number of its
 large arrays, their u64 lengths, the pickle, and these arrays, which neither end copies. A reply is

@@ -16,8 +16,13 @@ _DRAWN = 2000
 
 
 def check_long_run(y_hat: Array | None, lowest: Array, highest: Array) -> Check:
-    """y_hat (HORIZONS * H, ny): simulated with an input that is repeated, or None where the model
-    gave no finite answer; lowest, highest (ny,): range of the training outputs."""
+    """Check that a long simulation stays bounded.
+
+    Args:
+        y_hat: (HORIZONS * H, ny) simulated with a repeated input, or None where the outputs are
+            not finite
+        lowest, highest: (ny,) range of the training outputs
+    """
     name, axes = "ten horizons", ("horizon", "distance over half the training range [-]")
     if y_hat is None:
         sentence = f"over ten horizons the simulation diverges: {Cause.UNSTABLE}"

@@ -13,7 +13,7 @@ from asia.scoring._fit import without_gaps
 
 @dataclass(frozen=True)
 class SimulatedBlock:
-    """A stretch of a record, measured and simulated."""
+    """Segment of a record, measured and simulated."""
 
     u: Array
     """Inputs (H, nu)."""

@@ -25,7 +25,7 @@ _MOST_GAINS = 3
 
 @dataclass(frozen=True)
 class LinearResponse:
-    """The answer of one model to a small impulse of one input around an operating point."""
+    """Response of one model to a small impulse of one input around an operating point."""
 
     point: str
     """Operating point."""
@@ -41,7 +41,7 @@ class LinearResponse:
 
     @property
     def settled(self) -> bool:
-        """Whether the answer has died out by the end."""
+        """Whether the response has decayed by the end."""
         tail = self.impulse[-max(1, len(self.impulse) // 10) :]
         return bool(
             np.max(np.abs(tail)) <= _DECAYED * max(float(np.abs(self.impulse).max()), 1e-300)

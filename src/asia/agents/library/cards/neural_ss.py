@@ -95,7 +95,8 @@ def _signals(facts: Facts) -> int:
 
 
 def _polynomial_weight(at: Situation) -> float:
-    """Tried from pieces: a whole-record fit from zero seldom finds the way."""
+    """Return the weight of polynomials, fitted from segments: a whole-record fit from zero seldom
+    converges."""
     facts, recipe = at.facts, at.recipe
     few = _signals(facts) <= _QUADRATIC and facts.horizon is None
     smooth = recipe.get("nonlinearity") == "state" and not _has_element(at)
@@ -133,7 +134,7 @@ def _unless_at(at: Situation, place: str, weight: float) -> float:
 
 
 def _moved_to(at: Situation, place: str) -> Recipe:
-    """The static function elsewhere; channels belong to one in the state equation."""
+    """Move the static function to another place; channels belong to one in the state equation."""
     recipe = at.recipe.configured(nonlinearity=place)
     return recipe.configured(channels=None) if recipe.has("channels") else recipe
 

@@ -61,7 +61,7 @@ class Relation:
 
     @property
     def unstable(self) -> bool:
-        """Whether a mode grows so that a free simulation runs away."""
+        """Whether a growing mode makes a free simulation diverge."""
         return self.pole**self.length > _GROWTH
 
 

@@ -63,7 +63,7 @@ def moved_with_stop(signal: Array, reach: float) -> Array:
 
 
 class _Samples(NamedTuple):
-    """A piece of a record, hashable."""
+    """Segment of a record, hashable."""
 
     u: bytes
     y: bytes

@@ -25,8 +25,7 @@ _ROWS = 262_144
 
 
 class Arrow(FileFormat):
-    """Read batch by batch, and only the columns that are asked for, so that memory holds those
-    alone."""
+    """Read batch by batch, and only the requested columns, to save memory."""
 
     name = "Parquet and Arrow"
     suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq", ".arrow", ".feather", ".ipc")

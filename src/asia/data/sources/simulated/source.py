@@ -35,7 +35,7 @@ SYSTEMS: Mapping[str, SimulatedSystem] = {
 
 @dataclass(frozen=True)
 class Simulated(Source):
-    """A system, simulated when its records are asked for; the seed fixes every number."""
+    """System that is simulated on each read; the seed fixes every number."""
 
     seed: int = 0
     """The seed of inputs, initial states and noise."""
