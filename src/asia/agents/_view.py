@@ -28,16 +28,22 @@ class Effort:
 
 @dataclass(frozen=True)
 class Facts:
-    """Public facts about the problem. `records` are the training trajectories; in cross-validation
-    each contains the held-out outputs of some fold.
+    """Public facts about the problem.
 
-    past_inputs, past_outputs: samples in the past window; horizon: samples of one window, None
-    where whole records are simulated; notes, strategies: notes from the literature and suggested
-    strategies, in the user's words; groups: names of the records held out together, one tuple a
-    fold, () where folds are cut inside the records; early_stopping: `validation` lets a fit ask for
-    its score on the held-out part; ladder: the share of V by which a new best must be better to be
-    reported, None where every V is reported; symmetry: changes of the signals that leave the
-    system's laws as they are.
+    `records` are the training trajectories; in cross-validation each contains the held-out outputs
+    of some fold.
+
+    Attributes:
+        past_inputs, past_outputs: samples in the past window
+        horizon: samples of one window, None where whole records are simulated
+        notes, strategies: notes from the literature and suggested strategies, in the user's
+            words
+        groups: names of the records held out together, one tuple a fold, () where folds are cut
+            inside the records
+        early_stopping: `validation` lets a fit ask for its score on the held-out part
+        ladder: the share of V by which a new best must be better to be reported, None where
+            every V is reported
+        symmetry: changes of the signals that leave the system's laws as they are
     """
 
     description: str

@@ -34,7 +34,11 @@ def name_signals(
     named: Sequence[str | Signal] | None, first: Any, letter: str
 ) -> tuple[Signal, ...]:
     """Signals by name, as given, or after the columns of a data frame, `u [V]` with its unit, or
-    `u`, or `u1` and so on. first: the array or data frame of the first record."""
+    `u`, or `u1` and so on.
+
+    Args:
+        first: the array or data frame of the first record
+    """
     if named is None:
         columns = [str(column) for column in getattr(first, "columns", ())]
         split = [Signal(*split_unit(column)) for column in columns]

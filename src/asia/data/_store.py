@@ -94,9 +94,11 @@ def key_folder(given: Path | None = None) -> Path:
 
 
 def new_key(folder: Path) -> str:
-    """Make a key; on return FOLDER/NAME.key is on the disk, for its owner alone. Its name.
+    """Make a key and return its name; on return FOLDER/NAME.key is on the disk, for its owner
+    alone.
 
-    Raises UserError when it cannot be written.
+    Raises:
+        UserError: when it cannot be written
     """
     from cryptography.fernet import Fernet
 
@@ -126,7 +128,11 @@ def key_path(folder: Path, name: str) -> Path:
 
 def write_store(path: Path, head: SealHead, contents: Sequence[PlainFile], keys: Path) -> None:
     """Encrypt `contents`, the files of `head`, with its key; on return the store is on the disk.
-    Raises UserError without the key, OSError."""
+
+    Raises:
+        UserError: without the key
+        OSError: when the store cannot be written
+    """
     plain = _line(head) + b"\n" + b"".join(content.data for content in contents)
     payload = _fernet(head, path, keys).encrypt(plain)
     told = replace(head, payload_sha256=hashlib.sha256(payload).hexdigest())
@@ -155,7 +161,11 @@ def find_key(path: Path, head: SealHead, keys: Path) -> None:
 
 
 def open_store(path: Path, keys: Path) -> tuple[PlainFile, ...]:
-    """The files of a store. Raises UserError without the key, or when the store was changed."""
+    """The files of a store.
+
+    Raises:
+        UserError: without the key, or when the store was changed
+    """
     from cryptography.fernet import InvalidToken
 
     head, payload = _split(path)

@@ -61,10 +61,17 @@ def _frozen(values: object, what: str, *, gaps: bool = False) -> Array:
 class Trajectory:
     """One contiguous record.
 
-    u: (T, nu) inputs and y: (T, ny) outputs in physical units, float64, read-only; sampling_time
-    in seconds. NaN in `y` is an output that was not measured: there `missing` is True, and `y` has
-    the straight line between the measured neighbours, the nearest one at the ends. Raises UserError
-    on unequal lengths, on other values that are not finite, and on an output never measured.
+    NaN in `y` is an output that was not measured: there `missing` is True, and `y` has the straight
+    line between the measured neighbours, the nearest one at the ends.
+
+    Attributes:
+        u: (T, nu) inputs in physical units, float64, read-only
+        y: (T, ny) outputs in physical units, float64, read-only
+        sampling_time: s
+
+    Raises:
+        UserError: on unequal lengths, on other values that are not finite, and on an output
+            never measured
     """
 
     u: Array

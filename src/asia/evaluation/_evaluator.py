@@ -105,8 +105,12 @@ class Evaluator(WorkerRunner):
         return not self.one_by_one and self._rule.early_stopping == "inner"
 
     def evaluate(self, source: str, start: int = 0) -> Evaluation:
-        """Fit and simulate `source` on every fold. A failed fold fails the candidate. start: fits
-        from another start have seeds of their own, the same for all candidates; 0 in a search."""
+        """Fit and simulate `source` on every fold. A failed fold fails the candidate.
+
+        Args:
+            start: fits from another start have seeds of their own, the same for all candidates;
+                0 in a search
+        """
         return self._evaluate(source, start, None)
 
     def evaluate_first(self, source: str, over: float | None) -> Evaluation:

@@ -258,8 +258,11 @@ def sequential_objection(
     random: np.random.Generator,
 ) -> Failure | None:
     """Refit the folds sequentially, in another order, where V is far below the training error, so
-    that none can tell another one anything; None where V stays. fit_sequentially: of the fold at
-    that place."""
+    that none can tell another one anything; None where V stays.
+
+    Args:
+        fit_sequentially: of the fold at that place
+    """
     value = float(np.mean([fold.score.value for fold in folds]))
     errors = [fold.diagnostics.train_error for fold in folds]
     if consistency(value, errors) >= FAR_BELOW:

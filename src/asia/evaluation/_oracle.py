@@ -50,9 +50,13 @@ class Oracle:
         self._stack.close()
 
     def __call__(self, model: bytes, deadline: float) -> float:
-        """The normalised metric as `rounded_score` gives it; inf where the simulation is not
-        finite, as it may well be before a fit has settled. Raises CandidateError for any other
-        failure of the model, and ScoreRefusedError after `most` calls."""
+        """Return the normalised metric as `rounded_score` gives it; inf where the simulation is not
+        finite, which is possible before a fit has converged.
+
+        Raises:
+            CandidateError: for any other failure of the model
+            ScoreRefusedError: after `most` calls
+        """
         if self.calls >= self.most:
             raise ScoreRefusedError(
                 f"validation_score was called {self.most} times, all that a fit may: "

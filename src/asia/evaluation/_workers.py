@@ -76,8 +76,11 @@ class WorkerRunner:
 
     @contextmanager
     def ready_workers(self, at_once: int = 1) -> Generator[None]:
-        """Start workers before they are needed, until this is closed. at_once: experiments in
-        flight."""
+        """Start workers before they are needed, until this is closed.
+
+        Args:
+            at_once: experiments in flight
+        """
         most = self._most_ready * at_once
         with ReadyWorkers(self.isolation, self._limits, most) as self._ready:
             try:

@@ -169,8 +169,12 @@ def executor_names() -> tuple[str, ...]:
 def make_executor(name: str) -> Executor:
     """The executor of that name, with its own settings: `local:N` with N workers,
     `dask://HOST:PORT` or `dask:FILE` on a Dask cluster, `dask-slurm` or `dask-slurm:FILE` on
-    workers that Slurm starts. Raises UserError when there is none, or an installed package brings
-    something else by that name."""
+    workers that Slurm starts.
+
+    Raises:
+        UserError: when there is none, or an installed package brings something else by that
+            name
+    """
     built_in, _, setting = name.partition(":")
     if built_in in EXECUTORS:
         return EXECUTORS[built_in](setting)

@@ -218,8 +218,11 @@ class DaskExecutor:
             time.sleep(_POLL_SECONDS)
 
     def _check_scheduler(self) -> None:
-        """Wait while the engine looks for a scheduler that it has lost. Raises UserError where it
-        does not find it."""
+        """Wait while the engine looks for a scheduler that it has lost.
+
+        Raises:
+            UserError: where it does not find it
+        """
         while self._client.status in ("connecting", "closing"):
             time.sleep(_POLL_SECONDS)
         if self._client.status != "running":

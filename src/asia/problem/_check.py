@@ -32,10 +32,12 @@ _TOGETHER = 0.999
 class SignalCheck:
     """One channel over all training samples, in its unit.
 
-    at_minimum, at_maximum: share of samples at the extreme values, 0 to 1. bandwidth: frequency in
-    Hz below which 99 % of the power lies, the mean apart; bandwidth_share: the same over the
-    Nyquist frequency. excitation_order: numerical rank (to 1e-9) of the covariance of 50 successive
-    samples, the order of persistent excitation limited by noise.
+    Attributes:
+        at_minimum, at_maximum: share of samples at the extreme values, 0 to 1
+        bandwidth: frequency in Hz below which 99 % of the power lies, the mean apart
+        bandwidth_share: the same over the Nyquist frequency
+        excitation_order: numerical rank (to 1e-9) of the covariance of 50 successive samples,
+            the order of persistent excitation limited by noise
     """
 
     signal: Signal

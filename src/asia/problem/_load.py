@@ -84,8 +84,11 @@ def read_records(
     problem: Problem, path: Path, reading: Wanted | None = None
 ) -> tuple[Trajectory, ...]:
     """Read the records of a file that the user brings, with the columns and the sampling time of
-    the problem, by the rules of a test. reading: options of reading in place of those of the
-    problem. Raises UserError."""
+    the problem, by the rules of a test.
+
+    Args:
+        reading: options of reading in place of those of the problem
+    """
     data = problem.data if isinstance(problem.data, RecordFiles) else RecordFiles(())
     return prepared(problem, data.records_of(path, problem.channels, reading).records)
 

@@ -177,9 +177,12 @@ def prepared(problem: Problem, records: Sequence[Trajectory]) -> tuple[Trajector
 
 
 def kept_places(problem: Problem) -> tuple[Path, ...]:
-    """Files and folders that neither candidates nor agents may read: plain test records, or the
-    key of encrypted ones, and guard records. Raises UserError for data that are not on this
-    machine."""
+    """Files and folders that neither candidates nor agents may read: plain test records, or the key
+    of encrypted ones, and guard records.
+
+    Raises:
+        UserError: for data that are not on this machine
+    """
     source = problem.test.source
     test = () if source is None else source.places("test")
     return (*test, *problem.data.places("guard"))

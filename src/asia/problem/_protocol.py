@@ -134,8 +134,13 @@ def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) ->
 
 
 def with_groups(rule: ProtocolRule, groups: GroupsTable, names: Sequence[str]) -> ProtocolRule:
-    """The rule with its groups of records. A pattern is a record's name, or else a wildcard
-    (`*`, `?`, `[...]`). Raises UserError unless each record is in exactly one group."""
+    """The rule with its groups of records.
+
+    A pattern is a record's name, or else a wildcard (`*`, `?`, `[...]`).
+
+    Raises:
+        UserError: unless each record is in exactly one group
+    """
     if rule.folds.kind != "leave_one_group_out":
         return rule
     found = tuple(

@@ -60,8 +60,9 @@ def group(symmetry: Symmetry, names: Sequence[str]) -> Array:
     """All products of the generators as matrices (G, n, n) that act on the signals `names`, the
     identity first.
 
-    Raises UserError when a generator takes a named signal to another one, and for more than
-    MOST_ELEMENTS elements.
+    Raises:
+        UserError: when a generator takes a named signal to another one, and for more than
+            MOST_ELEMENTS elements
     """
     identity = np.eye(len(names))
     found = [identity]

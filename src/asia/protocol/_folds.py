@@ -88,9 +88,14 @@ def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: in
 
 
 def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
-    """The `count` outputs before `start`. Where one was not measured it is filled from samples
-    before `start` alone, so that none of those to simulate shows. Raises UserError where there is
-    none."""
+    """The `count` outputs before `start`.
+
+    Where one was not measured it is filled from samples before `start` alone, so that none of those
+    to simulate shows.
+
+    Raises:
+        UserError: where there is none
+    """
     window = record.y[start - count : start]
     if record.missing is None or not record.missing[start - count : start].any():
         return window

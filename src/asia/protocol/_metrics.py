@@ -104,7 +104,11 @@ class Metric:
         return values / scale if self.normalised else values
 
     def values(self, y: Array, y_hat: Array) -> Array:
-        """The values of the outputs, (ny,). Raises UserError as `shortfalls`."""
+        """The values of the outputs, (ny,).
+
+        Raises:
+            UserError: as `shortfalls`
+        """
         values = np.asarray(by_measured(self.function, y, y_hat), dtype=np.float64)
         if values.shape != y.shape[1:]:
             raise UserError(
@@ -153,8 +157,12 @@ def metric_names() -> tuple[str, ...]:
 
 
 def find_metric(name: str) -> Metric:
-    """The metric of that name. Raises UserError when there is none, or an installed package brings
-    something else by that name."""
+    """The metric of that name.
+
+    Raises:
+        UserError: when there is none, or an installed package brings something else by that
+            name
+    """
     if name in METRICS:
         return METRICS[name]
     for part in parts_of(_GROUP):
@@ -184,7 +192,11 @@ def metric_label(name: str) -> str:
 
 
 def known_metric(name: str) -> str:
-    """`name` where it is a metric's. Raises ValueError that lists the metrics, for schemas."""
+    """`name` where it is a metric's.
+
+    Raises:
+        ValueError: that lists the metrics, for schemas
+    """
     return _one_of(name, metric_names())
 
 

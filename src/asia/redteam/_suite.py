@@ -111,7 +111,9 @@ def run_suite(plan: RedTeamPlan, on_result: OnResult = lambda result: None) -> R
     """Run the plan, two jobs at a time; `on_result` is called with each finding as it is made.
 
     Attacks without protection run in an outer sandbox, and so do levels that confine nothing.
-    Raises SandboxError where a worker or the outer sandbox cannot be started.
+
+    Raises:
+        SandboxError: where a worker or the outer sandbox cannot be started
     """
     interruption = Interruption()
     results = _run(list(_jobs(plan, interruption)), on_result, interruption)
@@ -175,8 +177,11 @@ def without_checks(
 
 
 def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]:
-    """Every family of the library on both small problems, where it can be used; quick: on one of
-    them, in turns."""
+    """Every family of the library on both small problems, where it can be used.
+
+    Args:
+        quick: on one of them, in turns
+    """
     tanks, drone = small_problems()
     if not quick:
         return tuple((p, row) for p in (tanks, drone) for row in p.families)

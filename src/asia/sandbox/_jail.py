@@ -63,8 +63,11 @@ class Jail:
         return LEVELS[Isolation.NAMESPACE].why_not()
 
     def command(self, arguments: list[str], *, terminal: bool = False) -> list[str]:
-        """The command line that runs `arguments` inside. terminal: with standard input as the
-        terminal that controls them."""
+        """The command line that runs `arguments` inside.
+
+        Args:
+            terminal: with standard input as the terminal that controls them
+        """
         memory = {"/dev/shm": _SHM_BYTES, "/tmp": _TMPFS_BYTES, _HOME: _TMPFS_BYTES}
         files = [f"/etc/{name}" for name in (*_ETC, *(_NET if self.network else ()))]
         shown = [word for path in self.mounts for word in ("--ro-bind", str(path), str(path))]

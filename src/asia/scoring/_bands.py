@@ -51,8 +51,11 @@ class ErrorSizes:
 
 
 def error_sizes(folds: Sequence[HeldOutErrors], *, by_step: bool = False) -> ErrorSizes:
-    """The sizes of the errors of fold models. by_step: the blocks are windows of one length, and
-    errors depend on the step in it."""
+    """The sizes of the errors of fold models.
+
+    Args:
+        by_step: the blocks are windows of one length, and errors depend on the step in it
+    """
     parts: list[tuple[tuple[Array, ...], ...]] = []
     independent: list[float] = []
     for channel in range(folds[0].blocks[0].shape[1]):
@@ -71,12 +74,16 @@ def output_bands(
     *,
     by_step: bool = False,
 ) -> Bands:
-    """Bands for the simulations (K, H, ny) of K fold models, which a measured output leaves with
-    a probability of 1 - level.
+    """Bands for the simulations (K, H, ny) of K fold models, which a measured output leaves with a
+    probability of 1 - level.
 
-    errors: one a fold model, or their sizes, where many simulations have the same. wider: (H,)
-    factors of 1 or more on the errors, None for 1. by_step: as in `error_sizes`.
-    Raises ValueError for a level outside (0, 1).
+    Args:
+        errors: one a fold model, or their sizes, where many simulations have the same
+        wider: (H,) factors of 1 or more on the errors, None for 1
+        by_step: as in `error_sizes`
+
+    Raises:
+        ValueError: for a level outside (0, 1)
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level is {level}, expected a share between 0 and 1")
@@ -149,7 +156,10 @@ def _sizes(errors: Array, otherwise: Array) -> Array:
 
 def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -> Array:
     """The lowest values (H,) that a share `level` of all centre + factor * size stays below.
-    sizes: sorted, one a fold; centres (K, H)."""
+
+    Args:
+        sizes: sorted, one a fold; centres (K, H)
+    """
     total = sum(len(s) for s in sizes)
     wanted = level * total - 1e-9 * total
     if total * centres.shape[1] <= _FEW:

@@ -16,7 +16,8 @@ QUANTILE = 2.5758293035489004
 def cross_correlation(a: Sequence[Array], b: Sequence[Array], most: int) -> Array:
     """Correlation of a(t) with b(t - lag) for lags -most..most, (2 most + 1,).
 
-    a, b: one (H,) array a block; each block is centred, products never join two blocks.
+    Args:
+        a, b: one (H,) array a block; each block is centred, products never join two blocks
     """
     total = np.zeros(2 * most + 1)
     energy_a = energy_b = 0.0

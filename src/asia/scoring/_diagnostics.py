@@ -47,8 +47,11 @@ def diagnose(
     scale: Array,
     train_error: float,
 ) -> Diagnostics:
-    """Residual analysis of simulated training records, one (H, n) array a record or window. Raises
-    CandidateError when the residual is too large to analyse."""
+    """Residual analysis of simulated training records, one (H, n) array a record or window.
+
+    Raises:
+        CandidateError: when the residual is too large to analyse
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         found = _analyse(u, y, y_hat, scale, train_error)
     if not all(math.isfinite(value) for value in astuple(found)):

@@ -20,7 +20,11 @@ PARTS = 8
 
 @dataclass(frozen=True)
 class FoldScore:
-    """The score on one fold. Raises InternalError when a number in it is not finite."""
+    """Score on one fold.
+
+    Raises:
+        InternalError: when a number in it is not finite
+    """
 
     value: float
     """The metric as it enters V: mean over the outputs, lower is better."""
@@ -55,7 +59,11 @@ class FoldScore:
 
 @dataclass(frozen=True)
 class Score:
-    """The score of a candidate. Raises InternalError when it is not finite."""
+    """Score of a candidate.
+
+    Raises:
+        InternalError: when it is not finite
+    """
 
     value: float
     """V, the mean over the folds."""
@@ -114,10 +122,17 @@ def score_fold(
 ) -> FoldScore:
     """Score the simulated blocks of one fold.
 
-    y, y_hat: one (H, ny) array a block; scale (ny,). The metric of each channel is taken over all
-    measured samples of all blocks, divided by scale where the metric is in the unit of the output,
-    and averaged over the channels. in_parts: fill `FoldScore.parts`. Raises CandidateError for a
-    reply of the wrong size or not finite, UserError when the metric cannot be computed.
+    The metric of each channel is taken over all measured samples of all blocks, divided by scale
+    where the metric is in the unit of the output, and averaged over the channels.
+
+    Args:
+        y, y_hat: one (H, ny) array a block
+        scale: (ny,)
+        in_parts: fill `FoldScore.parts`
+
+    Raises:
+        CandidateError: for a reply of the wrong size or not finite
+        UserError: when the metric cannot be computed
     """
     for measured, simulated in zip(y, y_hat, strict=True):
         check_reply(simulated, measured.shape)

@@ -64,8 +64,11 @@ class Evidence(StrEnum):
 
 
 def evidence_of_mean(mean: float, error: float, share: float) -> Evidence:
-    """The one rule by which residuals are listed; share: of the squared residual that would be gone
-    without `mean`."""
+    """The one rule by which residuals are listed.
+
+    Args:
+        share: of the squared residual that would be gone without `mean`
+    """
     if share <= _SMALLEST_SHARE or abs(mean) <= error:
         return Evidence.NONE
     return Evidence.CLEAR if abs(mean) > _CLEAR_ERRORS * error else Evidence.CHANCE

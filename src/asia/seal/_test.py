@@ -60,8 +60,15 @@ def check_openable(problem: Problem, keys: Path | None = None) -> None:
 
 
 def open_test(problem: Problem, keys: Path | None = None) -> tuple[Trajectory, ...]:
-    """The test records. keys: as in `check_openable`. Raises UserError when there are none, when
-    the key is missing, or when they are not the ones that were sealed."""
+    """The test records.
+
+    Args:
+        keys: as in `check_openable`
+
+    Raises:
+        UserError: when there are none, when the key is missing, or when they are not the ones
+            that were sealed
+    """
     source = problem.test.source
     if source is None:
         raise UserError(

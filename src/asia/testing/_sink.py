@@ -19,7 +19,10 @@ def check_sink(open_sink: OpenSink) -> None:
 
     Checked: a sink takes every event of a search, from another thread, and its end; it opens on a
     search that is resumed; it may be closed right away; two searches at once have a sink each; the
-    ledger stays as it was. Raises AssertionError that says what fails, and any exception of a sink.
+    ledger stays as it was.
+
+    Raises:
+        AssertionError: that says what fails, and any exception of a sink
     """
     with tempfile.TemporaryDirectory() as folder:
         searches = [_MadeUpSearch(Path(folder, name)) for name in ("one", "two")]

@@ -141,8 +141,11 @@ class ExpertAgent:
 
 
 def _heaviest(options: list[_Option], place: Callable[[str], int] | None = None) -> Proposal | None:
-    """The first in order of weight that was not tried before; place: of a family, which comes
-    before the weight."""
+    """The first in order of weight that was not tried before.
+
+    Args:
+        place: of a family, which comes before the weight
+    """
     ordered = sorted(options, key=lambda o: (place(o.family) if place else 0, -o.weight))
     return next((p for option in ordered if (p := option.make()) is not None), None)
 

@@ -82,8 +82,11 @@ class Family:
         return self._own((self.longer or self.start)(facts))
 
     def smallest(self, facts: Facts) -> Recipe:
-        """The first configuration at the size of tests. Raises KeyError for a setting in `small`
-        that it does not name."""
+        """The first configuration at the size of tests.
+
+        Raises:
+            KeyError: for a setting in `small` that it does not name
+        """
         return self.trial(facts).changed(**dict(self.small))
 
     def suits(self, facts: Facts) -> bool:

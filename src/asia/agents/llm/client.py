@@ -45,8 +45,11 @@ class Answer:
 
 
 class ChatClient:
-    """Client with one request at a time, recorded in the journal. network: False answers from the
-    record only."""
+    """Client with one request at a time, recorded in the journal.
+
+    Args:
+        network: False answers from the record only
+    """
 
     def __init__(
         self, settings: LlmSettings, journal: Journal, key: str, *, network: bool = True

@@ -63,7 +63,11 @@ def task_of(view: AgentView, repairs: int) -> Task:
 
 
 def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str:
-    """The user message. hide_baseline: leave out the source of experiment 1."""
+    """The user message.
+
+    Args:
+        hide_baseline: leave out the source of experiment 1
+    """
     shown = _Shown(view, hide_baseline)
     parts = [
         f"{len(view.trials)} experiments done, {view.remaining} left. Phase: {view.phase}.",

@@ -123,8 +123,11 @@ class LlmSettings:
         }
 
     def api_key(self) -> str:
-        """The key, from the environment; servers other than OpenAI's may need none. Raises
-        UserError when it is missing."""
+        """The key, from the environment; servers other than OpenAI's may need none.
+
+        Raises:
+            UserError: when it is missing
+        """
         key = os.environ.get(self.api_key_env, "").strip()
         if not key and self.base_url is None:
             raise UserError(
@@ -153,7 +156,11 @@ class LlmSettings:
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> LlmSettings:
-        """The settings of `record`. Raises UserError when it is not one."""
+        """The settings of `record`.
+
+        Raises:
+            UserError: when it is not one
+        """
         try:
             given = {k: v if k in _TEXTS else json.loads(v) for k, v in record.items()}
             if given.keys() - {f.name for f in fields(cls)}:

@@ -188,7 +188,11 @@ def _day(cell: object, pattern: list[str], where: str) -> float:
 
 
 def _timestamp(cell: object, pattern: list[str], where: str) -> float:
-    """One stamp in µs. pattern: the one that the column was found to have, once it is known."""
+    """One stamp in µs.
+
+    Args:
+        pattern: the one that the column was found to have, once it is known
+    """
     if isinstance(cell, datetime):
         return _since_epoch(cell)
     if isinstance(cell, timedelta):

@@ -62,7 +62,11 @@ class Nanodrone(DataSet):
 
 
 def _flights(subset: Literal["train", "test"]) -> tuple[Path, ...]:
-    """The files. Raises UserError that says how to get them."""
+    """The files.
+
+    Raises:
+        UserError: that says how to get them
+    """
     missing = ""
     for clone in _clones():
         folder = clone / "data" / subset

@@ -194,8 +194,12 @@ class Source(ABC):
         return ()
 
     def records(self, subset: Subset, channels: Channels) -> SourceData:
-        """The records of a subset. Raises UserError as `read`, when they do not fit the channels,
-        when two of them have one name, and for values whose squares a double cannot hold."""
+        """The records of a subset.
+
+        Raises:
+            UserError: as `read`, when they do not fit the channels, when two of them have one
+                name, and for values whose squares a double cannot hold
+        """
         found = self.read(subset, channels)
         _check_channels(found.trajectories, channels)
         check_magnitudes(found.trajectories, *channels.names, _KINDS[subset])

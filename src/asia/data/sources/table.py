@@ -30,7 +30,10 @@ the first."""
 
 def data_source(table: DataTable, root: Path) -> Source:
     """The source of the training and the guard records, and of the test unless that is encrypted.
-    root: the folder of the problem file, absolute. Raises UserError."""
+
+    Args:
+        root: the folder of the problem file, absolute
+    """
     if table.source is None:
         if (table.test or table.test_experiments) and table.sealed:
             named = "test" if table.test else "test_experiments"

@@ -75,8 +75,16 @@ class Sealing:
         )
 
     def write(self, folder: Path, train: Sequence[Trajectory], keys: Path) -> Path:
-        """Make a key and, in `folder`, the store; on return both are on the disk. The key's path;
-        none is left behind by a failure. Raises UserError, OSError."""
+        """Make a key and, in `folder`, the store; on return both are on the disk.
+
+        A failure leaves no key behind.
+
+        Returns:
+            the path of the key
+
+        Raises:
+            UserError, OSError: when they cannot be written
+        """
         records, columns = self.records, self.columns
         name = new_key(keys)
         head = SealHead(
@@ -144,8 +152,11 @@ def check_key_folder(keys: Path, directory: Path) -> None:
 
 
 def remove_plain(sealing: Sealing, store: Path, keys: Path) -> Removal:
-    """Remove the plain files, once the store was read back and holds the same bytes. Raises
-    UserError, with all files still there, when it does not."""
+    """Remove the plain files, once the store was read back and holds the same bytes.
+
+    Raises:
+        UserError: with all files still there, when it does not
+    """
     if open_store(store, keys) != sealing.contents:
         raise UserError(f"{store} does not hold what was sealed: the plain files were left alone")
     removed: list[Path] = []

@@ -108,8 +108,10 @@ class Expression:
 def parse_expression(text: str, where: str) -> Expression:
     """Parse `text`; `where` names its field in messages.
 
-    Raises UserError when the text does not parse, holds anything except names, numbers, + - * / **,
-    parentheses and calls of the table's functions, or is longer than 4000 characters.
+    Raises:
+        UserError: when the text does not parse, holds anything except names, numbers, + - * /
+            **, parentheses and calls of the table's functions, or is longer than 4000
+            characters
     """
     if len(text) > _LONGEST:
         raise UserError(

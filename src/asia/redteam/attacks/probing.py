@@ -96,7 +96,11 @@ def _score(correction: Array) -> Score:
 
 
 class Ladder:
-    """A search with the Ladder. spoil: how candidates break a relation in `doubt`."""
+    """A search with the Ladder.
+
+    Args:
+        spoil: how candidates break a relation in `doubt`
+    """
 
     def __init__(self, spoil: Spoil | None = None) -> None:
         self._search = ScoreOnlySearch(LADDER_STEP)

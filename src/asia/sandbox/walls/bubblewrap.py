@@ -27,8 +27,12 @@ def worker_walls(
     nesting: bool = False,
     gpu: bool = False,
 ) -> list[str]:
-    """Return the bwrap options of a worker, up to the command. shared, nesting: as in `walls`; gpu:
-    whether it computes on the GPU."""
+    """Return the bwrap options of a worker, up to the command.
+
+    Args:
+        shared, nesting: as in `walls`
+        gpu: whether it computes on the GPU
+    """
     memory = {"/dev/shm": _SHM_BYTES, "/tmp": tmp_bytes}
     shown = [*(_gpu_options() if gpu else []), "--chdir", _HOME]
     options = walls(memory, _HOME, shown, shared=shared, nesting=nesting)
@@ -56,9 +60,16 @@ def walls(
     shared: Collection[Shared] = (),
     nesting: bool = False,
 ) -> list[str]:
-    """bwrap options that show code alone, read-only. memory: bytes of each file system in memory;
-    folder: one to make; shown: options after the code's; files: of the system, where they exist;
-    shared: namespaces that stay the caller's, with its /proc; nesting: whether more can be made."""
+    """bwrap options that show code alone, read-only.
+
+    Args:
+        memory: bytes of each file system in memory
+        folder: one to make
+        shown: options after the code's
+        files: of the system, where they exist
+        shared: namespaces that stay the caller's, with its /proc
+        nesting: whether more can be made
+    """
     spaces = ("user", "ipc", "pid", "net", "uts", "cgroup-try")
     options = [f"--unshare-{space}" for space in spaces if space not in shared]
     options += [] if nesting else ["--disable-userns"]

@@ -27,7 +27,11 @@ _PR_SET_NO_NEW_PRIVS = 38
 
 
 def abi() -> int:
-    """Version of the kernel's Landlock. Raises OSError where there is none that can be used."""
+    """Version of the kernel's Landlock.
+
+    Raises:
+        OSError: where there is none that can be used
+    """
     return _call(_CREATE_RULESET, 0, 0, _VERSION)
 
 
@@ -49,8 +53,15 @@ def why_not() -> str | None:
 def restrict(readable: Iterable[str], writable: Iterable[str], devices: Iterable[str] = ()) -> None:
     """Bind the calling thread and all that it starts; threads that run already stay free.
 
-    readable: files, and folders with all below them; writable: files to read and write; devices:
-    those that take commands too. Missing paths are left out. Raises OSError if the kernel refuses.
+    Missing paths are left out.
+
+    Args:
+        readable: files, and folders with all below them
+        writable: files to read and write
+        devices: those that take commands too
+
+    Raises:
+        OSError: if the kernel refuses
     """
     version = abi()
     files = _ALL_OF_ABI_1

@@ -33,10 +33,15 @@ _AF_UNIX, _SOCK_STREAM = 1, 1
 
 
 def confine(layers: Collection[str], readable: Sequence[str], devices: Sequence[str] = ()) -> None:
-    """Apply these layers for good. devices: nodes that the process may give commands to. Raises
-    OSError, or RuntimeError where a thread would stay out.
+    """Apply these layers permanently.
 
     The process also ends with its parent from here on, which it cannot undo under the filter.
+
+    Args:
+        devices: nodes that the process may give commands to
+
+    Raises:
+        OSError, RuntimeError: where a thread would stay out
     """
     if LANDLOCK not in layers and SECCOMP not in layers:
         return

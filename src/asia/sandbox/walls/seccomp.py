@@ -96,8 +96,14 @@ def why_not() -> str | None:
 
 
 def install(*, devices: bool = False) -> None:
-    """Bind all threads of this process; devices: whether it computes on a GPU. Raises OSError if
-    the kernel refuses."""
+    """Bind all threads of this process.
+
+    Args:
+        devices: whether it computes on a GPU
+
+    Raises:
+        OSError: if the kernel refuses
+    """
     machine = os.uname().machine
     program = build(machine, os.getpid(), devices=devices)
     code = ctypes.create_string_buffer(program, len(program))
@@ -122,8 +128,11 @@ def numbers(machine: str) -> dict[str, int]:
 
 
 def build(machine: str, pid: int, *, devices: bool = False) -> bytes:
-    """The filter as BPF instructions of 8 bytes, for the process `pid`; devices: allow the calls of
-    a GPU driver, as in `install`."""
+    """The filter as BPF instructions of 8 bytes, for the process `pid`.
+
+    Args:
+        devices: allow the calls of a GPU driver, as in `install`
+    """
     known = numbers(machine)
     checked = [row[0] for row in _rows(_CHECKED)]
     passing = _FOR_DEVICES if devices else ()

@@ -57,7 +57,11 @@ def environment(home: str, *, gpu: bool = False) -> dict[str, str]:
 
 def interpreter() -> str:
     """Path of the running Python, without `..`: a path with one exists in a sandbox only where all
-    that lies before it does. Raises SandboxError where it cannot be known."""
+    that lies before it does.
+
+    Raises:
+        SandboxError: where it cannot be known
+    """
     if not sys.executable:
         raise SandboxError("the path of the Python interpreter is unknown; a worker cannot start")
     return _without_dots(sys.executable)

@@ -34,8 +34,12 @@ OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot
 def failure_words(
     status: ReplyKind, body: bytes, expected: tuple[int, ...], *, private: bool
 ) -> str:
-    """Detail of a failure the worker reported. expected: the shape to name in one; private: whether
-    it knows cases, and may not speak freely."""
+    """Detail of a failure the worker reported.
+
+    Args:
+        expected: the shape to name in one
+        private: whether it knows cases, and may not speak freely
+    """
     if status is ReplyKind.SHAPE:
         return f"got shape {shape_words(body, expected)}, expected {expected}"
     text = printable(body.decode("utf-8", "replace")).strip()

@@ -71,8 +71,11 @@ def pack_parameters(offered: object) -> bytes:
 
 
 def unpack_parameters(body: bytes) -> tuple[tuple[str, float], ...]:
-    """The names, of letters, digits and a few marks, each once, with their numbers. Raises
-    ValueError where `body` has another size than rows have, or a number is not finite."""
+    """The names, of letters, digits and a few marks, each once, with their numbers.
+
+    Raises:
+        ValueError: where `body` has another size than rows have, or a number is not finite
+    """
     if len(body) % _PARAMETER.size or len(body) > PARAMETERS_BYTES:
         raise ValueError(f"{len(body)} bytes of parameters")
     found: dict[str, float] = {}

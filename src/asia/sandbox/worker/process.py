@@ -129,7 +129,12 @@ def start(
     program: str | None = None,
 ) -> subprocess.Popen[bytes]:
     """Start `command` in a session of its own, with the child's pipe ends and nothing else.
-    program: file to run, where it is not the first word. Raises SandboxError."""
+
+    Raises SandboxError.
+
+    Args:
+        program: file to run, where it is not the first word
+    """
     try:
         return subprocess.Popen(
             command,

@@ -75,7 +75,11 @@ def groups(found: SimulatedBlocks, output: int) -> Groups:
 def _pasts(
     signals: Sequence[Sequence[Array]], lags: Sequence[tuple[int, int]], reach: int
 ) -> list[Array]:
-    """The past of several signals, one array a block. signals: (n, c) a signal and block."""
+    """The past of several signals, one array a block.
+
+    Args:
+        signals: (n, c) a signal and block
+    """
     together = zip(*signals, strict=True)
     return [np.concatenate([_past(v, lags) for v in each], axis=1)[reach:] for each in together]
 

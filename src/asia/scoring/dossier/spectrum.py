@@ -52,7 +52,12 @@ def spectra(
     u: Sequence[Array], y: Sequence[Array], e: Sequence[Array], sampling_time: float
 ) -> Spectra | None:
     """Hann windows, half overlapping, none across two blocks; None where blocks are too short.
-    u, y, e: (H,) a block. The constant and the lines next to it are left out."""
+
+    The constant and the lines next to it are left out.
+
+    Args:
+        u, y, e: (H,) a block
+    """
     shortest = min(len(x) for x in u)
     length = min(_LONGEST, shortest if len(u) > 7 else shortest // 4)
     if length < _SHORTEST:

@@ -45,7 +45,12 @@ class Arrow(FileFormat):
 
 
 class _Batches:
-    """A file of batches. types: of Arrow, by column; rows: number of them."""
+    """A file of batches.
+
+    Args:
+        types: of Arrow, by column
+        rows: number of them
+    """
 
     def __init__(self, types: Mapping[str, Any], rows: int, batches: Any) -> None:
         self.types = types

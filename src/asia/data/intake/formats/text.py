@@ -238,8 +238,11 @@ def _is_data(row: Sequence[str], delimiter: str | None, units: bool) -> bool:
 def _heads(
     lines: Sequence[str], first: int, cells: int, delimiter: str | None, units: bool, *, ends: bool
 ) -> tuple[tuple[str, ...], ...]:
-    """Rows of names and units above the data, the lowest last. ends: whether every row of data ends
-    with a separator, which the rows above it may lack."""
+    """Rows of names and units above the data, the lowest last.
+
+    Args:
+        ends: whether every row of data ends with a separator, which the rows above it may lack
+    """
     found: list[tuple[str, ...]] = []
     for line in reversed(lines[:first]):
         if not line.strip():
