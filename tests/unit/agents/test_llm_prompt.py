@@ -119,7 +119,7 @@ def test_equations_are_shown_and_hidden() -> None:
         ((trial(1, None, family="none"),), "refine", Task("refine", None)),
     ],
 )
-def test_the_prompt_requests_the_task_of_the_phase(trials: tuple[Trial, ...], phase: str, task: Task) -> None:
+def test_the_prompt_states_the_task(trials: tuple[Trial, ...], phase: str, task: Task) -> None:
     assert task_of(now(*trials, phase=phase), repairs=2) == task
 
 
